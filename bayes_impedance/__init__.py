@@ -1,0 +1,99 @@
+"""Population parameters of mechanical impedance networks, with honest uncertainty.
+
+The public names, in the order of a session::
+
+    from bayes_impedance import fit_population, make_result, parse, predict, read_recordings, save_result
+
+    recordings = read_recordings("data/fingertip_71")
+    fit = fit_population(recordings, "(n3|r3)-(m2|r1|n1|(m1-(n2|r2)))", seed=1)
+    fit.diagnostics.problems                       # look here first
+    predictive = predict(fit)
+    save_result(make_result(fit, predictive, fit.seconds), "out")
+
+Names are imported when they are first used, so that ``import bayes_impedance`` costs nothing.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from bayes_impedance.check import check_recordings, describe
+    from bayes_impedance.errors import ConvergenceError, InputError
+    from bayes_impedance.kernel import Kernel
+    from bayes_impedance.network import PAPER_NETWORK, Element, Network, parse
+    from bayes_impedance.population import FitSettings, PopulationFit, fit_population
+    from bayes_impedance.predictive import Predictive, predict
+    from bayes_impedance.recordings import Recordings, Subject, read_recordings, write_recordings
+    from bayes_impedance.report import write_report
+    from bayes_impedance.result import Result, load_result, make_result, save_result
+    from bayes_impedance.simulate import FINGERTIP, VirtualPopulation, simulate_recordings
+
+_MODULES = {
+    "check_recordings": "check",
+    "describe": "check",
+    "ConvergenceError": "errors",
+    "InputError": "errors",
+    "Kernel": "kernel",
+    "PAPER_NETWORK": "network",
+    "Element": "network",
+    "Network": "network",
+    "parse": "network",
+    "FitSettings": "population",
+    "PopulationFit": "population",
+    "fit_population": "population",
+    "Predictive": "predictive",
+    "predict": "predictive",
+    "Recordings": "recordings",
+    "Subject": "recordings",
+    "read_recordings": "recordings",
+    "write_recordings": "recordings",
+    "write_report": "report",
+    "Result": "result",
+    "load_result": "result",
+    "make_result": "result",
+    "save_result": "result",
+    "FINGERTIP": "simulate",
+    "VirtualPopulation": "simulate",
+    "simulate_recordings": "simulate",
+}
+
+__all__ = [
+    "FINGERTIP",
+    "PAPER_NETWORK",
+    "ConvergenceError",
+    "Element",
+    "FitSettings",
+    "InputError",
+    "Kernel",
+    "Network",
+    "PopulationFit",
+    "Predictive",
+    "Recordings",
+    "Result",
+    "Subject",
+    "VirtualPopulation",
+    "check_recordings",
+    "describe",
+    "fit_population",
+    "load_result",
+    "make_result",
+    "parse",
+    "predict",
+    "read_recordings",
+    "save_result",
+    "simulate_recordings",
+    "write_recordings",
+    "write_report",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module 'bayes_impedance' has no attribute '{name}'")
+    return getattr(import_module(f"bayes_impedance.{_MODULES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,276 @@
+"""The command line: arguments in, one job, a short text out. Nothing heavy is imported before it is needed."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bayes_impedance.errors import InputError
+
+if TYPE_CHECKING:
+    from bayes_impedance.result import Result
+
+DONE, FAILED, BAD_INPUT = 0, 1, 2
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command.
+
+    Returns
+    -------
+    int
+        0 done, 1 failed (or a result that must not be used), 2 bad input.
+    """
+    options = _parser().parse_args(arguments)
+    try:
+        return int(options.job(options))
+    except InputError as error:
+        _tell(f"error: {error}", sys.stderr)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        _tell("\ninterrupted; the same command with --resume continues a fit where it was", sys.stderr)
+        return FAILED
+    except OSError as error:
+        _tell(
+            f"error: {error.filename or ''}: {error.strerror or error}; check the path, permissions and space",
+            sys.stderr,
+        )
+        return FAILED
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="bayes-impedance",
+        description="Population parameters of mechanical impedance networks, with honest uncertainty.",
+        epilog="Exit status: 0 done, 1 failed or result not reliable, 2 bad input.",
+    )
+    parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+
+    run = commands.add_parser("run", help="everything: check, fit, pictures and one report")
+    _dataset(run)
+    _fit_arguments(run)
+    run.set_defaults(job=_run)
+
+    check = commands.add_parser("check", help="what a dataset holds and what is odd about it")
+    _dataset(check)
+    check.set_defaults(job=_check)
+
+    fit = commands.add_parser("fit", help="fit only: result.nc and summary.json")
+    _dataset(fit)
+    _fit_arguments(fit)
+    fit.set_defaults(job=_fit)
+
+    report = commands.add_parser("report", help="pictures and report of a finished fit")
+    report.add_argument("out", type=Path, metavar="OUT", help="folder that 'run' or 'fit' has written")
+    report.add_argument("--dataset", type=Path, help="the recordings, to list what is odd about them")
+    report.set_defaults(job=_report)
+
+    simulate = commands.add_parser("simulate", help="virtual recordings with known truth")
+    simulate.add_argument("-o", "--out", type=Path, required=True, help="folder for the new dataset")
+    simulate.add_argument("--population", type=Path, help="summary.json of a fit or truth.json (default: fingertips)")
+    simulate.add_argument("--subjects", type=_count, default=71, metavar="N", help="default: 71")
+    simulate.add_argument("--repetitions", type=_count, default=3, metavar="J", help="default: 3")
+    simulate.add_argument("--points", type=_count, default=401, metavar="F", help="frequencies; default: 401")
+    simulate.add_argument("--band", type=float, nargs=2, default=(5.0, 5000.0), metavar=("LOW", "HIGH"), help="in Hz")
+    simulate.add_argument("--noise", type=float, help="relative noise of each part (default: 0.01)")
+    simulate.add_argument("--seed", type=_seed, default=1, help="default: 1")
+    simulate.set_defaults(job=_simulate)
+    return parser
+
+
+def _dataset(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("dataset", type=Path, metavar="DATASET", help="folder with recordings.csv, or one CSV file")
+
+
+def _fit_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("-o", "--out", type=Path, default=Path("out"), help="folder for the results (default: out)")
+    parser.add_argument("--network", help='for instance "(n3|r3)-(m2|r1|n1)"; default: the one in dataset.toml')
+    parser.add_argument("--covariance", choices=("full", "diagonal"), default="full", help="between persons")
+    parser.add_argument(
+        "--covariate", action="append", default=[], metavar="NAME", help="elements follow it; repeatable"
+    )
+    parser.add_argument("--subject", action="append", default=[], metavar="NAME", help="use only this one; repeatable")
+    parser.add_argument("--seed", type=_seed, default=1, help="default: 1; the same seed gives the same result")
+    parser.add_argument("--quick", action="store_true", help="fewer draws: a first look")
+    parser.add_argument("--resume", action="store_true", help="continue a fit that was interrupted")
+    parser.add_argument("--workers", type=_count, default=2, metavar="N", help="threads (default: 2)")
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{value} is not at least 1")
+    return value
+
+
+def _seed(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError("a seed is not negative")
+    return value
+
+
+class _Version(argparse.Action):
+    """Print the version; looking it up costs time that other commands need not spend."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        from importlib.metadata import version
+
+        _tell(f"bayes-impedance {version('bayes_impedance')}")
+        parser.exit()
+
+
+# -------------------------------------------------------------------- jobs
+
+
+def _run(options: argparse.Namespace) -> int:
+    from bayes_impedance.jobs import run_dataset
+
+    with _Bars() as bars:
+        result = run_dataset(options.dataset, options.out, _fit_options(options), options.resume, bars)
+    return _finish(result, f"report: {options.out / 'report.html'}")
+
+
+def _fit(options: argparse.Namespace) -> int:
+    from bayes_impedance.jobs import fit_dataset
+
+    with _Bars() as bars:
+        result = fit_dataset(options.dataset, options.out, _fit_options(options), options.resume, bars)
+    return _finish(result, f"summary: {options.out / 'summary.json'}")
+
+
+def _report(options: argparse.Namespace) -> int:
+    from bayes_impedance.jobs import report_result
+
+    with _Bars() as bars:
+        result = report_result(options.out, bars, options.dataset)
+    return _finish(result, f"report: {options.out / 'report.html'}")
+
+
+def _check(options: argparse.Namespace) -> int:
+    from bayes_impedance.jobs import check_dataset
+
+    description, warnings, findings = check_dataset(options.dataset)
+    for key, value in description.items():
+        shown = " to ".join(f"{v:.4g}" for v in dict.fromkeys(value)) if _is_range(value) else value
+        _tell(f"{key.replace('_', ' '):14} {shown}")
+    for warning in warnings:
+        _tell(f"read: {warning}")
+    for finding in findings:
+        _tell(f"{finding.severity}: {finding.message}")
+    if not findings:
+        _tell("nothing odd was found")
+    return DONE
+
+
+def _simulate(options: argparse.Namespace) -> int:
+    from bayes_impedance.jobs import simulate_dataset
+
+    simulate_dataset(
+        options.out,
+        options.population,
+        options.subjects,
+        options.repetitions,
+        options.points,
+        tuple(options.band),
+        options.noise,
+        options.seed,
+    )
+    _tell(f"{options.subjects} virtual subjects in {options.out}, the truth in {options.out / 'truth.json'}")
+    return DONE
+
+
+def _fit_options(options: argparse.Namespace) -> Any:
+    from bayes_impedance.jobs import FitOptions
+
+    return FitOptions(
+        options.network,
+        options.covariance,
+        tuple(options.covariate),
+        tuple(options.subject),
+        options.seed,
+        options.quick,
+        options.workers,
+    )
+
+
+# -------------------------------------------------------------------- text
+
+
+def _finish(result: Result, last: str) -> int:
+    """Print what matters: problems first, then remarks, then the table."""
+    summary = result.summary
+    for problem in summary["problems"]:
+        _tell(f"NOT RELIABLE: {problem}")
+    for remark in summary["remarks"]:
+        _tell(f"note: {remark}")
+    _tell(f"\n{summary['subjects']} subject(s), network {summary['network']}\n")
+    _tell(f"{'':6}{'unit':9}{'central value (90 %)':32}{'between persons':24}between repetitions")
+    for name, element in summary["elements"].items():
+        if not element["identified"]:
+            _tell(f"{name:6}{element['unit']:9}not determined by these recordings")
+            continue
+        cells = [_interval(element["central"], ".3g")]
+        cells += [_interval(element[f"dispersion_between_{level}"], ".2f") for level in ("persons", "repetitions")]
+        _tell(f"{name:6}{element['unit']:9}{cells[0]:32}{cells[1]:24}{cells[2]}".rstrip())
+    _tell("\ndispersions are standard deviations of the natural logarithm")
+    _tell(f"\n{'error of one curve for all (eq. 5)':36}{'|z|, ' + summary['unit']:>16}{'phase, deg':>14}")
+    for key, label in (
+        ("population_network", "population network"),
+        ("lookup_mean", "look-up table of the mean"),
+        ("lookup_median", "look-up table of the median"),
+    ):
+        error = summary["errors"][key]
+        _tell(f"{label:36}{error['delta_magnitude']:16.3g}{error['delta_phase_deg']:14.3g}")
+    _tell(f"\n{last}")
+    return FAILED if summary["problems"] else DONE
+
+
+def _interval(values: dict[str, float | None], style: str) -> str:
+    if values["median"] is None:
+        return "-"
+    return "{} ({} to {})".format(*(format(values[k], style) for k in ("median", "q05", "q95")))
+
+
+def _is_range(value: object) -> bool:
+    return isinstance(value, list | tuple) and all(isinstance(v, int | float) for v in value) and bool(value)
+
+
+def _tell(text: str, stream: Any = None) -> None:
+    (stream or sys.stdout).write(text + "\n")
+
+
+class _Bars:
+    """Progress bars on a terminal, one for each stage; nothing is drawn elsewhere."""
+
+    def __init__(self) -> None:
+        self.stage, self.bar = "", None  # type: tuple[str, Any]
+        self.make: Callable[..., Any] | None = None
+
+    def __enter__(self) -> _Bars:
+        return self
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        if self.make is None:
+            from tqdm import tqdm
+
+            self.make = tqdm
+        if stage != self.stage or self.bar is None:
+            self.__exit__()
+            self.stage = stage
+            self.bar = self.make(total=total, desc=f"{stage:22}", disable=None, unit="", leave=True, file=sys.stderr)
+        self.bar.total = total
+        self.bar.update(done - self.bar.n)
+
+    def __exit__(self, *_: object) -> None:
+        if self.bar is not None:
+            self.bar.close()
+            self.bar = None
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,120 @@
+"""How far a fit can be trusted: limits, and what is said when one is passed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayes_impedance.empirical_bayes import Estimate
+from bayes_impedance.hierarchy import PopulationParameters
+from bayes_impedance.marginal import Marginal
+from bayes_impedance.recordings import Recordings
+from bayes_impedance.sampling import Chains
+
+VARIANCE_LIMIT = 1.0
+"""Above this Monte-Carlo variance of the log likelihood, the posterior is refused."""
+
+RHAT_LIMIT = 1.05
+"""Above this disagreement between ensembles, the posterior is refused."""
+
+PARETO_LIMIT = 0.7
+"""Above this tail of a person's weights, the effective number of draws means little (Vehtari et al. 2024)."""
+
+
+@dataclass(frozen=True)
+class Diagnostics:
+    """How far the result can be trusted.
+
+    Attributes
+    ----------
+    rhat_max, effective_min, autocorrelation_max, acceptance : float
+        Of the worst population coordinate.
+    ensembles, steps, walkers : int
+    log_likelihood_variance : float
+        Monte-Carlo variance of the population's log likelihood, summed over persons; mean over the posterior.
+    pareto_k, effective_draws : ndarray, shape (N,)
+        Tail of each person's importance weights, and the number of draws they are worth, under the posterior's centre.
+    unconverged : tuple of str
+        Persons whose mode failed the gradient test.
+    redrawn : int
+        How often the reference population was moved.
+    """
+
+    rhat_max: float
+    effective_min: float
+    autocorrelation_max: float
+    acceptance: float
+    ensembles: int
+    steps: int
+    walkers: int
+    log_likelihood_variance: float
+    pareto_k: np.ndarray
+    effective_draws: np.ndarray
+    unconverged: tuple[str, ...]
+    redrawn: int
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """Reasons not to report numbers, one sentence each; empty if all is well."""
+        found = []
+        if not self.rhat_max <= RHAT_LIMIT:
+            found.append(
+                f"the ensembles disagree (R-hat {self.rhat_max:.3f}, limit {RHAT_LIMIT}): sample longer, or the "
+                "posterior has several modes"
+            )
+        if not self.log_likelihood_variance <= VARIANCE_LIMIT:
+            found.append(
+                f"the population likelihood is too noisy (variance {self.log_likelihood_variance:.2g}, limit "
+                f"{VARIANCE_LIMIT}): use more draws for each person"
+            )
+        if self.unconverged:
+            some = ", ".join(self.unconverged[:5])
+            found.append(
+                f"the fit of {len(self.unconverged)} person(s) did not converge ({some}): check their recordings"
+            )
+        return tuple(found)
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a reader should know although it does not spoil the result."""
+        bad = int(np.sum(self.pareto_k > PARETO_LIMIT))
+        if not bad:
+            return ()
+        return (
+            f"{bad} person(s) have importance weights with a heavy tail (Pareto k up to {self.pareto_k.max():.2f})",
+        )
+
+
+def diagnose(
+    recordings: Recordings,
+    point: Estimate,
+    chains: Chains,
+    marginal: Marginal | None,
+    parameters: PopulationParameters,
+    redrawn: int,
+) -> Diagnostics:
+    """Collect the diagnostics of a fit; without a marginal likelihood (one person) there are no weights to judge."""
+    n = len(recordings.subjects)
+    tail, effective, noise = np.zeros(n), np.full(n, float(chains.log_probability.size)), 0.0
+    if marginal is not None:
+        from bayes_impedance.arviz_adapter import pareto_k
+
+        some = parameters[np.linspace(0, parameters.mu.shape[0] - 1, 16).astype(int)]
+        tail = pareto_k(marginal.log_weights(some[:1])[0])
+        effective = marginal.terms(some, effective=True)[1].min(axis=0)
+        noise = float(np.mean(marginal.variance(some)))
+    return Diagnostics(
+        float(chains.rhat.max()),
+        float(chains.effective.min()),
+        float(chains.autocorrelation_time.max()),
+        chains.acceptance,
+        chains.coordinates.shape[0],
+        chains.steps,
+        chains.walkers,
+        noise,
+        tail,
+        effective,
+        tuple(s.name for s, mode in zip(recordings.subjects, point.modes, strict=True) if not mode.converged),
+        redrawn,
+    )

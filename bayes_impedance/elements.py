@@ -1,0 +1,120 @@
+r"""The three kinds of element a mechanical one-port is made of.
+
+With velocity ``v`` and force ``F`` as phasors of :math:`e^{+j\omega t}` and :math:`s = j\omega`, Newton, Hooke and
+a linear damper give
+
+.. math:: z_m = s\,m, \qquad z_n = \frac{1}{s\,n}, \qquad z_r = r,
+
+where the compliance is :math:`n = 1/k`. All three are monomials, :math:`z = x^{\pm 1} s^{p}` with
+:math:`p \in \{1, -1, 0\}`, so on a logarithmic scale :math:`\theta = \ln x` the derivative is the impedance itself:
+
+.. math:: \frac{\partial z}{\partial \theta} = \pm z .
+
+That is why the package works with the logarithms of the elements throughout: they are always positive, their
+derivatives cost nothing, and "20 % between persons" means the same for a mass and for a compliance.
+
+The force-voltage analogy (V = F, I = v) makes the same formulas serve electrical recordings: m is an inductance, n a
+capacitance, r a resistance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from bayes_impedance.errors import InputError
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of element: mass, compliance or damper.
+
+    Attributes
+    ----------
+    letter : str
+        First letter of the names of such elements: ``m``, ``n`` or ``r``.
+    name : str
+        What it is called.
+    exponent : int
+        +1 if the impedance is proportional to the value, -1 if it is inversely proportional (a compliance).
+    power : int
+        Power of s in the impedance.
+    story : str
+        One sentence for a person who reads the report.
+    """
+
+    letter: str
+    name: str
+    exponent: int
+    power: int
+    story: str
+
+    def impedance(self, s: npt.ArrayLike, value: npt.ArrayLike) -> np.ndarray:
+        """Impedance at complex frequency s.
+
+        Parameters
+        ----------
+        s : array_like, complex
+            Complex frequency in rad/s.
+        value : array_like
+            Value of the element in its unit; broadcast against `s`.
+
+        Returns
+        -------
+        ndarray
+            z in the impedance's unit.
+        """
+        s, value = np.asarray(s), np.asarray(value)
+        return np.asarray(s**self.power * (value if self.exponent > 0 else 1.0 / value))
+
+    def value_at(self, magnitude: float, frequency_hz: float) -> float:
+        """Value whose impedance has the given magnitude at the given frequency: a scale for priors and starts."""
+        log_value = (np.log(magnitude) - self.power * np.log(2 * np.pi * frequency_hz)) / self.exponent
+        return float(np.exp(log_value))
+
+    def unit(self, impedance_unit: str) -> str:
+        """Unit of the element's value, given the unit of the impedance."""
+        known = _UNITS.get(impedance_unit)
+        if known is not None:
+            return known[self.letter]
+        return {"m": f"{impedance_unit} s", "n": f"s/({impedance_unit})", "r": impedance_unit}[self.letter]
+
+
+MASS = Kind("m", "mass", +1, +1, "Inertia: what moves along with the port and resists being accelerated.")
+COMPLIANCE = Kind("n", "compliance", -1, -1, "Springiness: how far the tissue gives way per newton (1/stiffness).")
+DAMPER = Kind("r", "damper", +1, 0, "Viscous loss: force in proportion to velocity, energy turned into heat.")
+
+KINDS: dict[str, Kind] = {kind.letter: kind for kind in (MASS, COMPLIANCE, DAMPER)}
+
+# Unit of m, n, r for each unit of impedance that the recordings reader normalises to.
+_UNITS: dict[str, dict[str, str]] = {
+    "N s/m": {"m": "kg", "n": "m/N", "r": "N s/m"},
+    "N m s/rad": {"m": "kg m^2", "n": "rad/(N m)", "r": "N m s/rad"},
+    "ohm": {"m": "H", "n": "F", "r": "ohm"},
+}
+
+
+def kind_of(element: str) -> Kind:
+    """Kind of the element with this name.
+
+    Raises
+    ------
+    InputError
+        If the first letter names no kind.
+    """
+    kind = KINDS.get(element[:1])
+    if kind is None:
+        raise InputError(
+            f"element '{element}' is of no known kind: its first letter must be m (mass), n (compliance) or r (damper)"
+        )
+    return kind
+
+
+def band_scale(element: str, magnitude: float, frequency_hz: float) -> float:
+    """Logarithm of the value at which an element's impedance meets the data's magnitude inside the band.
+
+    This is the centre of the default, scale-free prior: it needs no knowledge of the unit or of the body part.
+    """
+    return float(np.log(kind_of(element).value_at(magnitude, frequency_hz)))

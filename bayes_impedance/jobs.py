@@ -1,0 +1,263 @@
+"""What the commands do: whole jobs from a dataset on disk to files in a folder.
+
+Every file is complete or absent: it is written to a temporary name and renamed. While a fit runs, its chains are kept
+in ``checkpoint`` inside the output folder; a killed run continues from there when it is started again with the same
+arguments, and gives the same numbers as one that was not interrupted.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bayes_impedance.errors import InputError
+
+if TYPE_CHECKING:
+    from bayes_impedance.check import Finding
+    from bayes_impedance.population import FitSettings
+    from bayes_impedance.recordings import Recordings
+    from bayes_impedance.result import Result
+    from bayes_impedance.simulate import VirtualPopulation
+    from bayes_impedance.starts import Progress
+
+CHECKPOINT_FOLDER, PICTURE_FOLDER, TRUTH_FILE = "checkpoint", "pictures", "truth.json"
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """What a user may choose about a fit.
+
+    Attributes
+    ----------
+    network : str or None
+        Notation; None for the dataset's own.
+    covariance : str
+        ``full`` or ``diagonal``.
+    covariates : tuple of str
+    subjects : tuple of str
+        Whom to use; empty for all.
+    seed : int
+    quick : bool
+        Fewer draws and shorter chains: for a first look.
+    workers : int
+        Threads; does not change the result.
+    """
+
+    network: str | None = None
+    covariance: str = "full"
+    covariates: tuple[str, ...] = ()
+    subjects: tuple[str, ...] = ()
+    seed: int = 1
+    quick: bool = False
+    workers: int = 2
+
+    def settings(self) -> FitSettings:
+        """Settings of the fit."""
+        from bayes_impedance.population import QUICK_SETTINGS, FitSettings
+
+        base = QUICK_SETTINGS if self.quick else FitSettings()
+        return FitSettings(self.covariance, self.covariates, base.draws, base.sampler)
+
+
+def fit_dataset(dataset: Path, out: Path, options: FitOptions, resume: bool, progress: Progress) -> Result:
+    """Read, fit, predict; write ``result.nc`` and ``summary.json``.
+
+    Parameters
+    ----------
+    dataset : Path
+        Folder or CSV file.
+    out : Path
+        Folder for the results.
+    options : FitOptions
+    resume : bool
+        Continue an interrupted fit.
+    progress : callable
+
+    Raises
+    ------
+    InputError
+        If the input cannot be used, or `resume` meets the checkpoint of another fit.
+    """
+    from bayes_impedance.recordings import read_recordings
+
+    started = time.perf_counter()
+    recordings = read_recordings(dataset)
+    if options.subjects:
+        recordings = recordings.select(options.subjects)
+    reading = time.perf_counter() - started
+
+    from bayes_impedance.population import fit_population
+    from bayes_impedance.predictive import predict
+    from bayes_impedance.result import make_result, save_result
+
+    settings = options.settings()
+    checkpoint = _checkpoint(out, recordings, options, resume)
+    fit = fit_population(
+        recordings,
+        options.network,
+        settings=settings,
+        seed=options.seed,
+        workers=options.workers,
+        progress=progress,
+        checkpoint=checkpoint,
+    )
+    started = time.perf_counter()
+    progress("predictions", 0, 1)
+    predictive = predict(fit, seed=options.seed)
+    progress("predictions", 1, 1)
+    seconds = {"read": reading, **fit.seconds, "predictive": time.perf_counter() - started}
+    result = make_result(fit, predictive, seconds)
+    save_result(result, out)
+    shutil.rmtree(checkpoint)
+    return result
+
+
+def run_dataset(dataset: Path, out: Path, options: FitOptions, resume: bool, progress: Progress) -> Result:
+    """Everything: check, fit, pictures and report."""
+    result = fit_dataset(dataset, out, options, resume, progress)
+    _write_pages(result, out, _findings(dataset, options.subjects), progress)
+    return result
+
+
+def report_result(out: Path, progress: Progress, dataset: Path | None = None) -> Result:
+    """Pictures and report of a finished fit, from its files alone.
+
+    Parameters
+    ----------
+    out : Path
+        Folder with ``result.nc`` and ``summary.json``.
+    progress : callable
+    dataset : Path, optional
+        The recordings, if the report is to tell what is odd about them.
+    """
+    from bayes_impedance.result import load_result
+
+    result = load_result(out)
+    _write_pages(result, out, _findings(dataset, ()) if dataset is not None else (), progress)
+    return result
+
+
+def check_dataset(dataset: Path) -> tuple[dict[str, Any], tuple[str, ...], tuple[Finding, ...]]:
+    """What a dataset holds, what was changed on reading it, and what is odd about it."""
+    from bayes_impedance.check import check_recordings, describe
+    from bayes_impedance.recordings import read_recordings
+
+    recordings = read_recordings(dataset)
+    return describe(recordings), recordings.warnings, check_recordings(recordings)
+
+
+def simulate_dataset(
+    out: Path,
+    population: Path | None,
+    n_subjects: int,
+    n_repetitions: int,
+    n_points: int,
+    band_hz: tuple[float, float],
+    noise: float | None,
+    seed: int,
+) -> dict[str, Any]:
+    """Write a virtual population as a dataset, the truth beside it.
+
+    Parameters
+    ----------
+    out : Path
+        Folder of the new dataset.
+    population : Path or None
+        ``summary.json`` of a fit or ``truth.json`` of a simulation whose population is to be drawn from; None for the
+        virtual fingertips.
+    n_subjects, n_repetitions, n_points : int
+    band_hz : (float, float)
+        Lowest and highest frequency.
+    noise : float or None
+        Relative noise; None for the population's own.
+    seed : int
+
+    Returns
+    -------
+    dict
+        The truth.
+    """
+    from dataclasses import replace
+
+    import numpy as np
+
+    from bayes_impedance.recordings import write_recordings
+    from bayes_impedance.simulate import FINGERTIP, simulate_recordings
+
+    low, high = band_hz
+    if not 0 < low < high or n_points < 3:
+        raise InputError(f"band {low} to {high} Hz with {n_points} points: give 0 < low < high and at least 3 points")
+    people = FINGERTIP if population is None else _population(population)
+    if noise is not None:
+        people = replace(people, noise=noise)
+    simulation = simulate_recordings(people, n_subjects, n_repetitions, np.geomspace(low, high, n_points), seed)
+    write_recordings(simulation.recordings, out, significant_digits=6, compress=True)
+    _write_text(out / TRUTH_FILE, json.dumps(simulation.truth, indent=2) + "\n")
+    return simulation.truth
+
+
+def _population(file: Path) -> VirtualPopulation:
+    """A population to draw from, as a fit or an earlier simulation describes it."""
+    from bayes_impedance.simulate import population_from
+
+    try:
+        described = json.loads(file.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{file}: there is no such file; give a summary.json or truth.json") from None
+    except (ValueError, OSError) as error:
+        raise InputError(f"{file}: cannot be read as JSON ({error}); give a summary.json or truth.json") from None
+    return population_from(described, str(file))
+
+
+def _checkpoint(out: Path, recordings: Recordings, options: FitOptions, resume: bool) -> Path:
+    """An empty folder for the chains, or that of the interrupted fit with the same arguments."""
+    folder = out / CHECKPOINT_FOLDER
+    identity = {
+        "version": version("bayes_impedance"),
+        "data_sha256": recordings.sha256,
+        **{k: v for k, v in asdict(options).items() if k != "workers"},
+    }
+    text = json.dumps(identity, indent=2, default=list) + "\n"
+    file = folder / "fit.json"
+    if resume and file.is_file():
+        if file.read_text(encoding="utf-8") != text:
+            raise InputError(
+                f"{folder}: is of other data or other options; repeat those, or start anew without --resume"
+            )
+        return folder
+    if folder.exists():
+        shutil.rmtree(folder)
+    folder.mkdir(parents=True)
+    _write_text(file, text)
+    return folder
+
+
+def _findings(dataset: Path, subjects: Sequence[str]) -> tuple[Finding, ...]:
+    from bayes_impedance.check import check_recordings
+    from bayes_impedance.recordings import read_recordings
+
+    recordings = read_recordings(dataset)
+    return check_recordings(recordings.select(subjects) if subjects else recordings)
+
+
+def _write_pages(result: Result, out: Path, findings: Sequence[Finding], progress: Progress) -> None:
+    from bayes_impedance.plots import write_pictures
+    from bayes_impedance.report import write_report
+
+    progress("pictures and report", 0, 2)
+    pictures = write_pictures(result, out / PICTURE_FOLDER)
+    progress("pictures and report", 1, 2)
+    write_report(result, out, findings, pictures)
+    progress("pictures and report", 2, 2)
+
+
+def _write_text(file: Path, text: str) -> None:
+    temporary = file.with_name(file.name + ".tmp")
+    temporary.write_text(text, encoding="utf-8")
+    temporary.replace(file)

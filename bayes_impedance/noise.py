@@ -1,0 +1,179 @@
+r"""The size of the noise, from repetitions or from roughness.
+
+A finger that is put down again has slightly other elements. What then differs between two recordings is noise plus a
+motion along the tangent space of the network, :math:`\partial Z/\partial\theta`, and only what is **outside** of that
+space is noise. With orthonormal contrasts :math:`c` over the J recordings (J - 1 of them, free of the common part), Q
+an orthonormal basis of the tangent space in whitened real coordinates and :math:`h_k` its leverage at frequency k,
+
+.. math:: \hat\sigma_k^2 = \frac{\sum |(1 - QQ^T) c|_k^2}{\sum 2\,(1 - h_k)} .
+
+Sums run over persons and neighbouring frequencies, as many as it takes for about 200 degrees of freedom, so a
+population keeps a sharp rise of the noise while a single person's estimate stays steady.
+
+With one repetition there is nothing to compare but a point with its neighbours: the second difference of the residual
+from the fitted network (not of the data, whose own curvature would count as noise).
+
+Noise is either proportional to the magnitude or not, at a given frequency across persons; the better of the two, by
+its likelihood, is taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+FLOOR_WITH_REPETITIONS = 1e-4
+FLOOR_WITHOUT = 1e-3
+"""Smallest noise relative to |z| that is believed: no impedance head does better, and rounding must not set weights."""
+
+_DEGREES_OF_FREEDOM = 200.0
+_GRID_POINTS = 400
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Squared noise of one person, before pooling.
+
+    Attributes
+    ----------
+    frequency_hz : ndarray, shape (F,)
+    magnitude : ndarray, shape (F,)
+        |z| of the person's mean recording.
+    square : ndarray, shape (F,)
+        Sum of squared deviations, real and imaginary parts together.
+    freedom : ndarray, shape (F,)
+        Degrees of freedom in each.
+    """
+
+    frequency_hz: np.ndarray
+    magnitude: np.ndarray
+    square: np.ndarray
+    freedom: np.ndarray
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Standard deviation of the real and of the imaginary part over frequency.
+
+    Attributes
+    ----------
+    frequency_hz, sd : ndarray, shape (G,)
+        Nodes; interpolation is linear in the logarithms.
+    relative : bool
+        Whether `sd` is a fraction of |z|.
+    floor : float
+        Smallest sd as a fraction of |z|.
+    """
+
+    frequency_hz: np.ndarray
+    sd: np.ndarray
+    relative: bool
+    floor: float
+
+    def at(self, frequency_hz: np.ndarray, magnitude: np.ndarray) -> np.ndarray:
+        """Noise at frequencies (F,) for a recording with |z| = magnitude (F,), smoothed: shape (F,)."""
+        log_sd = np.interp(np.log(frequency_hz), np.log(self.frequency_hz), np.log(self.sd))
+        sd = np.exp(log_sd) * (magnitude if self.relative else 1.0)
+        return np.asarray(np.maximum(sd, self.floor * magnitude))
+
+
+def contrasts(n: int) -> np.ndarray:
+    """Orthonormal contrasts (Helmert) over n repetitions, shape (n - 1, n): rows sum to zero."""
+    rows = np.zeros((n - 1, n))
+    for c in range(1, n):
+        rows[c - 1, :c], rows[c - 1, c] = 1.0, -float(c)
+        rows[c - 1] /= np.sqrt(c * (c + 1))
+    return rows
+
+
+def scatter_of_repetitions(frequency_hz: np.ndarray, z: np.ndarray, derivative: np.ndarray) -> Scatter:
+    """Noise of one person from J >= 2 recordings.
+
+    Parameters
+    ----------
+    frequency_hz : ndarray, shape (F,)
+    z : ndarray, complex, shape (J, F)
+    derivative : ndarray, complex, shape (P, F)
+        dZ/dtheta at the person's fitted elements.
+    """
+    magnitude = np.abs(z.mean(axis=0))
+    difference = contrasts(z.shape[0]) @ z / magnitude
+    tangent = derivative / magnitude
+    basis = _orthonormal(np.concatenate([tangent.real, tangent.imag], axis=1).T)
+    stacked = np.concatenate([difference.real, difference.imag], axis=1)
+    outside = stacked - (stacked @ basis) @ basis.T
+    n = frequency_hz.size
+    leverage = np.sum(basis**2, axis=1)
+    square = np.sum(outside[:, :n] ** 2 + outside[:, n:] ** 2, axis=0) * magnitude**2
+    freedom = difference.shape[0] * (2 - leverage[:n] - leverage[n:])
+    return Scatter(frequency_hz, magnitude, square, freedom)
+
+
+def scatter_of_roughness(frequency_hz: np.ndarray, z: np.ndarray, model: np.ndarray) -> Scatter:
+    """Noise of one person from one recording z and the fitted network's, both complex, shape (F,).
+
+    Each inner point is compared with the straight line, over log frequency, through its two neighbours.
+    """
+    x, residual = np.log(frequency_hz), z - model
+    share = (x[1:-1] - x[:-2]) / (x[2:] - x[:-2])
+    rough = residual[1:-1] - (1 - share) * residual[:-2] - share * residual[2:]
+    square = np.abs(rough) ** 2 / (1 + (1 - share) ** 2 + share**2)
+    return Scatter(frequency_hz[1:-1], np.abs(z[1:-1]), square, np.full(square.size, 2.0))
+
+
+def pool(scatters: Sequence[Scatter], floor: float) -> NoiseModel:
+    """Common shape of the noise over frequency, from the scatter of all persons.
+
+    Parameters
+    ----------
+    scatters : sequence of Scatter
+        One per person; grids may differ.
+    floor : float
+        Smallest noise relative to |z|.
+    """
+    candidates = [_pool(scatters, relative, floor) for relative in (True, False)]
+    return min(candidates, key=lambda candidate: candidate[1])[0]
+
+
+def _pool(scatters: Sequence[Scatter], relative: bool, floor: float) -> tuple[NoiseModel, float]:
+    """The noise model and its deviance."""
+    x = np.log(np.concatenate([s.frequency_hz for s in scatters]))
+    scale = np.concatenate([s.magnitude if relative else np.ones(s.magnitude.size) for s in scatters])
+    square = np.concatenate([s.square for s in scatters]) / scale**2
+    freedom = np.concatenate([s.freedom for s in scatters])
+    nodes, index = np.unique(np.round(x, 9), return_inverse=True)
+    if nodes.size > _GRID_POINTS:
+        edges = np.linspace(x.min(), x.max(), _GRID_POINTS + 1)
+        index = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, _GRID_POINTS - 1)
+        nodes = 0.5 * (edges[1:] + edges[:-1])
+    square_sum = np.bincount(index, square, minlength=nodes.size)
+    freedom_sum = np.bincount(index, freedom, minlength=nodes.size)
+    filled = freedom_sum > 0
+    nodes, square_sum, freedom_sum = nodes[filled], square_sum[filled], freedom_sum[filled]
+
+    # Rank distance, not frequency distance: the window holds the same information everywhere.
+    per_node = np.median(freedom_sum)
+    width = max(_DEGREES_OF_FREEDOM / per_node / np.sqrt(4 * np.pi), 0.3)
+    rank = np.arange(nodes.size)
+    window = np.exp(-0.5 * ((rank[:, None] - rank[None, :]) / width) ** 2)
+    variance = (window @ square_sum) / (window @ freedom_sum)
+    smallest = (floor * np.median(np.concatenate([s.magnitude for s in scatters]) / scale)) ** 2
+    variance = np.maximum(variance, smallest)
+    expected = np.interp(x, nodes, variance)
+    # Gaussian deviance, with each person's own scale profiled out.
+    deviance, start = 0.0, 0
+    log_scale = np.log(scale**2)
+    for s in scatters:
+        part = slice(start, start + s.square.size)
+        own_scale = max(float(np.sum(square[part] / expected[part]) / freedom[part].sum()), 1e-12)
+        deviance += float(np.sum(freedom[part] * (np.log(expected[part] * own_scale) + log_scale[part])))
+        start += s.square.size
+    return NoiseModel(np.exp(nodes), np.sqrt(variance), relative, floor), deviance
+
+
+def _orthonormal(columns: np.ndarray) -> np.ndarray:
+    """Orthonormal basis of the columns' span; directions that the band hardly sees are left out."""
+    u, singular, _ = np.linalg.svd(columns, full_matrices=False)
+    return np.asarray(u[:, singular > 1e-10 * singular[0]])

@@ -1,0 +1,365 @@
+r"""The hierarchical model: recordings in, population parameters out.
+
+The route, each step of which is a module:
+
+1. :mod:`~bayes_impedance.starts`: first fits of everybody, and the noise;
+2. :mod:`~bayes_impedance.empirical_bayes`: a point estimate of the population, everybody's mode under it, and which
+   elements the recordings determine;
+3. :mod:`~bayes_impedance.draws`: exact draws of everybody's elements under that estimate;
+4. :mod:`~bayes_impedance.marginal` and :mod:`~bayes_impedance.posterior`: with them, the density of any population;
+5. :mod:`~bayes_impedance.sampling`: emcee over the population parameters (:mod:`~bayes_impedance.hierarchy`);
+6. everybody's own posterior, by resampling the draws with the weights each sampled population gives them.
+
+The first four steps take seconds and are repeated when a killed run is resumed; the chains are kept as they grow.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from bayes_impedance.diagnostics import Diagnostics, diagnose
+from bayes_impedance.draws import Draws
+from bayes_impedance.empirical_bayes import IDENTIFIED_SD, Estimate, estimate
+from bayes_impedance.errors import InputError
+from bayes_impedance.hierarchy import PopulationParameters, Prior
+from bayes_impedance.kernel import Kernel
+from bayes_impedance.likelihood import Likelihood, log_likelihood
+from bayes_impedance.marginal import Marginal
+from bayes_impedance.network import Network, parse
+from bayes_impedance.posterior import Posterior
+from bayes_impedance.recordings import Recordings
+from bayes_impedance.sampling import QUICK, SamplerSettings, sample
+from bayes_impedance.starts import FirstFits, Progress, default_prior, first_fits
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """What can be chosen about a fit.
+
+    Attributes
+    ----------
+    covariance : str
+        ``full`` (elements vary together between persons) or ``diagonal``.
+    covariates : tuple of str
+        Names of covariates that the mean log elements follow linearly.
+    draws : int
+        Draws for each person, a power of two.
+    sampler : SamplerSettings
+    """
+
+    covariance: str = "full"
+    covariates: tuple[str, ...] = ()
+    draws: int = 512
+    sampler: SamplerSettings = field(default_factory=SamplerSettings)
+
+    def __post_init__(self) -> None:
+        if self.covariance not in ("full", "diagonal"):
+            raise InputError(f"covariance is '{self.covariance}': choose 'full' or 'diagonal'")
+
+
+QUICK_SETTINGS = FitSettings(draws=256, sampler=QUICK)
+
+
+@dataclass(frozen=True)
+class PopulationFit:
+    """Posterior of a population.
+
+    Attributes
+    ----------
+    recordings : Recordings
+    kernel : Kernel
+        With the network and the order of elements.
+    prior : Prior
+    settings : FitSettings
+    seed : int
+    parameters : PopulationParameters
+        E S sets, ensemble by ensemble. For one person: that person's log elements in `mu`, dispersions NaN.
+    n_ensembles : int
+    log_probability : ndarray, shape (E, S)
+    person_draws : ndarray, shape (E, S, N, P)
+        Everybody's log elements.
+    person_log_likelihood : ndarray, shape (E, S, N)
+        Log marginal likelihood of each person under the population draws, up to a constant for each person.
+    deviations : tuple of ndarray, shape (J, P)
+        Estimated deviations of the repetitions.
+    noise : tuple of ndarray, shape (J, F)
+        Standard deviation of the noise of each recording, the person's scale included.
+    noise_scale : ndarray, shape (N,)
+        By how much the residuals exceed the noise estimate: near one if the network describes the person.
+    identified : ndarray of bool, shape (P,)
+    diagnostics : Diagnostics
+    seconds : dict
+        Time of each step.
+    """
+
+    recordings: Recordings
+    kernel: Kernel
+    prior: Prior
+    settings: FitSettings
+    seed: int
+    parameters: PopulationParameters
+    n_ensembles: int
+    log_probability: np.ndarray
+    person_draws: np.ndarray
+    person_log_likelihood: np.ndarray
+    deviations: tuple[np.ndarray, ...]
+    noise: tuple[np.ndarray, ...]
+    noise_scale: np.ndarray
+    identified: np.ndarray
+    diagnostics: Diagnostics
+    seconds: dict[str, float]
+
+    @property
+    def one_person(self) -> bool:
+        """Whether there is only one person, and so no dispersion."""
+        return len(self.recordings.subjects) == 1
+
+    @property
+    def repeated(self) -> bool:
+        """Whether anybody was recorded more than once."""
+        return any(len(s.repetitions) > 1 for s in self.recordings.subjects)
+
+
+def fit_population(
+    recordings: Recordings,
+    network: Network | str | None = None,
+    *,
+    settings: FitSettings | None = None,
+    seed: int = 1,
+    workers: int = 2,
+    progress: Progress = lambda *_: None,
+    checkpoint: Path | None = None,
+) -> PopulationFit:
+    """Estimate the elements of a population from its recordings.
+
+    Parameters
+    ----------
+    recordings : Recordings
+        One person or more. With one, that person's posterior under the broad prior is found and no dispersion.
+    network : Network or str, optional
+        The network that everybody is described by; the dataset's own if not given.
+    settings : FitSettings, optional
+    seed : int
+        The same seed and data give the same numbers on one machine.
+    workers : int
+        Threads; the result does not depend on their number.
+    progress : callable, optional
+        Called with stage, done, total.
+    checkpoint : Path, optional
+        Folder where the chains are kept as they grow; an interrupted fit with the same arguments continues from there.
+
+    Returns
+    -------
+    PopulationFit
+        Look at ``diagnostics.problems`` first.
+
+    Raises
+    ------
+    InputError
+        If there is no network, a covariate is unknown or incomplete, or somebody has fewer points than elements.
+    """
+    from threadpoolctl import threadpool_limits
+
+    settings = settings or FitSettings()
+    kernel = Kernel(_network(recordings, network))
+    covariates = _standardised(recordings, settings.covariates)
+    _enough_points(recordings, kernel)
+    prior = default_prior(kernel.elements, recordings)
+    seeds = np.random.SeedSequence(seed).spawn(5)
+    clock = _Clock()
+    one = len(recordings.subjects) == 1
+    # The linear algebra library must not start threads of its own inside ours.
+    with threadpool_limits(1), ThreadPoolExecutor(workers) as executor:
+        with clock.measure("modes"):
+            first = first_fits(kernel, recordings, prior, seeds[0], executor, progress)
+            likelihoods = _likelihoods(recordings, first, len(kernel.elements))
+            point = estimate(
+                kernel,
+                likelihoods,
+                first,
+                prior,
+                covariates,
+                settings.covariance == "full",
+                seeds[1],
+                executor,
+                progress,
+                one_person=one,
+            )
+        if one:
+            return _one_person(
+                recordings, kernel, prior, settings, seed, point, first, seeds[2], clock, progress, checkpoint
+            )
+        repetitions = np.array([len(s.repetitions) for s in recordings.subjects])
+        full = settings.covariance == "full"
+        posterior = Posterior(repetitions, kernel, prior, full, settings.draws, point, covariates)
+        with clock.measure("draws"):
+            posterior.draw(seeds[3], executor, progress)
+        with clock.measure("population"):
+            chains = sample(
+                posterior.log_probability,
+                posterior.start(),
+                posterior.start_scale(),
+                settings.sampler,
+                seeds[2],
+                progress,
+                checkpoint,
+            )
+        with clock.measure("persons"):
+            flat = chains.coordinates.reshape(-1, chains.coordinates.shape[-1])
+            parameters = posterior.coordinates.unpack(flat)
+            person_draws, person_likelihood = _persons(posterior.draws, posterior.marginal, parameters, seeds[4])
+            diagnostics = diagnose(recordings, point, chains, posterior.marginal, parameters, posterior.redrawn)
+    shape = (settings.sampler.ensembles, -1, len(recordings.subjects))
+    identified = point.determined & (parameters.mu.std(axis=0) < IDENTIFIED_SD)
+    scale = np.array([mode.scale for mode in point.modes])
+    return PopulationFit(
+        recordings,
+        kernel,
+        prior,
+        settings,
+        seed,
+        parameters,
+        settings.sampler.ensembles,
+        chains.log_probability,
+        person_draws.reshape(*shape, len(kernel.elements)),
+        person_likelihood.reshape(*shape),
+        tuple(d.deviations for d in point.likelihoods),
+        tuple(n * s for n, s in zip(first.noise, scale, strict=True)),
+        scale,
+        identified,
+        diagnostics,
+        clock.seconds,
+    )
+
+
+def _one_person(
+    recordings: Recordings,
+    kernel: Kernel,
+    prior: Prior,
+    settings: FitSettings,
+    seed: int,
+    point: Estimate,
+    first: FirstFits,
+    sampler_seed: np.random.SeedSequence,
+    clock: _Clock,
+    progress: Progress,
+    checkpoint: Path | None,
+) -> PopulationFit:
+    """Posterior of the only person's elements under the broad prior, sampled directly."""
+    mode, likelihood = point.modes[0], point.likelihoods[0]
+    sd = np.sqrt(np.diag(np.linalg.inv(mode.precision)))
+
+    def log_probability(u: np.ndarray) -> np.ndarray:
+        theta = mode.theta + sd * u
+        offset = (theta - prior.centre) / prior.centre_sd
+        return np.asarray(log_likelihood(kernel, likelihood, theta) - 0.5 * np.sum(offset**2, axis=1))
+
+    with clock.measure("population"):
+        chains = sample(
+            log_probability,
+            np.zeros(sd.size),
+            0.5 * np.ones(sd.size),
+            settings.sampler,
+            sampler_seed,
+            progress,
+            checkpoint,
+        )
+    theta = mode.theta + sd * chains.coordinates.reshape(-1, sd.size)
+    n, p = theta.shape
+    nothing = np.full((n, p), np.nan)
+    parameters = PopulationParameters(theta, nothing, np.tile(np.eye(p), (n, 1, 1)), nothing, np.zeros((n, p, 0)))
+    ensembles = settings.sampler.ensembles
+    diagnostics = diagnose(recordings, point, chains, None, parameters, 0)
+    return PopulationFit(
+        recordings,
+        kernel,
+        prior,
+        settings,
+        seed,
+        parameters,
+        ensembles,
+        chains.log_probability,
+        theta.reshape(ensembles, -1, 1, p),
+        log_likelihood(kernel, likelihood, theta).reshape(ensembles, -1, 1),
+        (likelihood.deviations,),
+        (first.noise[0] * mode.scale,),
+        np.array([mode.scale]),
+        theta.std(axis=0) < IDENTIFIED_SD,
+        diagnostics,
+        clock.seconds,
+    )
+
+
+def _persons(
+    draws: list[Draws], marginal: Marginal, parameters: PopulationParameters, seed: np.random.SeedSequence
+) -> tuple[np.ndarray, np.ndarray]:
+    """One draw of everybody's log elements for each population, (W, N, P), and everybody's likelihood, (W, N)."""
+    rng = np.random.default_rng(seed)
+    n_sets, n = parameters.mu.shape[0], len(draws)
+    theta = np.empty((n_sets, n, parameters.mu.shape[1]))
+    stacked = np.array([d.theta for d in draws])
+    for start in range(0, n_sets, 50):
+        log_weight = marginal.log_weights(parameters[slice(start, start + 50)])
+        weight = np.exp(log_weight - log_weight.max(axis=2, keepdims=True))
+        cumulative = np.cumsum(weight, axis=2)
+        level = rng.random((*cumulative.shape[:2], 1)) * cumulative[:, :, -1:]
+        chosen = np.minimum((cumulative < level).sum(axis=2), weight.shape[2] - 1)
+        theta[start : start + 50] = stacked[np.arange(n), chosen]
+    return theta, marginal.terms(parameters)[0]
+
+
+def _network(recordings: Recordings, network: Network | str | None) -> Network:
+    given = network if network is not None else recordings.network
+    if given is None:
+        raise InputError('no network: name one with --network, or write network = "..." into dataset.toml')
+    return parse(given) if isinstance(given, str) else given
+
+
+def _standardised(recordings: Recordings, names: tuple[str, ...]) -> np.ndarray:
+    """Covariates (N, Q) with mean 0 and standard deviation 1."""
+    columns = []
+    for name in names:
+        values = np.array([s.covariates.get(name, np.nan) for s in recordings.subjects], dtype=float)
+        if not np.all(np.isfinite(values)):
+            who = recordings.subjects[int(np.argmin(np.isfinite(values)))].name
+            raise InputError(f"covariate '{name}' is missing for subject {who}: add it to subjects.csv or leave it out")
+        if values.std() == 0:
+            raise InputError(f"covariate '{name}' is the same for everybody: leave it out")
+        columns.append((values - values.mean()) / values.std())
+    return np.array(columns).T if columns else np.zeros((len(recordings.subjects), 0))
+
+
+def _enough_points(recordings: Recordings, kernel: Kernel) -> None:
+    for subject in recordings.subjects:
+        if 2 * subject.frequency_hz.size <= len(kernel.elements):
+            raise InputError(
+                f"subject {subject.name} has {subject.frequency_hz.size} frequencies, too few for "
+                f"{len(kernel.elements)} elements: record more or use a smaller network"
+            )
+
+
+def _likelihoods(recordings: Recordings, first: FirstFits, n_elements: int) -> tuple[Likelihood, ...]:
+    return tuple(
+        Likelihood.make(s.frequency_hz, s.z, noise, np.zeros((len(s.repetitions), n_elements)))
+        for s, noise in zip(recordings.subjects, first.noise, strict=True)
+    )
+
+
+class _Clock:
+    """Seconds of each named step."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def measure(self, name: str) -> Iterator[None]:
+        started = time.perf_counter()
+        yield
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - started

@@ -1,0 +1,184 @@
+"""First fits: where the search for every person's mode begins, and the size of the noise.
+
+An impedance has many local optima (in one of the paper's published curves the best one is reached from one random
+start in two hundred), so random starts are spent on a few persons with thinned data, where they cost microseconds.
+What they find is tried on everybody, and the solution that serves the population best is preferred: persons of one
+population are alike, and parts of a network that could change places should be called the same in everybody.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayes_impedance.elements import band_scale
+from bayes_impedance.hierarchy import Prior
+from bayes_impedance.kernel import Kernel
+from bayes_impedance.likelihood import Likelihood
+from bayes_impedance.noise import (
+    FLOOR_WITH_REPETITIONS,
+    FLOOR_WITHOUT,
+    NoiseModel,
+    pool,
+    scatter_of_repetitions,
+    scatter_of_roughness,
+)
+from bayes_impedance.recordings import Recordings, Subject
+from bayes_impedance.subject import all_modes, find_mode
+
+Progress = Callable[[str, int, int], None]
+"""Called with the name of a stage, what is done, and the total."""
+
+_PROVISIONAL_NOISE = 0.05
+_THINNED_POINTS = 64
+_SEARCHED_PERSONS = 8
+_RANDOM_STARTS = 768  # in total, shared between the persons searched
+_START_SPREAD = 2.0
+_KEPT = 4
+
+
+@dataclass(frozen=True)
+class FirstFits:
+    """What is known before the population is looked at.
+
+    Attributes
+    ----------
+    theta : ndarray, shape (N, P)
+        Everybody's log elements in the common solution.
+    alternatives : ndarray, shape (N, A, P)
+        Everybody's best other solutions.
+    noise : tuple of ndarray, shape (J, F)
+        Standard deviation of the noise of each person's recordings, before the person's own scale.
+    model : NoiseModel or None
+        The common noise; None if every recording came with its own.
+    """
+
+    theta: np.ndarray
+    alternatives: np.ndarray
+    noise: tuple[np.ndarray, ...]
+    model: NoiseModel | None
+
+
+def default_prior(elements: Sequence[str], recordings: Recordings) -> Prior:
+    """The scale-free prior: each element centred where its impedance meets the data's magnitude in mid-band."""
+    log_magnitude = np.median([np.mean(np.log(np.abs(s.mean))) for s in recordings.subjects])
+    log_frequency = np.median([np.mean(np.log(s.frequency_hz)) for s in recordings.subjects])
+    scale = [band_scale(e, float(np.exp(log_magnitude)), float(np.exp(log_frequency))) for e in elements]
+    return Prior(np.array(scale))
+
+
+def first_fits(
+    kernel: Kernel,
+    recordings: Recordings,
+    prior: Prior,
+    seed: np.random.SeedSequence,
+    executor: Executor,
+    progress: Progress,
+) -> FirstFits:
+    """Fit everybody under the broad prior and estimate the noise.
+
+    Parameters
+    ----------
+    kernel : Kernel
+    recordings : Recordings
+        N persons.
+    prior : Prior
+    seed : SeedSequence
+        Of the random starts.
+    executor : Executor
+        Runs what can be done person by person.
+    progress : callable
+    """
+    subjects = recordings.subjects
+    n_elements = len(kernel.elements)
+    precision = np.eye(n_elements) / prior.centre_sd**2
+    thinned = [_thinned(subject, n_elements) for subject in subjects]
+    searched = np.unique(np.linspace(0, len(subjects) - 1, _SEARCHED_PERSONS).round().astype(int))
+    n_starts = _RANDOM_STARTS // len(searched)
+    spread = np.random.default_rng(seed).normal(0, _START_SPREAD, (n_starts, n_elements))
+    random_starts = np.vstack([np.zeros(n_elements), spread]) + prior.centre
+
+    def search(person: int) -> np.ndarray:
+        ends, objectives, _ = all_modes(kernel, thinned[person], random_starts, prior.centre, precision, 40)
+        return _best_distinct(ends, objectives, _KEPT)
+
+    candidates = np.vstack(list(_watched(executor.map(search, searched), "searching", len(searched), progress)))
+
+    def try_all(person: int) -> tuple[np.ndarray, np.ndarray]:
+        ends, objectives, _ = all_modes(kernel, thinned[person], candidates, prior.centre, precision, 40)
+        return ends, objectives
+
+    tried = list(_watched(executor.map(try_all, range(len(subjects))), "first fits", len(subjects), progress))
+    ends, objectives = np.array([t[0] for t in tried]), np.array([t[1] for t in tried])
+    regret = objectives - objectives.min(axis=1, keepdims=True)
+    common = int(np.argmin(np.minimum(regret, 50).sum(axis=0)))  # capped: one odd person must not decide
+    own = np.where(regret[:, common] < 8, common, np.argmin(regret, axis=1))
+    start = ends[np.arange(len(subjects)), own]
+    alternatives = np.array([_best_distinct(e, o, _KEPT) for e, o in zip(ends, objectives, strict=True)])
+
+    def provisional(person: int) -> np.ndarray:
+        likelihood = _averaged(subjects[person], n_elements, slice(None))
+        return find_mode(kernel, likelihood, start[person : person + 1], prior.centre, precision).theta
+
+    theta = np.array(list(_watched(executor.map(provisional, range(len(subjects))), "noise", len(subjects), progress)))
+    model = None
+    if any(subject.noise_sd is None for subject in subjects):
+        model = _noise(kernel, [s for s in subjects if s.noise_sd is None], theta)
+    noise = tuple(_noise_of(subject, model) for subject in subjects)
+    return FirstFits(theta, alternatives, noise, model)
+
+
+def _averaged(subject: Subject, n_elements: int, points: slice | np.ndarray) -> Likelihood:
+    """The person's mean recording with provisional noise."""
+    z = subject.mean[None, points]
+    return Likelihood.make(subject.frequency_hz[points], z, _PROVISIONAL_NOISE * np.abs(z), np.zeros((1, n_elements)))
+
+
+def _thinned(subject: Subject, n_elements: int) -> Likelihood:
+    n = subject.frequency_hz.size
+    points = np.unique(np.linspace(0, n - 1, min(n, _THINNED_POINTS)).round().astype(int))
+    return _averaged(subject, n_elements, points)
+
+
+def _best_distinct(ends: np.ndarray, objectives: np.ndarray, n: int) -> np.ndarray:
+    """The n best end points that differ by more than rounding; the best one is repeated if there are fewer."""
+    kept: list[np.ndarray] = []
+    for i in np.argsort(objectives):
+        if np.isfinite(objectives[i]) and all(np.abs(ends[i] - k).max() > 0.1 for k in kept):
+            kept.append(ends[i])
+        if len(kept) == n:
+            break
+    kept = kept or [ends[0]]
+    return np.array(kept + [kept[0]] * (n - len(kept)))
+
+
+def _noise(kernel: Kernel, subjects: Sequence[Subject], theta: np.ndarray) -> NoiseModel:
+    repeated = [(s, t) for s, t in zip(subjects, theta, strict=True) if len(s.repetitions) > 1]
+    if repeated:
+        scatters = [
+            scatter_of_repetitions(s.frequency_hz, s.z, kernel.derivative(t, s.frequency_hz)[1]) for s, t in repeated
+        ]
+        return pool(scatters, FLOOR_WITH_REPETITIONS)
+    scatters = [
+        scatter_of_roughness(s.frequency_hz, s.mean, kernel.impedance(t, s.frequency_hz))
+        for s, t in zip(subjects, theta, strict=True)
+    ]
+    return pool(scatters, FLOOR_WITHOUT)
+
+
+def _noise_of(subject: Subject, model: NoiseModel | None) -> np.ndarray:
+    if subject.noise_sd is not None:
+        return subject.noise_sd
+    assert model is not None  # made above whenever someone needs it
+    magnitude = np.exp(np.mean(np.log(np.abs(subject.z)), axis=0))
+    return np.tile(model.at(subject.frequency_hz, magnitude), (len(subject.repetitions), 1))
+
+
+def _watched(results, stage: str, total: int, progress: Progress):  # type: ignore[no-untyped-def]
+    """Pass results on, reporting progress."""
+    for i, result in enumerate(results):
+        progress(stage, i + 1, total)
+        yield result
