@@ -50,7 +50,8 @@ def pareto_k(log_weights: np.ndarray) -> np.ndarray:
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         if _modern():
-            k = np.array([statistics.psislw(row, axis=-1)[1] for row in flat])
+            # 1.x takes log likelihoods and changes their sign; 0.x takes log weights.
+            k = np.array([statistics.psislw(-row, axis=-1)[1] for row in flat])
         else:
             k = np.array([statistics.psislw(row)[1] for row in flat])
     return np.asarray(k, dtype=float).reshape(log_weights.shape[:-1])

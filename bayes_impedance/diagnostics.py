@@ -18,6 +18,9 @@ VARIANCE_LIMIT = 1.0
 RHAT_LIMIT = 1.05
 """Above this disagreement between ensembles, the posterior is refused."""
 
+SHORTEST_CHAIN = 10.0
+"""Chains of fewer autocorrelation times than this say little, not even how long their memory is."""
+
 PARETO_LIMIT = 0.7
 """Above this tail of a person's weights, the effective number of draws means little (Vehtari et al. 2024)."""
 
@@ -62,6 +65,11 @@ class Diagnostics:
             found.append(
                 f"the ensembles disagree (R-hat {self.rhat_max:.3f}, limit {RHAT_LIMIT}): sample longer, or the "
                 "posterior has several modes"
+            )
+        if not self.steps >= SHORTEST_CHAIN * self.autocorrelation_max:
+            found.append(
+                f"the chains are too short ({self.steps} steps, autocorrelation time {self.autocorrelation_max:.0f}): "
+                "sample longer"
             )
         if not self.log_likelihood_variance <= VARIANCE_LIMIT:
             found.append(

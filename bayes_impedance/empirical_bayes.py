@@ -8,10 +8,15 @@ In turn, with everybody's posterior taken as normal around its mode under the cu
   :math:`\rho^2 = \overline{E\,d^2}` over the contrasts.
 
 This is not the result (a normal approximation per person is off by a posterior standard deviation for weakly determined
-elements), but it is where the exact draws are made, and it tells which elements the recordings determine at all: the
-information about mu is
+elements), but it is where the exact draws are made, and it tells which elements the recordings determine at all.
 
-.. math:: I_\mu = \sum_i T^{-1} - T^{-1}(H_i + T^{-1})^{-1}T^{-1} + 3^{-2} .
+**Determined** is a matter of the data alone: a prior that is far away makes a posterior narrow too. For element p the
+information of all recordings together, with the other elements o free within the population, is
+
+.. math:: I_p = \sum_i H_{pp} - H_{po}\,(H_{oo} + T_{oo}^{-1})^{-1} H_{op},
+
+and the element is determined if :math:`I_p^{-1/2} < 0.3`: on its natural scale it is then more than three standard
+errors from being absent, so neither a smaller nor a larger value fits as well.
 """
 
 from __future__ import annotations
@@ -29,8 +34,8 @@ from bayes_impedance.noise import contrasts
 from bayes_impedance.starts import FirstFits, Progress
 from bayes_impedance.subject import Mode, find_mode
 
-IDENTIFIED_SD = 1.0
-"""An element counts as determined when the population's mean logarithm is known better than this: a factor e."""
+DETERMINED_SD = 0.3
+"""An element is determined if all recordings together give its logarithm at least this well, without any prior."""
 
 _MAX_ROUNDS = 60
 _TOLERANCE = 0.02
@@ -52,9 +57,12 @@ class Estimate:
     modes : tuple of Mode
     likelihoods : tuple of Likelihood
         With the deviations of the repetitions.
-    contrasts : Contrasts or None
+    contrasts : tuple of Contrasts
+        One for each number of repetitions above one.
     mu_sd : ndarray, shape (P,)
         Approximate posterior standard deviation of mu.
+    data_sd : ndarray, shape (P,)
+        Standard error of a common log element from all recordings together, without prior: infinite if unseen.
     rounds : int
     """
 
@@ -64,14 +72,15 @@ class Estimate:
     between_repetitions: np.ndarray
     modes: tuple[Mode, ...]
     likelihoods: tuple[Likelihood, ...]
-    contrasts: Contrasts | None
+    contrasts: tuple[Contrasts, ...]
     mu_sd: np.ndarray
+    data_sd: np.ndarray
     rounds: int
 
     @property
     def determined(self) -> np.ndarray:
         """Which elements the recordings determine, shape (P,)."""
-        return self.mu_sd < IDENTIFIED_SD
+        return self.data_sd < DETERMINED_SD
 
 
 def estimate(
@@ -129,6 +138,7 @@ def estimate(
         tuple(state.likelihoods),
         state.contrasts(),
         state.mu_sd(),
+        state.data_sd(),
         rounds,
     )
 
@@ -214,24 +224,27 @@ class _State:
             step = step * (0.5 / longest)
         return likelihood.moved(likelihood.deviations + step)
 
-    def contrasts(self) -> Contrasts | None:
-        """Curvature and gradient of the contrasts at zero deviation, linearised where the deviations were."""
-        most = int(self.repetitions.max())
-        if most == 1:
-            return None
-        n, p = self.theta.shape
-        information, gradient = np.zeros((n, p, p)), np.zeros((n, most - 1, p))
-        for i, (mode, likelihood, (g, h)) in enumerate(zip(self.modes, self.before, self.equations, strict=True)):
-            w, j = mode.scale**-2, self.repetitions[i]
-            information[i] = w * h.mean(axis=0)
-            # Each repetition is expanded around its own deviation, where g is small, with the curvature that all
-            # share: with its own, (H_j - mean H) delta_j would leak from stiff directions into weak ones.
-            pull = likelihood.deviations @ information[i] - w * g
-            gradient[i, : j - 1] = contrasts(j) @ pull
-        return Contrasts(information, gradient, self.repetitions - 1)
+    def contrasts(self) -> tuple[Contrasts, ...]:
+        """Curvature and gradient of the contrasts at zero deviation, expanded where the deviations were."""
+        found = []
+        for j in np.unique(self.repetitions[self.repetitions > 1]):
+            rows = contrasts(int(j))
+            information, gradient = [], []
+            for i in np.flatnonzero(self.repetitions == j):
+                w = self.modes[i].scale ** -2
+                g, h = self.equations[i]
+                size = rows.shape[0] * h.shape[1]
+                # Every repetition keeps its own curvature: contrasts of equal curvatures would be independent, but
+                # sharing the mean one makes the dispersion of weakly determined elements 3 % too small.
+                information.append(w * np.einsum("cj,dj,jpq->cpdq", rows, rows, h).reshape(size, size))
+                pull = np.einsum("jpq,jq->jp", h, self.before[i].deviations) - g
+                gradient.append(w * (rows @ pull).ravel())
+            stacked = np.ascontiguousarray(np.moveaxis(np.array(information), 0, -1))
+            found.append(Contrasts(stacked, np.ascontiguousarray(np.array(gradient).T)))
+        return tuple(found)
 
-    def _maximise(self, found: Contrasts | None) -> None:
-        if found is not None:
+    def _maximise(self, found: tuple[Contrasts, ...]) -> None:
+        if found:
             self.rho = self._repetition_dispersion(found)
         if self.fixed:
             return
@@ -251,15 +264,18 @@ class _State:
         floor = np.maximum(np.diag(covariance), _SMALLEST_DISPERSION**2)
         self.covariance = np.diag(floor) if not self.correlated else covariance + np.diag(floor - np.diag(covariance))
 
-    def _repetition_dispersion(self, found: Contrasts) -> np.ndarray:
-        total, count = np.full(self.mu.size, 2 * 0.05**2), 2.0  # two contrasts' worth of a 5 % prior
-        inverse_square = np.diag(1 / np.maximum(self.rho, 1e-3) ** 2)
-        for i in range(len(self.modes)):
-            posterior = np.linalg.inv(found.information[i] + inverse_square)
-            for c in range(found.count[i]):
-                mean = posterior @ found.gradient[i, c]
-                total += mean**2 + np.diag(posterior)
-                count += 1
+    def _repetition_dispersion(self, found: tuple[Contrasts, ...]) -> np.ndarray:
+        p = self.mu.size
+        total, count = np.full(p, 2 * 0.05**2), 2.0  # two contrasts' worth of a 5 % prior
+        inverse_square = 1 / np.maximum(self.rho, 1e-3) ** 2
+        for group in found:
+            size, n = group.gradient.shape
+            precision = np.moveaxis(group.information, -1, 0) + np.diag(np.tile(inverse_square, size // p))
+            posterior = np.linalg.inv(precision)
+            mean = np.einsum("npq,qn->np", posterior, group.gradient)
+            square = mean**2 + np.diagonal(posterior, axis1=1, axis2=2)
+            total += square.reshape(n, -1, p).sum(axis=(0, 1))
+            count += n * size // p
         return np.asarray(np.clip(np.sqrt(total / count), 1e-3, 1.0))
 
     def mu_sd(self) -> np.ndarray:
@@ -271,3 +287,17 @@ class _State:
         for mode in self.modes:
             information += precision - precision @ np.linalg.inv(mode.information + precision) @ precision
         return np.asarray(np.sqrt(np.diag(np.linalg.inv(information))))
+
+    def data_sd(self) -> np.ndarray:
+        """Standard error of each element from all recordings together, without a prior on it, shape (P,)."""
+        precision = np.linalg.inv(self.covariance)
+        result = np.empty(self.mu.size)
+        for p in range(self.mu.size):
+            others = np.arange(self.mu.size) != p
+            total = 0.0
+            for mode in self.modes:
+                h = mode.information
+                rest = h[np.ix_(others, others)] + precision[np.ix_(others, others)]
+                total += h[p, p] - h[p, others] @ np.linalg.solve(rest, h[others, p])
+            result[p] = total**-0.5 if total > 0 else np.inf
+        return result

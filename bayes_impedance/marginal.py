@@ -13,9 +13,9 @@ standard normal the log density is a quadratic polynomial in u: the draws' monom
 population parameters is one row of coefficients. All walkers times all draws is then one matrix product (in single
 precision: the coordinates are of order one, and the rounding, 1e-6 per draw, is far below the Monte-Carlo error).
 
-**Between repetitions.** The J - 1 orthonormal contrasts of the deviations :math:`\delta_{ij}` are N(0, diag rho^2) and,
-because a repetition differs little from the person's mean, the data see them through the curvature H_i and a gradient
-vector b at zero deviation alone. The Gaussian integral is closed,
+**Between repetitions.** Given a person's mean, the J - 1 orthonormal contrasts d of the deviations
+:math:`\delta_{ij}` are N(0, diag rho^2). A repetition differs little from the person's mean, so the data see them through a
+curvature H, in which every repetition has its own, and a gradient b at zero deviation. The Gaussian integral is closed,
 
 .. math:: \ln p = -\tfrac12 \ln\left|I + D H D\right| + \tfrac12\, b^T D\,(I + D H D)^{-1} D\, b, \qquad D =
           \operatorname{diag}\rho,
@@ -39,62 +39,65 @@ _BLOCK = 8  # persons per matrix product: W x 8 x K single-precision numbers sta
 
 @dataclass(frozen=True)
 class Contrasts:
-    """What the repetitions tell about the deviations.
+    """What the repetitions of persons with equally many of them tell about the deviations.
+
+    With C contrasts of P elements each, an index runs over contrasts and, within, elements.
 
     Attributes
     ----------
-    information : ndarray, shape (N, P, P)
-        Curvature H of the likelihood of one repetition, average over a person's.
-    gradient : ndarray, shape (N, C, P)
-        Vectors b of the contrasts; C is one less than the largest number of repetitions.
-    count : ndarray of int, shape (N,)
-        Contrasts in use: the number of repetitions less one.
+    information : ndarray, shape (C P, C P, n)
+        Curvature of each of n persons' likelihood.
+    gradient : ndarray, shape (C P, n)
+        Its gradient at zero deviation, upwards.
     """
 
     information: np.ndarray
     gradient: np.ndarray
-    count: np.ndarray
 
     def log_likelihood(self, rho: np.ndarray) -> np.ndarray:
-        """Log likelihood of dispersions between repetitions, shape (W, P): shape (W,)."""
-        values = _contrast_likelihood(self.information, self.gradient, self.count, np.ascontiguousarray(rho))
-        return np.asarray(values)
+        """Log likelihood of dispersions between repetitions, shape (W, P), up to a constant: shape (W,)."""
+        return np.asarray(_contrast_likelihood(self.information, self.gradient, np.ascontiguousarray(rho)))
 
 
 @compiled
-def _contrast_likelihood(
-    information: np.ndarray, gradient: np.ndarray, count: np.ndarray, rho: np.ndarray
-) -> np.ndarray:
-    n_sets, n = rho.shape
-    result = np.zeros(n_sets)
-    factor = np.empty((n, n))
-    y = np.empty(n)
-    for w in range(n_sets):
+def _contrast_likelihood(information: np.ndarray, gradient: np.ndarray, rho: np.ndarray) -> np.ndarray:
+    size, n = gradient.shape
+    n_elements = rho.shape[1]
+    result = np.empty(rho.shape[0])
+    # Persons are the last, contiguous axis: the compiler handles several of them with one instruction.
+    factor = np.empty((size, size, n))
+    y = np.empty((size, n))
+    for w in range(rho.shape[0]):
         total = 0.0
-        for i in range(information.shape[0]):
-            if count[i] == 0:
-                continue
-            log_determinant = 0.0
-            for p in range(n):  # Cholesky factor of I + D H D
-                for q in range(p + 1):
-                    value = rho[w, p] * information[i, p, q] * rho[w, q]
-                    if p == q:
-                        value += 1.0
-                    for k in range(q):
-                        value -= factor[p, k] * factor[q, k]
-                    if p == q:
-                        factor[p, p] = np.sqrt(value)
-                        log_determinant += np.log(value)
-                    else:
-                        factor[p, q] = value / factor[q, q]
-            total -= 0.5 * count[i] * log_determinant
-            for c in range(count[i]):
-                for p in range(n):
-                    value = rho[w, p] * gradient[i, c, p]
-                    for k in range(p):
-                        value -= factor[p, k] * y[k]
-                    y[p] = value / factor[p, p]
-                    total += 0.5 * y[p] * y[p]
+        for p in range(size):  # Cholesky factor of I + D H D, and y = factor^-1 D b
+            scale_p = rho[w, p % n_elements]
+            for q in range(p):
+                scale = scale_p * rho[w, q % n_elements]
+                row, column, entry = factor[p], factor[q], information[p, q]
+                target = row[q]
+                for i in range(n):
+                    target[i] = scale * entry[i]
+                for k in range(q):
+                    left, right = row[k], column[k]
+                    for i in range(n):
+                        target[i] -= left[i] * right[i]
+                diagonal = column[q]
+                for i in range(n):
+                    target[i] *= diagonal[i]  # the diagonal holds reciprocals
+            pivot, entry, own, slope = factor[p, p], information[p, p], y[p], gradient[p]
+            for i in range(n):
+                pivot[i] = 1.0 + scale_p * scale_p * entry[i]
+                own[i] = scale_p * slope[i]
+            for k in range(p):
+                left, before = factor[p, k], y[k]
+                for i in range(n):
+                    pivot[i] -= left[i] * left[i]
+                    own[i] -= left[i] * before[i]
+            for i in range(n):
+                total -= 0.5 * np.log(pivot[i])
+                pivot[i] = 1.0 / np.sqrt(pivot[i])
+                own[i] *= pivot[i]
+                total += 0.5 * own[i] * own[i]
         result[w] = total
     return result
 
@@ -113,8 +116,8 @@ class Marginal:
         Number J of repetitions of each person.
     covariates : ndarray, shape (N, Q)
         Standardised covariates.
-    contrasts : Contrasts or None
-        None if nobody has two repetitions.
+    contrasts : sequence of Contrasts
+        One for each number of repetitions above one.
     """
 
     def __init__(
@@ -124,7 +127,7 @@ class Marginal:
         reference_covariance: np.ndarray,
         repetitions: np.ndarray,
         covariates: np.ndarray,
-        contrasts: Contrasts | None,
+        contrasts: Sequence[Contrasts],
     ) -> None:
         self.n_draws, n_elements = draws[0].theta.shape
         self.repetitions, self.covariates, self.contrasts = repetitions, covariates, contrasts
@@ -177,8 +180,8 @@ class Marginal:
     def __call__(self, parameters: PopulationParameters) -> np.ndarray:
         """Log likelihood of W sets of population parameters, shape (W,)."""
         total = self.terms(parameters)[0].sum(axis=1)
-        if self.contrasts is not None:
-            total = total + self.contrasts.log_likelihood(parameters.between_repetitions)
+        for contrasts in self.contrasts:
+            total = total + contrasts.log_likelihood(parameters.between_repetitions)
         return np.asarray(total)
 
     def variance(self, parameters: PopulationParameters) -> np.ndarray:

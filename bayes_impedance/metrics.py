@@ -110,7 +110,7 @@ def lookup_table(z: np.ndarray, statistic: str) -> tuple[np.ndarray, np.ndarray]
 
 def relative_rms(model: np.ndarray, z: np.ndarray) -> np.ndarray:
     """Root mean square of |model - z| / |z| over frequency: (..., F) to (...)."""
-    return np.asarray(np.sqrt(np.nanmean(np.abs((model - z) / z) ** 2, axis=-1)))
+    return np.asarray(np.sqrt(np.nanmean((np.abs(model - z) / np.abs(z)) ** 2, axis=-1)))
 
 
 def coverage(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:

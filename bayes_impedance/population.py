@@ -26,7 +26,7 @@ import numpy as np
 
 from bayes_impedance.diagnostics import Diagnostics, diagnose
 from bayes_impedance.draws import Draws
-from bayes_impedance.empirical_bayes import IDENTIFIED_SD, Estimate, estimate
+from bayes_impedance.empirical_bayes import Estimate, estimate
 from bayes_impedance.errors import InputError
 from bayes_impedance.hierarchy import PopulationParameters, Prior
 from bayes_impedance.kernel import Kernel
@@ -37,6 +37,10 @@ from bayes_impedance.posterior import Posterior
 from bayes_impedance.recordings import Recordings
 from bayes_impedance.sampling import QUICK, SamplerSettings, sample
 from bayes_impedance.starts import FirstFits, Progress, default_prior, first_fits
+
+
+IDENTIFIED_SD = 1.0
+"""A central value is reported if its logarithm is known better than this in the end: within a factor e."""
 
 
 @dataclass(frozen=True)
@@ -291,7 +295,7 @@ def _one_person(
         (likelihood.deviations,),
         (first.noise[0] * mode.scale,),
         np.array([mode.scale]),
-        theta.std(axis=0) < IDENTIFIED_SD,
+        point.determined & (theta.std(axis=0) < IDENTIFIED_SD),
         diagnostics,
         clock.seconds,
     )

@@ -7,10 +7,9 @@ autoregressive proposals around a normal approximation N(m, C) taken from the bu
 .. math:: u' = m + \sqrt{1-\beta^2}\,(u - m) + \beta\, C^{1/2}\xi, \qquad \xi \sim N(0, I),
 
 which leave N(m, C) invariant; the Metropolis ratio corrects for the difference between it and the target, and the
-acceptance does not fall with the dimension as long as that difference is small. Long steps (beta = 1) make
-independent draws, short ones get along where the approximation is poor, and one step in four is emcee's differential
-evolution, which needs no approximation at all. `DESnookerMove` is not used: in emcee 3.1.6 it samples the wrong
-distribution.
+acceptance does not fall with the dimension as long as that difference is small. Short steps get along where the
+approximation is poor, and one step in four is emcee's differential evolution, which needs no approximation at all.
+`DESnookerMove` is not used: in emcee 3.1.6 it samples the wrong distribution.
 
 **Convergence.** Several ensembles start and adapt independently. R-hat is taken between ensembles, never between the
 walkers of one, which are not independent chains; the autocorrelation time within ensembles gives the effective sample
@@ -32,7 +31,7 @@ from bayes_impedance.starts import Progress
 
 LogProbability = Callable[[np.ndarray], np.ndarray]
 
-_STEP_LENGTHS = (0.15, 0.4, 0.8, 1.0)
+_STEP_LENGTHS = (0.3, 0.5, 0.8)
 _KEPT_DRAWS = 500
 
 
@@ -52,6 +51,8 @@ class SamplerSettings:
         Required of every coordinate.
     effective : float
         Required effective sample size of every coordinate.
+    memories : float
+        Required length of the chains in autocorrelation times.
     workers : int
         Ensembles that run side by side.
     """
@@ -62,7 +63,17 @@ class SamplerSettings:
     longest: int = 3000
     rhat: float = 1.01
     effective: float = 2000.0
+    memories: float = 20.0
     workers: int = 2
+
+
+    def satisfied_by(self, chains: Chains) -> bool:
+        """Whether chains need not be longer."""
+        return bool(
+            chains.rhat.max() <= self.rhat
+            and chains.effective.min() >= self.effective
+            and chains.steps >= self.memories * chains.autocorrelation_time.max()
+        )
 
 
 QUICK = SamplerSettings(ensembles=2, burn_in=(40, 60, 80), chunk=100, longest=1500, effective=600.0)
@@ -258,13 +269,12 @@ def sample(
         list(pool.map(lambda e: e.prepare(settings.burn_in, count), ensembles))
         progress("burn-in", total, total)
         kept = max(e.sampler.backend.iteration for e in ensembles)
-        length = max(settings.chunk, kept // settings.chunk * settings.chunk)
+        length = max(settings.chunk, -(-kept // settings.chunk) * settings.chunk)  # the end of the chunk begun
         done[0], total = 0, settings.ensembles * length
         while True:
             list(pool.map(lambda e, n=length: e.run_to(n, lambda n: count(n, "sampling")), ensembles))
             chains = _collect(ensembles)
-            good = chains.rhat.max() <= settings.rhat and chains.effective.min() >= settings.effective
-            if good or length >= settings.longest:
+            if settings.satisfied_by(chains) or length >= settings.longest:
                 progress("sampling", total, total)
                 return chains
             length += settings.chunk

@@ -188,7 +188,8 @@ def _truth(population: VirtualPopulation, seed: int) -> dict[str, Any]:
     shift_person, shift_repetition = _PERSON_FORCE / np.sqrt(3), _REPETITION_FORCE / np.sqrt(3)
     covariance = np.outer(tau, tau) * population.correlation_matrix() + np.outer(exponent, exponent) * shift_person**2
     total = np.sqrt(np.diag(covariance))
-    correlation = covariance / np.outer(total, total)
+    alike = np.where(total > 0, total, 1.0)  # elements that are the same in everybody correlate with nothing
+    correlation = covariance / np.outer(alike, alike)
     return {
         "seed": seed,
         "network": population.network,

@@ -238,4 +238,5 @@ def mode_at(
     w = exponent / (SCALE_SHAPE + 0.5 * chi)
     offset = theta - prior_mean
     objective = exponent * np.log(SCALE_SHAPE + 0.5 * chi) + 0.5 * offset @ prior_precision @ offset
-    return Mode(theta, float(objective), w * information + prior_precision, w * information, w**-0.5, decrement)
+    scale = float(np.sqrt((SCALE_SHAPE + 0.5 * chi) / exponent))  # inf, and no error, where chi is
+    return Mode(theta, float(objective), w * information + prior_precision, w * information, scale, decrement)

@@ -1,0 +1,168 @@
+"""Pictures of a finished run. They compute nothing: what they show is in the result.
+
+Each picture is a function that draws into the matplotlib Figure or Axes it is given, and returns it. Draw inside
+:func:`style`, which gives all of them one look and leaves no trace in matplotlib's settings::
+
+    with style():
+        figure = bands(new_figure(8, 8), result)
+        figure.savefig("bands.png")
+
+:func:`write_pictures` writes all that apply to a run. matplotlib is imported when the first picture is drawn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bayes_impedance.plots.access import identified, subjects, variable
+from bayes_impedance.plots.joint import corner_central, corner_dispersion
+from bayes_impedance.plots.parameters import correlation, forest, overview, priors, traces
+from bayes_impedance.plots.spectra import bands, coverage, curves, errors, noise
+from bayes_impedance.plots.style import new_figure, style
+from bayes_impedance.result import Result
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "PICTURES",
+    "Picture",
+    "bands",
+    "corner_central",
+    "corner_dispersion",
+    "correlation",
+    "coverage",
+    "curves",
+    "errors",
+    "forest",
+    "new_figure",
+    "noise",
+    "overview",
+    "priors",
+    "style",
+    "traces",
+    "write_pictures",
+]
+
+_DPI = 130
+_WIDTH = 8.2
+"""Inches: about the width of a page, so that letters on the screen are as large as its text."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One picture of a run.
+
+    Attributes
+    ----------
+    name : str
+        Of its files.
+    draw : callable
+        Of a figure and a result.
+    size : callable
+        Width and height in inches, of a result.
+    applies : callable
+        Whether the result has what the picture shows.
+    constrained : bool
+        Whether matplotlib arranges the panels.
+    """
+
+    name: str
+    draw: Callable[[Figure, Result], object]
+    size: Callable[[Result], tuple[float, float]]
+    applies: Callable[[Result], bool] = lambda _: True
+    constrained: bool = True
+
+    def figure(self, result: Result) -> Figure:
+        """The finished picture; call inside :func:`style`."""
+        figure = new_figure(*self.size(result), constrained=self.constrained)
+        self.draw(figure, result)
+        engine = figure.get_layout_engine()
+        if engine is not None:  # once, and not again for every file format
+            engine.execute(figure)
+            figure.set_layout_engine(None)
+        return figure
+
+
+def _fixed(height: float, width: float = _WIDTH) -> Callable[[Result], tuple[float, float]]:
+    return lambda _: (width, height)
+
+
+def _per_element(base: float, each: float, width: float = _WIDTH) -> Callable[[Result], tuple[float, float]]:
+    return lambda result: (width, base + each * len(result.elements))
+
+
+def _corner_size(result: Result) -> tuple[float, float]:
+    side = max(4.0, 1.7 + 1.0 * int(identified(result).sum()))
+    return side, side
+
+
+def _known(result: Result) -> int:
+    return int(identified(result).sum())
+
+
+def _dispersed(result: Result) -> bool:
+    return variable(result, "dispersion_between_persons") is not None and _known(result) > 0
+
+
+def _correlated(result: Result) -> bool:
+    # A diagonal model has correlations of zero, and they need no picture.
+    return result.attributes.get("covariance") != "diagonal" and _dispersed(result) and _known(result) > 1
+
+
+def _noise_height(result: Result) -> tuple[float, float]:
+    return _WIDTH, 6.2 if len(subjects(result)) > 1 else 3.4
+
+
+PICTURES: tuple[Picture, ...] = (
+    Picture("curves", curves, _fixed(6.0)),
+    Picture("bands", bands, _fixed(8.6)),
+    Picture("corner_central", corner_central, _corner_size, lambda r: _known(r) > 0, constrained=False),
+    Picture("corner_dispersion", corner_dispersion, _corner_size, _dispersed, constrained=False),
+    Picture("overview", overview, _per_element(1.2, 0.42), lambda r: _known(r) > 0),
+    Picture("correlation", lambda figure, r: correlation(figure.subplots(), r), _fixed(4.6, 6.2), _correlated),
+    Picture("forest", forest, lambda r: (_WIDTH, 0.5 + 2.0 * ((len(r.elements) + 1) // 2)), _dispersed),
+    Picture("errors", errors, _fixed(6.0)),
+    Picture("coverage", coverage, _fixed(5.4), lambda r: len(subjects(r)) > 1),
+    Picture("noise", noise, _noise_height),
+    Picture("traces", traces, _per_element(0.9, 0.8), lambda r: _known(r) > 0),
+    Picture("priors", priors, _per_element(1.2, 0.55)),
+)
+
+
+def write_pictures(result: Result, folder: Path) -> dict[str, Path]:
+    """Write every picture that applies, as PNG and as SVG.
+
+    The same result gives the same bytes. A picture appears under its name only when it is complete.
+
+    Parameters
+    ----------
+    result : Result
+    folder : Path
+        Made if it does not exist.
+
+    Returns
+    -------
+    dict of str to Path
+        Name of the picture to its PNG file; the SVG is beside it.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    written = {}
+    with style():
+        for picture in PICTURES:
+            if picture.applies(result):
+                figure = picture.figure(result)
+                _save(figure, folder / f"{picture.name}.svg", {"Date": None, "Creator": None})
+                written[picture.name] = _save(figure, folder / f"{picture.name}.png", {"Software": None})
+    return written
+
+
+def _save(figure: Figure, file: Path, metadata: dict[str, Any]) -> Path:
+    """Write to a temporary name first, so that no half picture is left behind."""
+    temporary = file.with_name(file.name + ".tmp")
+    figure.savefig(temporary, format=file.suffix[1:], dpi=_DPI, metadata=metadata)
+    temporary.replace(file)
+    return file

@@ -1,0 +1,89 @@
+"""What the pictures and the page ask of a result: arrays without the chain axis, and the words for who was measured."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from bayes_impedance.plots.quantities import Scale, scale_for
+from bayes_impedance.result import Result
+
+INTERVAL = (0.05, 0.5, 0.95)
+"""Quantiles of every interval that is shown: 90 %, and the median."""
+
+
+def variable(result: Result, name: str) -> np.ndarray | None:
+    """A variable of any group, or None if the run has none of that name."""
+    for group in result.groups.values():
+        if name in group:
+            return np.asarray(group[name])
+    return None
+
+
+def needed(result: Result, name: str) -> np.ndarray:
+    """A variable that every run has.
+
+    Raises
+    ------
+    KeyError
+        If it is missing.
+    """
+    found = variable(result, name)
+    if found is None:
+        raise KeyError(name)
+    return found
+
+
+def samples(result: Result, name: str) -> np.ndarray:
+    """Draws of all ensembles in one row, shape (S, ...)."""
+    values = needed(result, name)
+    return values.reshape(-1, *values.shape[2:])
+
+
+def frequency(result: Result) -> np.ndarray:
+    """Grid in Hz, shape (F,)."""
+    return np.asarray(result.coords["frequency_hz"], dtype=float)
+
+
+def observed(result: Result) -> tuple[np.ndarray, np.ndarray]:
+    """Magnitude, and phase in degrees, of everybody's mean recording; each (N, F), NaN where there is none."""
+    z = needed(result, "observed_re") + 1j * needed(result, "observed_im")
+    phase = np.angle(z, deg=True)
+    phase[~np.isfinite(z)] = np.nan
+    return np.abs(z), phase
+
+
+def subjects(result: Result) -> list[str]:
+    """Names, shape (N,)."""
+    return [str(name) for name in result.coords["subject"]]
+
+
+def identified(result: Result) -> np.ndarray:
+    """Which elements the recordings determine, bool, shape (P,)."""
+    return np.asarray(needed(result, "identified"), dtype=bool)
+
+
+def element_scale(result: Result, element: int) -> Scale:
+    """Prefix and unit in which an element's value is easy to read."""
+    unit = result.element_unit(result.elements[element])
+    if not identified(result)[element]:
+        return scale_for(math.nan, unit)
+    return scale_for(float(np.median(samples(result, "central")[:, element])), unit)
+
+
+def is_electrical(result: Result) -> bool:
+    """Whether the recordings are of an electrical one-port, by the analogy of force and voltage."""
+    return str(result.attributes["unit"]) == "ohm"
+
+
+def is_simulated(result: Result) -> bool:
+    """Whether the recordings' own description says that nobody was measured."""
+    return "simulat" in (str(result.attributes.get("source", "")) + str(result.attributes["title"])).lower()
+
+
+def who(result: Result, number: int = 2) -> str:
+    """Word for those who were measured: a battery is not a person."""
+    if is_electrical(result):
+        return "subject" if number == 1 else "subjects"
+    return "person" if number == 1 else "people"

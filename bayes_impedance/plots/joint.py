@@ -1,0 +1,156 @@
+"""Corner pictures: how the uncertainties of the elements hang together."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bayes_impedance.plots.access import INTERVAL, element_scale, identified, needed, samples
+from bayes_impedance.plots.quantities import with_interval
+from bayes_impedance.plots.style import BLUE, INK, RED
+from bayes_impedance.result import Result
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Density = Callable[[np.ndarray], np.ndarray]
+
+# The scales of the default prior (see hierarchy.Prior): they are fixed, and no result carries them.
+PRIOR_CENTRE_SD, PRIOR_DISPERSION_SD = 3.0, 1.0
+_WIDE = 8.0
+"""A posterior whose 90 % interval spans more than this factor is shown by its logarithm."""
+
+
+def corner_central(figure: Figure, result: Result) -> Figure:
+    """Joint posterior of the central values of the identified elements, with the prior on the diagonal.
+
+    Parameters
+    ----------
+    figure : Figure
+        Empty and without a layout engine.
+    result : Result
+
+    Returns
+    -------
+    Figure
+    """
+    central, centre = samples(result, "central"), needed(result, "prior_centre")
+    columns, labels, titles, priors = [], [], [], []
+    for i in np.flatnonzero(identified(result)).tolist():
+        scale, name = element_scale(result, i), result.elements[i]
+        x = central[:, i] * scale.factor
+        low, middle, high = np.quantile(x, INTERVAL)
+        value, interval = with_interval(middle, low, high)
+        titles.append(f"{name} = {value} {scale.unit}\n({interval})")
+        log_prior = normal_density(float(centre[i]) + math.log(scale.factor), PRIOR_CENTRE_SD)
+        if high > _WIDE * low:
+            labels.append(f"log10 {name}\n({scale.unit})")
+            columns.append(np.log10(x))
+            priors.append(_of_decimal_logarithm(log_prior))
+        else:
+            labels.append(f"{name}\n({scale.unit})")
+            columns.append(x)
+            priors.append(_of_value(log_prior))
+    return _corner(figure, np.column_stack(columns), labels, titles, priors)
+
+
+def corner_dispersion(figure: Figure, result: Result) -> Figure:
+    """Joint posterior of the spreads between persons, as factors exp(sd), with the prior on the diagonal.
+
+    Parameters
+    ----------
+    figure : Figure
+        Empty and without a layout engine.
+    result : Result
+
+    Returns
+    -------
+    Figure
+    """
+    seen = np.flatnonzero(identified(result))
+    factors = np.exp(samples(result, "dispersion_between_persons")[:, seen])
+    labels, titles = [], []
+    for i, x in zip(seen, factors.T, strict=True):
+        low, middle, high = np.quantile(x, INTERVAL)
+        labels.append(f"spread\nof {result.elements[i]} (×)")
+        titles.append(f"{result.elements[i]}: ×{middle:.2f}\n({low:.2f} to {high:.2f})")
+    prior = _of_value(half_normal_density(PRIOR_DISPERSION_SD))
+    return _corner(figure, factors, labels, titles, [prior] * seen.size)
+
+
+def normal_density(mean: float, sd: float) -> Density:
+    """Density of a normal variable."""
+    return lambda x: np.asarray(np.exp(-0.5 * ((x - mean) / sd) ** 2) / (sd * math.sqrt(2 * math.pi)))
+
+
+def half_normal_density(sd: float) -> Density:
+    """Density of the absolute value of a normal variable with mean zero."""
+    return lambda x: np.asarray(np.where(x >= 0, 2 * normal_density(0.0, sd)(x), 0.0))
+
+
+def _of_value(of_logarithm: Density) -> Density:
+    """Density of exp(y) from that of y."""
+    return lambda x: of_logarithm(np.log(x)) / x
+
+
+def _of_decimal_logarithm(of_logarithm: Density) -> Density:
+    """Density of y / ln 10 from that of y."""
+    return lambda x: of_logarithm(x * math.log(10)) * math.log(10)
+
+
+def _corner(
+    figure: Figure, columns: np.ndarray, labels: Sequence[str], titles: Sequence[str], priors: Sequence[Density]
+) -> Figure:
+    """Draw columns (S, K) against each other; contours hold 50 % and 90 %."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # ArviZ, which corner imports, announces its next version at import
+        import corner
+
+    number = columns.shape[1]
+    spread = np.ptp(columns, axis=0)
+    # A column without any spread has no range of its own.
+    limits = [
+        tuple(np.quantile(x, (0.002, 0.998))) if s > 0 else (x[0] - 0.5, x[0] + 0.5)
+        for x, s in zip(columns.T, spread, strict=True)
+    ]
+    corner.corner(
+        columns,
+        fig=figure,
+        bins=28,
+        range=limits,
+        color=BLUE,
+        smooth=1.0,
+        levels=(0.5, 0.9),
+        plot_datapoints=False,
+        plot_density=False,
+        fill_contours=True,
+        labels=list(labels),
+        label_kwargs={"fontsize": 9, "color": INK},
+        labelpad=0.12,
+        max_n_ticks=3,
+        hist_kwargs={"density": True, "histtype": "stepfilled", "alpha": 0.35, "edgecolor": BLUE, "lw": 1.2},
+    )
+    grid = np.array(figure.axes).reshape(number, number)
+    for axes in grid.flat:
+        axes.grid(False)
+        axes.tick_params(labelsize=8, length=2.5)
+        axes.spines[:].set_visible(True)
+        for axis in (axes.xaxis, axes.yaxis):
+            # A label at a corner of a panel runs into that of the next one.
+            low, high = sorted(axis.get_view_interval())
+            room = 0.1 * (high - low)
+            inner = [tick for tick in axis.get_majorticklocs() if low + room < tick < high - room]
+            if inner:
+                axis.set_ticks(inner)
+    for i, (prior, title) in enumerate(zip(priors, titles, strict=True)):
+        axes = grid[i, i]
+        x = np.linspace(limits[i][0], limits[i][1], 100)
+        axes.plot(x, prior(x), color=RED, lw=1.2, ls="--")
+        axes.set_title(title, fontsize=8.5, loc="left", pad=3)
+    width, height = figure.get_size_inches()
+    figure.subplots_adjust(0.95 / width, 0.9 / height, 1 - 0.75 / width, 1 - 0.45 / height)
+    return figure

@@ -1,0 +1,93 @@
+"""Numbers as an engineer writes them: with a prefix, and with no more digits than are known."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+_PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G", 12: "T"}
+# A prefix on a unit with a power would be raised to it as well, so such units get a power of ten instead.
+_FIRST_UNIT = re.compile(r"(kg|rad|ohm|Pa|N|m|s|H|F|V|A)(?![\w^])")
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What a value is multiplied by to be written in a unit with a prefix.
+
+    Attributes
+    ----------
+    factor : float
+    unit : str
+        Unit with its prefix, in typeset characters (``µm/N``, ``Ω``); empty for a pure number.
+    """
+
+    factor: float
+    unit: str
+
+    def label(self, text: str) -> str:
+        """Text of an axis: what it shows, and the unit in parentheses."""
+        return f"{text} ({self.unit})" if self.unit else text
+
+
+def typeset(unit: str) -> str:
+    """Unit with typographic characters: ``ohm`` becomes Ω, ``m^2`` m²."""
+    text = re.sub(r"\^(-?\d+)", lambda match: match.group(1).translate(_SUPERSCRIPT), unit)
+    return re.sub(r"\bohm\b", "Ω", text)
+
+
+def scale_for(value: float, unit: str) -> Scale:
+    """Scale in which a value is easy to read: between 0.1 and 1000 if no prefix is needed, else between 0.1 and 100.
+
+    Parameters
+    ----------
+    value : float
+        In `unit`; zero and non-finite values get no prefix.
+    unit : str
+    """
+    first = _FIRST_UNIT.match(unit)
+    in_grams = first is not None and first.group(1) == "kg"
+    base = 1000.0 if in_grams else 1.0
+    size = abs(value) * base
+    if (in_grams and 1000 <= size < 1e6) or not math.isfinite(size) or size == 0.0:
+        return Scale(1.0, typeset(unit))
+    # 680 nm/N and 0.68 µm/N are both right; the second is what is said. Best is no prefix at all.
+    exponent = 0 if 0.1 <= size < 1000 else 3 * math.floor((math.log10(size) + 1) / 3)
+    if exponent == 0 and not in_grams:
+        return Scale(1.0, typeset(unit))
+    if first is None or exponent not in _PREFIXES:
+        power = math.floor(math.log10(abs(value)))
+        return Scale(10.0**-power, f"10{str(power).translate(_SUPERSCRIPT)} {typeset(unit)}".strip())
+    rest = "g" + unit[2:] if in_grams else unit
+    return Scale(base * 10.0**-exponent, _PREFIXES[exponent] + typeset(rest))
+
+
+def decimals(half_width: float) -> int:
+    """Decimals that show an uncertainty of this size with two digits."""
+    if not math.isfinite(half_width) or half_width <= 0:
+        return 2
+    return max(0, 1 - math.floor(math.log10(half_width)))
+
+
+def significant(value: float, digits: int = 3) -> str:
+    """Value with a number of significant digits, without an exponent for ordinary sizes."""
+    if value == 0 or not math.isfinite(value):
+        return "0" if value == 0 else "–"
+    if not 1e-4 <= abs(value) < 1e6:
+        mantissa, power = f"{value:.{digits - 1}e}".split("e")
+        return f"{mantissa}×10{str(int(power)).translate(_SUPERSCRIPT)}"
+    places = max(0, digits - 1 - math.floor(math.log10(abs(value))))
+    return f"{value:.{places}f}"
+
+
+def signed(value: float) -> str:
+    """A correlation with its sign, two decimals; zero has none."""
+    text = f"{value:+.2f}"
+    return "0.00" if float(text) == 0 else text.replace("-", "−")
+
+
+def with_interval(median: float, low: float, high: float) -> tuple[str, str]:
+    """A median, and its interval, with the digits that the interval's width allows."""
+    places = decimals((high - low) / 2)
+    return f"{median:.{places}f}", f"{low:.{places}f} to {high:.{places}f}"

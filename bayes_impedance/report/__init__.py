@@ -1,0 +1,131 @@
+"""One page that a person can read from top to bottom: ``report.html``, with everything it shows inside of it."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+from bayes_impedance.network import parse
+from bayes_impedance.plots import write_pictures
+from bayes_impedance.plots.access import is_electrical, is_simulated, subjects, who
+from bayes_impedance.report import content
+from bayes_impedance.report.schematic import schematic
+from bayes_impedance.result import Result
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+__all__ = ["REPORT_FILE", "write_report"]
+
+REPORT_FILE = "report.html"
+_TEMPLATE = "page.html.j2"
+_OF_VALUES = frozenset({"bands", "corner_central", "corner_dispersion", "correlation", "errors", "forest", "overview"})
+"""Pictures of numbers: where those must not be used, they are left out."""
+
+
+class FindingLike(Protocol):
+    """What the check of the recordings returns."""
+
+    @property
+    def severity(self) -> str:
+        """``note`` or ``warning``."""
+
+    @property
+    def message(self) -> str:
+        """One sentence with a remedy."""
+
+
+def write_report(
+    result: Result,
+    folder: Path,
+    findings: Iterable[FindingLike] = (),
+    pictures: Mapping[str, Path] | None = None,
+) -> Path:
+    """Write the page of a run.
+
+    It is one file without scripts that needs neither network nor other files.
+
+    Parameters
+    ----------
+    result : Result
+    folder : Path
+        Made if it does not exist.
+    findings : iterable of Finding
+        What the check of the recordings found.
+    pictures : mapping of str to Path, optional
+        PNG files by the names of :data:`bayes_impedance.plots.PICTURES`; drawn into ``folder/pictures`` if not given.
+
+    Returns
+    -------
+    Path
+        Of the page. It appears under its name only when it is complete.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    if pictures is None:
+        pictures = write_pictures(result, folder / "pictures")
+    text = _environment().get_template(_TEMPLATE).render(**_context(result, list(findings), pictures))
+    file = folder / REPORT_FILE
+    temporary = file.with_name(file.name + ".tmp")
+    temporary.write_text(text, encoding="utf-8")
+    temporary.replace(file)
+    return file
+
+
+def _environment() -> Environment:
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    return Environment(
+        loader=FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+
+def _context(result: Result, findings: list[FindingLike], pictures: Mapping[str, Path]) -> dict[str, object]:
+    from markupsafe import Markup
+
+    drawing = schematic(
+        parse(result.attributes["network"]), content.element_values(result), electrical=is_electrical(result)
+    )
+    unit, errors = content.error_table(result)
+    shown = {name: _embedded(file) for name, file in pictures.items() if not (result.problems and name in _OF_VALUES)}
+    return {
+        "title": result.attributes["title"],
+        "people": content.population_name(result),
+        "who": who(result),
+        "one_who": who(result, 1),
+        "number": len(subjects(result)),
+        "single": len(subjects(result)) == 1,
+        "repeated": any(row.between_repetitions_interval for row in content.element_rows(result)),
+        "electrical": is_electrical(result),
+        "simulated": is_simulated(result),
+        "problems": result.problems,
+        "remarks": result.summary["remarks"],
+        "findings": findings,
+        "reading_warnings": content.reading_warnings(result),
+        "answer": content.answer(result),
+        "recordings": content.recording_rows(result),
+        "network": result.attributes["network"],
+        "schematic": Markup(drawing),
+        "elements": content.element_rows(result),
+        "correlations": content.correlation_rows(result),
+        "slopes": content.slope_rows(result),
+        "error_unit": unit,
+        "errors": errors,
+        "replication": content.replication_sentence(result),
+        "coverage": {level: f"{100 * share:.0f} %" for level, share in result.summary["coverage"].items()},
+        "outliers": content.outlier_rows(result),
+        "checks": content.checks(result),
+        "provenance": content.provenance_rows(result),
+        "command": content.command(result),
+        "pictures": shown,
+    }
+
+
+def _embedded(file: Path) -> str:
+    """A PNG file as the text of an image's source."""
+    return "data:image/png;base64," + base64.b64encode(file.read_bytes()).decode("ascii")

@@ -1,0 +1,288 @@
+"""The network as a drawing: SVG text that stands in a page without anything else.
+
+A tree of series and parallel groups is drawn by two rules. A *chain* puts its parts one after the other on a line; a
+*stack* puts them one above the other between two nodes. In a mechanical drawing the parts that pass on one force
+(``-``) form a chain and those that share one velocity (``|``) a stack. In a circuit diagram of the same tree it is the
+other way round, because voltage takes the place of force: impedances that add are drawn in a row.
+
+Every part is measured first (its width, and its height above and below its own line) and painted afterwards, when it
+is known how much room it gets; wires fill what is left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+
+from bayes_impedance.elements import kind_of
+from bayes_impedance.network import Element, Network, Parallel
+
+_WIDTH, _ABOVE, _BELOW = 112.0, 34.0, 36.0
+"""Of an element, in pixels: the name stands above its symbol and the value below."""
+_SYMBOL = 46.0
+_LEAD, _GAP = 20.0, 6.0
+_PAD, _HEAD = 9.0, 22.0
+
+_STYLE = (
+    ".w{stroke:#333;stroke-width:1.8;fill:none;stroke-linecap:round;stroke-linejoin:round}"
+    ".d{stroke-dasharray:2 5}.b{fill:#e3eef6}.t{fill:#333;stroke:none}"
+    ".g{stroke:#b9c4cd;stroke-width:1.2;fill:#9fb4c4;fill-opacity:.07;stroke-dasharray:5 4}"
+    "text{font-family:system-ui,'Segoe UI',Roboto,Helvetica,Arial,sans-serif;fill:#222}"
+    ".n{font-size:16px;font-weight:600}.v{font-size:13px;fill:#0b5a8f}.l{font-size:13px;fill:#5b6b78;font-style:italic}"
+    ".p{font-size:13px;fill:#444}"
+)
+
+Paint = Callable[[float, float, float], list[str]]
+
+
+@dataclass(frozen=True)
+class _Block:
+    """A part of the drawing.
+
+    Attributes
+    ----------
+    width, above, below : float
+        Least width, and extent above and below the line on which the part is connected.
+    paint : callable
+        Of the left end x, of the line's y, and of the width that is to be filled.
+    open_right : bool
+        Whether the right wire is dashed: it stands for the inertial frame and is no rod.
+    """
+
+    width: float
+    above: float
+    below: float
+    paint: Paint
+    open_right: bool = False
+
+
+def schematic(network: Network, values: Mapping[str, str] | None = None, *, electrical: bool = False) -> str:
+    """Draw a network.
+
+    Parameters
+    ----------
+    network : Network
+    values : mapping of str to str, optional
+        Text below an element, for instance its central value.
+    electrical : bool
+        Draw coils, capacitors and resistors, by the analogy of force and voltage.
+
+    Returns
+    -------
+    str
+        An ``<svg>`` element for an HTML page. Each element is a group with the attribute ``data-element``.
+    """
+    block = _build(network, values or {}, electrical)
+    margin, port = 12.0, 62.0
+    end = 26.0 if not electrical else 62.0
+    height = block.above + block.below + 2 * margin
+    width = port + block.width + end + 2 * margin
+    y = margin + block.above
+    x = margin + port
+    parts = block.paint(x, y, block.width)
+    parts += _port(margin + 8, x, y, "V, i" if electrical else "F, v")
+    right = x + block.width
+    parts += (
+        _terminal(right, right + end - 8, y) if electrical else _ground(right, right + end - 8, y, block.open_right)
+    )
+    return (
+        f'<svg class="schematic" role="img" aria-label="Drawing of the network {escape(str(network), quote=True)}" '
+        f'viewBox="0 0 {width:.0f} {height:.0f}" width="{width:.0f}" height="{height:.0f}">'
+        f"<style>{_STYLE}</style>{''.join(parts)}</svg>"
+    )
+
+
+def _build(node: Network, values: Mapping[str, str], electrical: bool) -> _Block:
+    if isinstance(node, Element):
+        block = _element(node.name, values.get(node.name, ""), electrical)
+    else:
+        parts = list(node.parts)
+        chained = isinstance(node, Parallel) == electrical
+        if chained and not electrical:
+            # The other end of a mass is the inertial frame, so what holds one stands last; a chain's order does not
+            # change its impedance.
+            parts.sort(key=_inertia)
+        blocks = [_build(part, values, electrical) for part in parts]
+        block = _chain(blocks) if chained else _stack(blocks)
+    return block if node.label is None else _frame(block, node.label)
+
+
+def _inertia(node: Network) -> int:
+    """0 without a mass, 1 for a group with one, 2 for a mass."""
+    if isinstance(node, Element):
+        return 2 if node.name.startswith("m") else 0
+    return int(any(name.startswith("m") for name in node.elements))
+
+
+def _line(*points: tuple[float, float], kind: str = "w") -> str:
+    path = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
+    return f'<polyline class="{kind}" points="{path}"/>'
+
+
+def _wire(x0: float, x1: float, y: float, dashed: bool = False) -> list[str]:
+    return [_line((x0, y), (x1, y), kind="w d" if dashed else "w")] if x1 - x0 > 0.05 else []
+
+
+def _dot(x: float, y: float) -> str:
+    return f'<circle class="t" cx="{x:.1f}" cy="{y:.1f}" r="3"/>'
+
+
+def _text(x: float, y: float, text: str, kind: str, anchor: str = "middle") -> str:
+    return f'<text class="{kind}" x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape(text)}</text>'
+
+
+# -------------------------------------------------------------------- parts
+
+
+def _element(name: str, value: str, electrical: bool) -> _Block:
+    letter = kind_of(name).letter
+    symbol = (_ELECTRICAL if electrical else _MECHANICAL)[letter]
+    to_frame = letter == "m" and not electrical
+
+    def paint(x: float, y: float, width: float) -> list[str]:
+        left = x + (width - _SYMBOL) / 2
+        right = left + _SYMBOL
+        return [
+            f'<g data-element="{escape(name, quote=True)}">',
+            *_wire(x, left, y),
+            *symbol(left, y),
+            *_wire(right, x + width, y, dashed=to_frame),
+            _text(left + _SYMBOL / 2, y - 21, name, "n"),
+            *([_text(left + _SYMBOL / 2, y + 30, value, "v")] if value else []),
+            "</g>",
+        ]
+
+    # A long name or value needs more room than a symbol.
+    width = max(_WIDTH, 9.5 * len(name) + 16, 7.6 * len(value) + 16)
+    return _Block(width, _ABOVE + 6, _BELOW if value else 22.0, paint, open_right=to_frame)
+
+
+def _chain(blocks: Sequence[_Block]) -> _Block:
+    width = sum(b.width for b in blocks)
+
+    def paint(x: float, y: float, room: float) -> list[str]:
+        parts: list[str] = []
+        for i, block in enumerate(blocks):
+            share = block.width * room / width
+            parts += block.paint(x, y, share)
+            x += share
+            if i < len(blocks) - 1:
+                parts.append(_dot(x, y))
+        return parts
+
+    above, below = max(b.above for b in blocks), max(b.below for b in blocks)
+    return _Block(width, above, below, paint, blocks[-1].open_right)
+
+
+def _stack(blocks: Sequence[_Block]) -> _Block:
+    inner = max(b.width for b in blocks)
+    lines, top = [], 0.0
+    for block in blocks:
+        lines.append(top + block.above)
+        top += block.above + block.below + _GAP
+    total = top - _GAP
+    middle = (lines[0] + lines[-1]) / 2  # the wires leave halfway between the first and the last line
+
+    def paint(x: float, y: float, room: float) -> list[str]:
+        left, right = x + _LEAD, x + room - _LEAD
+        first, last = y + lines[0] - middle, y + lines[-1] - middle
+        parts = [*_wire(x, left, y), *_wire(right, x + room, y)]
+        parts += [
+            _line((left, first), (left, last)),
+            _line((right, first), (right, last)),
+            _dot(left, y),
+            _dot(right, y),
+        ]
+        for block, line in zip(blocks, lines, strict=True):
+            parts += block.paint(left, y + line - middle, right - left)
+        return parts
+
+    return _Block(inner + 2 * _LEAD, middle, total - middle, paint)
+
+
+def _frame(block: _Block, label: str) -> _Block:
+    """A dashed frame with a name around a part."""
+
+    def paint(x: float, y: float, room: float) -> list[str]:
+        left, right = x + _PAD, x + room - _PAD
+        top, bottom = y - block.above - _HEAD, y + block.below + _PAD
+        return [
+            f'<rect class="g" x="{left:.1f}" y="{top + 2:.1f}" width="{right - left:.1f}" '
+            f'height="{bottom - top - 4:.1f}" rx="8"/>',
+            _text(left + 10, top + 19, label, "l", "start"),
+            *_wire(x, left + _PAD, y),
+            *block.paint(left + _PAD, y, right - left - 2 * _PAD),
+            *_wire(right - _PAD, x + room, y, dashed=block.open_right),
+        ]
+
+    width = max(block.width, 8.0 * len(label) + 20) + 4 * _PAD
+    return _Block(width, block.above + _HEAD, block.below + _PAD, paint, block.open_right)
+
+
+# -------------------------------------------------------------------- symbols, each between x and x + _SYMBOL
+
+
+def _mass(x: float, y: float) -> list[str]:
+    return [f'<rect class="w b" x="{x:.1f}" y="{y - 14:.1f}" width="{_SYMBOL:.1f}" height="28" rx="2"/>']
+
+
+def _spring(x: float, y: float) -> list[str]:
+    step = _SYMBOL / 12
+    teeth = [(x + step * (2 * i + 1), y + (9 if i % 2 else -9)) for i in range(6)]
+    return [_line((x, y), *teeth, (x + _SYMBOL, y))]
+
+
+def _damper(x: float, y: float) -> list[str]:
+    open_end, wall, piston = x + 8, x + _SYMBOL - 10, x + _SYMBOL * 0.52
+    return [
+        f'<rect class="b" x="{open_end:.1f}" y="{y - 12:.1f}" width="{wall - open_end:.1f}" height="24"/>',
+        _line((open_end, y - 12), (wall, y - 12), (wall, y + 12), (open_end, y + 12)),
+        _line((x, y), (piston, y)),
+        _line((piston, y - 9), (piston, y + 9)),
+        _line((wall, y), (x + _SYMBOL, y)),
+    ]
+
+
+def _coil(x: float, y: float) -> list[str]:
+    radius = _SYMBOL / 8
+    arcs = " ".join(f"a{radius:.2f},{radius:.2f} 0 0 1 {2 * radius:.2f},0" for _ in range(4))
+    return [f'<path class="w" d="M{x:.1f},{y:.1f} {arcs}"/>']
+
+
+def _capacitor(x: float, y: float) -> list[str]:
+    left, right = x + _SYMBOL / 2 - 4, x + _SYMBOL / 2 + 4
+    return [
+        *_wire(x, left, y),
+        _line((left, y - 13), (left, y + 13)),
+        _line((right, y - 13), (right, y + 13)),
+        *_wire(right, x + _SYMBOL, y),
+    ]
+
+
+def _resistor(x: float, y: float) -> list[str]:
+    return [f'<rect class="w b" x="{x:.1f}" y="{y - 9:.1f}" width="{_SYMBOL:.1f}" height="18"/>']
+
+
+_MECHANICAL = {"m": _mass, "n": _spring, "r": _damper}
+_ELECTRICAL = {"m": _coil, "n": _capacitor, "r": _resistor}
+
+
+def _port(x: float, right: float, y: float, name: str) -> list[str]:
+    """Terminal on the left, with an arrow into the network."""
+    return [
+        *_wire(x + 4, right, y),
+        f'<circle class="w" cx="{x:.1f}" cy="{y:.1f}" r="4"/>',
+        f'<path class="t" d="M{x + 36:.1f},{y - 5:.1f} l10,5 l-10,5 z"/>',
+        _text(x + 24, y - 12, name, "p"),
+    ]
+
+
+def _terminal(x: float, right: float, y: float) -> list[str]:
+    return [*_wire(x, right - 4, y), f'<circle class="w" cx="{right:.1f}" cy="{y:.1f}" r="4"/>']
+
+
+def _ground(x: float, right: float, y: float, dashed: bool) -> list[str]:
+    """The inertial frame: a hatched wall."""
+    hatch = [_line((right, y - 20 + 10 * i), (right + 8, y - 28 + 10 * i)) for i in range(5)]
+    return [*_wire(x, right, y, dashed), _line((right, y - 22), (right, y + 22)), *hatch]

@@ -1,0 +1,48 @@
+"""Fixtures that several files share: one small virtual population and its fit."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bayes_impedance.population import FitSettings, PopulationFit, fit_population
+from bayes_impedance.sampling import SamplerSettings
+from bayes_impedance.simulate import Simulation, VirtualPopulation, simulate_recordings
+
+SMALL = VirtualPopulation(
+    network="skin:(n3|r3)-tissue:(m2|r1|n1)",
+    central={"n3": 8e-6, "r3": 61.4, "m2": 7.9e-4, "r1": 5.0, "n1": 1.15e-3},
+    between_persons={"n3": 0.3, "r3": 0.3, "m2": 0.2, "r1": 0.3, "n1": 0.3},
+    between_repetitions={"n3": 0.05, "r3": 0.05, "m2": 0.03, "r1": 0.06, "n1": 0.04},
+    correlation={("n3", "r3"): -0.5, ("r1", "n1"): -0.4},
+)
+
+SHORT = FitSettings(
+    draws=128,
+    sampler=SamplerSettings(ensembles=2, burn_in=(30, 40, 60), chunk=60, longest=600, effective=400.0, rhat=1.02),
+)
+"""Enough for a small population in a few seconds."""
+
+DATA = Path(__file__).parents[1] / "data"
+
+
+@pytest.fixture(scope="session")
+def small_simulation() -> Simulation:
+    """Fifteen people, three repetitions, 40 frequencies, five elements."""
+    return simulate_recordings(SMALL, 15, 3, np.geomspace(5, 5000, 40), seed=5)
+
+
+@pytest.fixture(scope="session")
+def small_fit(small_simulation: Simulation) -> PopulationFit:
+    """Their fit."""
+    return fit_population(small_simulation.recordings, settings=SHORT, seed=3)
+
+
+@pytest.fixture(scope="session")
+def real_data() -> Path:
+    """Folder of real recordings, which are not part of the repository."""
+    folder = os.environ.get("BAYES_IMPEDANCE_REAL_DATA", "")
+    if not folder:
+        pytest.skip("BAYES_IMPEDANCE_REAL_DATA is not set: no real recordings here")
+    return Path(folder)
