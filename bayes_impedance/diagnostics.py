@@ -18,8 +18,11 @@ VARIANCE_LIMIT = 1.0
 RHAT_LIMIT = 1.05
 """Above this disagreement between ensembles, the posterior is refused."""
 
-SHORTEST_CHAIN = 10.0
+SHORTEST_CHAIN = 5.0
 """Chains of fewer autocorrelation times than this say little, not even how long their memory is."""
+
+CLOSE_RIVAL = 10.0
+"""A solution for the whole population whose log evidence is less than this behind is worth a remark."""
 
 PARETO_LIMIT = 0.7
 """Above this tail of a person's weights, the effective number of draws means little (Vehtari et al. 2024)."""
@@ -42,6 +45,8 @@ class Diagnostics:
         Persons whose mode failed the gradient test.
     redrawn : int
         How often the reference population was moved.
+    rivals : tuple of float
+        By how much other solutions for the whole population fall short in log evidence.
     """
 
     rhat_max: float
@@ -56,6 +61,7 @@ class Diagnostics:
     effective_draws: np.ndarray
     unconverged: tuple[str, ...]
     redrawn: int
+    rivals: tuple[float, ...]
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -86,12 +92,20 @@ class Diagnostics:
     @property
     def remarks(self) -> tuple[str, ...]:
         """What a reader should know although it does not spoil the result."""
+        found = []
+        if self.rivals and min(self.rivals) < CLOSE_RIVAL:
+            found.append(
+                "Another solution for all subjects is nearly as good (its log evidence is only "
+                f"{min(self.rivals):.1f} lower): the elements may be those of the other; a wider band would tell."
+            )
         bad = int(np.sum(self.pareto_k > PARETO_LIMIT))
-        if not bad:
-            return ()
-        return (
-            f"{bad} person(s) have importance weights with a heavy tail (Pareto k up to {self.pareto_k.max():.2f})",
-        )
+        if bad:
+            found.append(
+                f"{bad} subject(s) have importance weights with a heavy tail (Pareto k up to "
+                f"{self.pareto_k.max():.2f}): "
+                "their own posteriors are less certain than they look."
+            )
+        return tuple(found)
 
 
 def diagnose(
@@ -125,4 +139,5 @@ def diagnose(
         effective,
         tuple(s.name for s, mode in zip(recordings.subjects, point.modes, strict=True) if not mode.converged),
         redrawn,
+        point.rivals,
     )

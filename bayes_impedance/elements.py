@@ -67,6 +67,7 @@ class Kind:
             z in the impedance's unit.
         """
         s, value = np.asarray(s), np.asarray(value)
+        s = s.astype(float) if s.dtype.kind == "i" else s  # whole numbers have no powers below zero
         return np.asarray(s**self.power * (value if self.exponent > 0 else 1.0 / value))
 
     def value_at(self, magnitude: float, frequency_hz: float) -> float:

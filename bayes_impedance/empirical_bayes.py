@@ -21,6 +21,7 @@ errors from being absent, so neither a smaller nor a larger value fits as well.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 
@@ -38,6 +39,7 @@ DETERMINED_SD = 0.3
 """An element is determined if all recordings together give its logarithm at least this well, without any prior."""
 
 _MAX_ROUNDS = 60
+_TRIAL_ROUNDS, _TRIAL_POINTS = 10, 100
 _TOLERANCE = 0.02
 _PRIOR_PERSONS = 2.0
 _SMALLEST_DISPERSION = 0.02
@@ -64,6 +66,8 @@ class Estimate:
     data_sd : ndarray, shape (P,)
         Standard error of a common log element from all recordings together, without prior: infinite if unseen.
     rounds : int
+    rivals : tuple of float
+        By how much the log evidence of other solutions for the whole population falls short of this one's.
     """
 
     mu: np.ndarray
@@ -76,6 +80,7 @@ class Estimate:
     mu_sd: np.ndarray
     data_sd: np.ndarray
     rounds: int
+    rivals: tuple[float, ...]
 
     @property
     def determined(self) -> np.ndarray:
@@ -116,7 +121,14 @@ def estimate(
         Leave the population at the broad prior and estimate only the dispersion between repetitions.
     """
     n, p = first.theta.shape
-    state = _State(kernel, list(likelihoods), prior, covariates, correlated, first, one_person)
+
+    def state_from(theta: np.ndarray, data: Sequence[Likelihood]) -> _State:
+        return _State(kernel, list(data), prior, covariates, correlated, theta, one_person)
+
+    begin, rivals = first.theta, tuple[float, ...]()
+    if len(first.common) > 1 and not one_person:
+        begin, rivals = _best_common(state_from, likelihoods, first, executor, progress)
+    state = state_from(begin, likelihoods)
     rounds = 0
     for rounds in range(1, _MAX_ROUNDS + 1):
         extra = first.alternatives if rounds in (1, 4) else None
@@ -140,7 +152,37 @@ def estimate(
         state.mu_sd(),
         state.data_sd(),
         rounds,
+        rivals,
     )
+
+
+def _best_common(
+    state_from: Callable[[np.ndarray, Sequence[Likelihood]], _State],
+    likelihoods: Sequence[Likelihood],
+    first: FirstFits,
+    executor: Executor,
+    progress: Progress,
+) -> tuple[np.ndarray, tuple[float, ...]]:
+    """Where everybody should begin, (N, P), and by how much the other choices are worse.
+
+    Persons who begin in different optima give a population that spans them all, and whose inflated dispersion keeps
+    everybody where they are. So each solution that all could share is tried as a population of its own, on thinned
+    data, and the one with the highest evidence wins.
+    """
+    thinned = [d.thinned(_TRIAL_POINTS) for d in likelihoods]
+    evidence, ends = [], []
+    for c, theta in enumerate(first.common):
+        state = state_from(theta, thinned)
+        for _ in range(_TRIAL_ROUNDS):
+            state.iterate(executor, None)
+        evidence.append(state.log_evidence())
+        ends.append(state.theta)
+        progress("common solutions", c + 1, len(first.common))
+    order = np.argsort(evidence)[::-1]
+    best = ends[order[0]]
+    middle = np.median(best, axis=0)
+    others = [k for k in order[1:] if np.abs(np.median(ends[k], axis=0) - middle).max() > 0.3]
+    return best, tuple(float(evidence[order[0]] - evidence[k]) for k in others)
 
 
 class _State:
@@ -153,16 +195,16 @@ class _State:
         prior: Prior,
         covariates: np.ndarray,
         correlated: bool,
-        first: FirstFits,
+        theta: np.ndarray,
         one_person: bool,
     ) -> None:
         self.kernel, self.likelihoods, self.prior = kernel, likelihoods, prior
         self.covariates, self.correlated = covariates, correlated
-        self.theta = first.theta.copy()
+        self.theta = theta.copy()
         self.repetitions = np.array([d.z.shape[0] for d in likelihoods])
-        self.mu = np.median(first.theta, axis=0)
+        self.mu = np.median(theta, axis=0)
         self.slopes = np.zeros((self.mu.size, covariates.shape[1]))
-        deviation = 1.4826 * np.median(np.abs(first.theta - self.mu), axis=0)
+        deviation = 1.4826 * np.median(np.abs(theta - self.mu), axis=0)
         self.covariance = np.diag(np.clip(1.5 * deviation, 0.2, 2.0) ** 2)
         self.fixed = one_person
         if one_person:
@@ -277,6 +319,14 @@ class _State:
             total += square.reshape(n, -1, p).sum(axis=(0, 1))
             count += n * size // p
         return np.asarray(np.clip(np.sqrt(total / count), 1e-3, 1.0))
+
+    def log_evidence(self) -> float:
+        """Laplace's approximation of the log marginal likelihood of the population, with the prior of its centre."""
+        sign, log_determinant = np.linalg.slogdet(self.covariance)
+        total = -0.5 * float(np.sum(((self.mu - self.prior.centre) / self.prior.centre_sd) ** 2))
+        for mode in self.modes:
+            total -= mode.objective + 0.5 * (np.linalg.slogdet(mode.precision)[1] + sign * log_determinant)
+        return total + sum(float(group.log_likelihood(self.rho[None])[0]) for group in self.contrasts())
 
     def mu_sd(self) -> np.ndarray:
         """Approximate posterior standard deviation of mu, shape (P,)."""

@@ -79,18 +79,18 @@ class PopulationParameters:
     @property
     def correlation(self) -> np.ndarray:
         """Correlation matrices, shape (W, P, P)."""
-        return self.correlation_cholesky @ np.swapaxes(self.correlation_cholesky, -1, -2)
+        return np.asarray(self.correlation_cholesky @ np.swapaxes(self.correlation_cholesky, -1, -2))
 
     @property
     def covariance_cholesky(self) -> np.ndarray:
         """Lower Cholesky factors of the covariance between persons, shape (W, P, P)."""
-        return self.between_persons[..., :, None] * self.correlation_cholesky
+        return np.asarray(self.between_persons[..., :, None] * self.correlation_cholesky)
 
     @property
     def covariance(self) -> np.ndarray:
         """Covariance between persons, shape (W, P, P)."""
         factor = self.covariance_cholesky
-        return factor @ np.swapaxes(factor, -1, -2)
+        return np.asarray(factor @ np.swapaxes(factor, -1, -2))
 
     def __getitem__(self, rows: slice | np.ndarray) -> PopulationParameters:
         return PopulationParameters(
@@ -107,8 +107,8 @@ class Coordinates:
     """The map between population parameters and the real vector that is sampled.
 
     The vector holds, in this order: centres (P), dispersions between persons (P), those between repetitions (P,
-    if `repetitions`), slopes (P Q), partial correlations (P (P - 1) / 2, if `correlated`). Elements that are `held` keep
-    the given population parameters and have no coordinates: the data cannot see them.
+    if `repetitions`), slopes (P Q), partial correlations (P (P - 1) / 2, if `correlated`). Elements that are `held`
+    keep the given population parameters and have no coordinates: the data cannot see them.
 
     Attributes
     ----------
@@ -173,7 +173,8 @@ class Coordinates:
         b[:, free] = self.prior.slope_sd * slopes.reshape(w, len(free), self.n_covariates)
         cholesky = np.tile(np.eye(p), (w, 1, 1))
         if self.correlated:
-            cholesky[np.ix_(np.arange(w), free, free)] = _cholesky_from_partial(np.tanh(partial), len(free))
+            chosen = np.array(free)
+            cholesky[:, chosen[:, None], chosen] = _cholesky_from_partial(np.tanh(partial), len(free))
         return PopulationParameters(mu, tau, cholesky, rho, b)
 
     def log_prior(self, vector: np.ndarray) -> np.ndarray:
@@ -202,10 +203,10 @@ class Coordinates:
 
     def _dispersion(self, u: np.ndarray) -> np.ndarray:
         # Half-normal quantile of Phi(u), written with the upper tail so that large values keep their digits.
-        return -self.prior.dispersion_sd * ndtri(0.5 * ndtr(-u))
+        return np.asarray(-self.prior.dispersion_sd * ndtri(0.5 * ndtr(-u)))
 
     def _probit(self, dispersion: np.ndarray) -> np.ndarray:
-        return -ndtri(2 * ndtr(-np.asarray(dispersion) / self.prior.dispersion_sd))
+        return np.asarray(-ndtri(2 * ndtr(-np.asarray(dispersion) / self.prior.dispersion_sd)))
 
     def _levels(self) -> np.ndarray:
         """Shape b of the beta distribution of each partial correlation, in the order of the lower triangle's rows."""
@@ -215,7 +216,7 @@ class Coordinates:
 
 
 def _log_cosh(u: np.ndarray) -> np.ndarray:
-    return np.abs(u) + np.log1p(np.exp(-2 * np.abs(u))) - np.log(2)
+    return np.asarray(np.abs(u) + np.log1p(np.exp(-2 * np.abs(u))) - np.log(2))
 
 
 def _cholesky_from_partial(partial: np.ndarray, n: int) -> np.ndarray:
@@ -242,4 +243,4 @@ def _partial_from_cholesky(factor: np.ndarray) -> np.ndarray:
         for j in range(i):
             partial.append(factor[i, j] / rest)
             rest *= np.sqrt(max(1 - partial[-1] ** 2, 1e-12))
-    return np.clip(np.array(partial), -0.999, 0.999)
+    return np.asarray(np.clip(np.array(partial), -0.999, 0.999))

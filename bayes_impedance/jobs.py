@@ -98,15 +98,21 @@ def fit_dataset(dataset: Path, out: Path, options: FitOptions, resume: bool, pro
 
     settings = options.settings()
     checkpoint = _checkpoint(out, recordings, options, resume)
-    fit = fit_population(
-        recordings,
-        options.network,
-        settings=settings,
-        seed=options.seed,
-        workers=options.workers,
-        progress=progress,
-        checkpoint=checkpoint,
-    )
+    try:
+        fit = fit_population(
+            recordings,
+            options.network,
+            settings=settings,
+            seed=options.seed,
+            workers=options.workers,
+            progress=progress,
+            checkpoint=checkpoint,
+        )
+    except InputError:  # there is nothing to resume
+        shutil.rmtree(checkpoint)
+        if not any(out.iterdir()):
+            out.rmdir()
+        raise
     started = time.perf_counter()
     progress("predictions", 0, 1)
     predictive = predict(fit, seed=options.seed)

@@ -14,8 +14,9 @@ population parameters is one row of coefficients. All walkers times all draws is
 precision: the coordinates are of order one, and the rounding, 1e-6 per draw, is far below the Monte-Carlo error).
 
 **Between repetitions.** Given a person's mean, the J - 1 orthonormal contrasts d of the deviations
-:math:`\delta_{ij}` are N(0, diag rho^2). A repetition differs little from the person's mean, so the data see them through a
-curvature H, in which every repetition has its own, and a gradient b at zero deviation. The Gaussian integral is closed,
+:math:`\delta_{ij}` are N(0, diag rho^2). A repetition differs little from the person's mean, so the data see them
+through a curvature H, in which every repetition has its own, and a gradient b at zero deviation. The Gaussian integral
+is closed,
 
 .. math:: \ln p = -\tfrac12 \ln\left|I + D H D\right| + \tfrac12\, b^T D\,(I + D H D)^{-1} D\, b, \qquad D =
           \operatorname{diag}\rho,

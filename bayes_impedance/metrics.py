@@ -104,6 +104,8 @@ def lookup_table(z: np.ndarray, statistic: str) -> tuple[np.ndarray, np.ndarray]
     -------
     magnitude, phase_deg : ndarray, shape (F,)
     """
+    if statistic not in ("mean", "median"):
+        raise ValueError(f"statistic is '{statistic}': choose 'mean' or 'median'")
     reduce = np.nanmean if statistic == "mean" else np.nanmedian
     return np.asarray(reduce(np.abs(z), axis=0)), np.asarray(reduce(np.angle(z, deg=True), axis=0))
 

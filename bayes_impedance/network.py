@@ -203,7 +203,10 @@ class Network:
         InputError
             If there is no such element or nothing would be left.
         """
-        path = self.place(element).path
+        paths = [path for path, node in self.walk() if isinstance(node, Element) and node.name == element]
+        if not paths:
+            raise InputError(f"there is no element '{element}' in the network {self}")
+        path = paths[0]
         if not path:
             raise InputError(f"the network is nothing but '{element}': it cannot be taken out")
         parent_path = path[:-1]
@@ -258,6 +261,10 @@ class _Group(Network):
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise InputError(f"element '{twice[0]}' occurs twice in the network: give each element a name of its own")
+        labels = [node.label for _, node in self.walk() if node.label is not None]
+        clash = sorted({label for label in labels if label in names or labels.count(label) > 1})
+        if clash:
+            raise InputError(f"label '{clash[0]}' is used twice or names an element: give each group a name of its own")
 
     @property
     def parts(self) -> tuple[Network, ...]:
@@ -357,7 +364,10 @@ class _Parser:
         if self.peek(1) == ":" and _NAME.fullmatch(self.peek()):
             label = self.take()
             self.take()
-            return self.part().labelled(label)
+            part = self.part()
+            if part.label is not None:
+                raise InputError(f"network '{self.text}': '{label}:{part.label}:' gives one group two labels; keep one")
+            return part.labelled(label)
         if self.peek() == "(":
             self.take()
             network = self.expression()

@@ -88,7 +88,9 @@ def contrasts(n: int) -> np.ndarray:
     return rows
 
 
-def scatter_of_repetitions(frequency_hz: np.ndarray, z: np.ndarray, derivative: np.ndarray) -> Scatter:
+def scatter_of_repetitions(
+    frequency_hz: np.ndarray, z: np.ndarray, derivative: np.ndarray, noise_sd: np.ndarray | None = None
+) -> Scatter:
     """Noise of one person from J >= 2 recordings.
 
     Parameters
@@ -97,16 +99,20 @@ def scatter_of_repetitions(frequency_hz: np.ndarray, z: np.ndarray, derivative: 
     z : ndarray, complex, shape (J, F)
     derivative : ndarray, complex, shape (P, F)
         dZ/dtheta at the person's fitted elements.
+    noise_sd : ndarray, shape (F,), optional
+        What is known of the noise already, to whiten with; proportional to |z| if nothing is. The projection is
+        unbiased only when it is the true one, so noise is estimated twice.
     """
     magnitude = np.abs(z.mean(axis=0))
-    difference = contrasts(z.shape[0]) @ z / magnitude
-    tangent = derivative / magnitude
+    white = magnitude if noise_sd is None else noise_sd
+    difference = contrasts(z.shape[0]) @ z / white
+    tangent = derivative / white
     basis = _orthonormal(np.concatenate([tangent.real, tangent.imag], axis=1).T)
     stacked = np.concatenate([difference.real, difference.imag], axis=1)
     outside = stacked - (stacked @ basis) @ basis.T
     n = frequency_hz.size
     leverage = np.sum(basis**2, axis=1)
-    square = np.sum(outside[:, :n] ** 2 + outside[:, n:] ** 2, axis=0) * magnitude**2
+    square = np.sum(outside[:, :n] ** 2 + outside[:, n:] ** 2, axis=0) * white**2
     freedom = difference.shape[0] * (2 - leverage[:n] - leverage[n:])
     return Scatter(frequency_hz, magnitude, square, freedom)
 

@@ -30,14 +30,13 @@ from bayes_impedance.empirical_bayes import Estimate, estimate
 from bayes_impedance.errors import InputError
 from bayes_impedance.hierarchy import PopulationParameters, Prior
 from bayes_impedance.kernel import Kernel
-from bayes_impedance.likelihood import Likelihood, log_likelihood
+from bayes_impedance.likelihood import Likelihood, find_ridge, marginal_log_likelihood
 from bayes_impedance.marginal import Marginal
 from bayes_impedance.network import Network, parse
 from bayes_impedance.posterior import Posterior
 from bayes_impedance.recordings import Recordings
 from bayes_impedance.sampling import QUICK, SamplerSettings, sample
 from bayes_impedance.starts import FirstFits, Progress, default_prior, first_fits
-
 
 IDENTIFIED_SD = 1.0
 """A central value is reported if its logarithm is known better than this in the end: within a factor e."""
@@ -208,8 +207,7 @@ def fit_population(
         with clock.measure("population"):
             chains = sample(
                 posterior.log_probability,
-                posterior.start(),
-                posterior.start_scale(),
+                *posterior.normal_approximation(),
                 settings.sampler,
                 seeds[2],
                 progress,
@@ -258,12 +256,13 @@ def _one_person(
 ) -> PopulationFit:
     """Posterior of the only person's elements under the broad prior, sampled directly."""
     mode, likelihood = point.modes[0], point.likelihoods[0]
+    ridge = find_ridge(kernel, likelihood, mode.theta, mode.scale, point.between_repetitions)
     sd = np.sqrt(np.diag(np.linalg.inv(mode.precision)))
 
     def log_probability(u: np.ndarray) -> np.ndarray:
         theta = mode.theta + sd * u
         offset = (theta - prior.centre) / prior.centre_sd
-        return np.asarray(log_likelihood(kernel, likelihood, theta) - 0.5 * np.sum(offset**2, axis=1))
+        return np.asarray(marginal_log_likelihood(kernel, likelihood, ridge, theta) - 0.5 * np.sum(offset**2, axis=1))
 
     with clock.measure("population"):
         chains = sample(
@@ -291,7 +290,7 @@ def _one_person(
         ensembles,
         chains.log_probability,
         theta.reshape(ensembles, -1, 1, p),
-        log_likelihood(kernel, likelihood, theta).reshape(ensembles, -1, 1),
+        marginal_log_likelihood(kernel, likelihood, ridge, theta).reshape(ensembles, -1, 1),
         (likelihood.deviations,),
         (first.noise[0] * mode.scale,),
         np.array([mode.scale]),

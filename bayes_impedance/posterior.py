@@ -11,18 +11,21 @@ from concurrent.futures import Executor
 
 import numpy as np
 
-from bayes_impedance.draws import WIDENING, Draws, Reference, draw
+from bayes_impedance.draws import Draws, Reference, draw, widening
 from bayes_impedance.empirical_bayes import Estimate
 from bayes_impedance.errors import InputError
 from bayes_impedance.hierarchy import Coordinates, Prior
 from bayes_impedance.kernel import Kernel
+from bayes_impedance.laplace import normal_approximation
+from bayes_impedance.likelihood import find_ridge
 from bayes_impedance.marginal import Marginal
 from bayes_impedance.sampling import SamplerSettings, sample
 from bayes_impedance.starts import Progress
 
 _VARIANCE_WANTED = 0.25
 _MORE_DRAWS = (1, 4, 8)
-_PILOT = SamplerSettings(ensembles=2, burn_in=(60, 100), chunk=60, longest=60)
+_PILOT = SamplerSettings(ensembles=2, burn_in=(60, 60), chunk=60, longest=60)
+_LARGEST_COORDINATE = 8.0
 
 
 class Posterior:
@@ -97,11 +100,24 @@ class Posterior:
     def log_probability(self, u: np.ndarray) -> np.ndarray:
         """Log posterior density of coordinates (W, D), up to a constant: shape (W,)."""
         value = np.full(u.shape[0], -np.inf)
-        # Beyond this no prior mass is left, and correlation matrices cease to be positive definite in rounding.
-        inside = np.all(np.abs(u) < 9.0, axis=1)
+        # Beyond this no prior mass is left and dispersions are zero in rounding.
+        inside = np.all(np.abs(u) < _LARGEST_COORDINATE, axis=1)
         if np.any(inside):
-            value[inside] = self.marginal(self.coordinates.unpack(u[inside])) + self.coordinates.log_prior(u[inside])
+            value[inside] = self._inside(u[inside])
         return np.where(np.isfinite(value), value, -np.inf)
+
+    def _inside(self, u: np.ndarray) -> np.ndarray:
+        try:
+            return np.asarray(self.marginal(self.coordinates.unpack(u)) + self.coordinates.log_prior(u))
+        except np.linalg.LinAlgError:  # one correlation matrix is singular in rounding: it is refused, not the others
+            if len(u) == 1:
+                return np.array([-np.inf])
+            return np.concatenate([self._inside(row) for row in np.array_split(u, 2)])
+
+    def normal_approximation(self) -> tuple[np.ndarray, np.ndarray]:
+        """Mode (D,) and covariance (D, D) in sampled coordinates; needs the draws."""
+        # The prior alone has a precision of one in most coordinates.
+        return normal_approximation(self.log_probability, self.start(), self.start_scale(), 0.5)
 
     def start(self) -> np.ndarray:
         """The point estimate in sampled coordinates, shape (D,)."""
@@ -130,19 +146,25 @@ class Posterior:
         """
         mu, covariance, slopes = self.point.mu, self.covariance, self.point.slopes
         rounds = seed.spawn(len(_MORE_DRAWS))
+        # Few persons leave the population uncertain, and their draws are cheap: the product of the two stays the same.
+        few = 2 ** int(np.clip(np.round(np.log2(64 / self.repetitions.size)), 0, 3))
         for redrawn, child in enumerate(rounds):
             means = mu + self.covariates @ slopes.T
-            n_draws = _MORE_DRAWS[redrawn] * self.n_draws
-            self.marginal = self._marginal(means, covariance * WIDENING**2, n_draws, child, executor, progress)
+            n_draws = _MORE_DRAWS[redrawn] * self.n_draws * few
+            self.marginal = self._marginal(
+                means, covariance * widening(self.repetitions.size) ** 2, n_draws, child, executor, progress
+            )
             self.redrawn = redrawn
-            pilot = np.random.default_rng(child.spawn(1)[0]).normal(size=(16, self.coordinates.n_dimensions))
-            nearby = self.coordinates.unpack(self.start() + self.start_scale() * pilot)
-            if np.median(self.marginal.variance(nearby)) < _VARIANCE_WANTED or redrawn == len(rounds) - 1:
+            mode, normal = self.normal_approximation()
+            pilot = np.random.default_rng(child.spawn(1)[0]).normal(size=(64, mode.size))
+            nearby = np.clip(mode + pilot @ np.linalg.cholesky(normal).T, -_LARGEST_COORDINATE, _LARGEST_COORDINATE)
+            variance = self.marginal.variance(self.coordinates.unpack(nearby))
+            if np.mean(variance) < _VARIANCE_WANTED or redrawn == len(rounds) - 1:
                 return
             chains = sample(
                 self.log_probability,
-                self.start(),
-                self.start_scale(),
+                mode,
+                normal,
                 _PILOT,
                 child,
                 lambda _, done, total: progress("moving the reference", done, total),
@@ -167,7 +189,10 @@ class Posterior:
 
         def one(i: int) -> Draws:
             reference = Reference(means[i], covariance)
-            return draw(self.kernel, self.point.likelihoods[i], self.point.modes[i], reference, n_draws, children[i])
+            likelihood, mode = self.point.likelihoods[i], self.point.modes[i]
+            # The ridge holds rho at the estimate; the contrasts carry the likelihood of other values.
+            ridge = find_ridge(self.kernel, likelihood, mode.theta, mode.scale, self.point.between_repetitions)
+            return draw(self.kernel, likelihood, mode, ridge, reference, n_draws, children[i])
 
         self.draws = []
         for i, draws in enumerate(executor.map(one, range(n))):

@@ -308,7 +308,7 @@ def _remarks(fit: PopulationFit, predictive: Predictive) -> list[str]:
             "that comes closest, and their intervals hold only if one accepts it."
         )
     if fit.one_person:
-        remarks.append("There is one subject: the values are this person's, and no dispersion can be estimated.")
+        remarks.append("There is one subject: the values are this subject's, and no dispersion can be estimated.")
     elif n < 10:
         remarks.append(f"There are only {n} subjects: dispersions rest on the prior as much as on the data.")
     if not fit.repeated:

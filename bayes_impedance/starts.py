@@ -38,6 +38,7 @@ _SEARCHED_PERSONS = 8
 _RANDOM_STARTS = 768  # in total, shared between the persons searched
 _START_SPREAD = 2.0
 _KEPT = 4
+_COMMON = 5
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,8 @@ class FirstFits:
         Everybody's log elements in the common solution.
     alternatives : ndarray, shape (N, A, P)
         Everybody's best other solutions.
+    common : ndarray, shape (C, N, P)
+        Solutions that everybody could share, the most promising first: in each, all searches began at one point.
     noise : tuple of ndarray, shape (J, F)
         Standard deviation of the noise of each person's recordings, before the person's own scale.
     model : NoiseModel or None
@@ -58,6 +61,7 @@ class FirstFits:
 
     theta: np.ndarray
     alternatives: np.ndarray
+    common: np.ndarray
     noise: tuple[np.ndarray, ...]
     model: NoiseModel | None
 
@@ -128,7 +132,20 @@ def first_fits(
     if any(subject.noise_sd is None for subject in subjects):
         model = _noise(kernel, [s for s in subjects if s.noise_sd is None], theta)
     noise = tuple(_noise_of(subject, model) for subject in subjects)
-    return FirstFits(theta, alternatives, noise, model)
+    return FirstFits(theta, alternatives, _common_solutions(ends, regret), noise, model)
+
+
+def _common_solutions(ends: np.ndarray, regret: np.ndarray) -> np.ndarray:
+    """The best few columns of everybody's fits, ends (N, C, P) and regret (N, C), that differ as populations."""
+    cost = np.minimum(regret, 50).sum(axis=0)
+    kept: list[int] = []
+    for column in np.argsort(cost):
+        middle = np.median(ends[:, column], axis=0)
+        if all(np.abs(middle - np.median(ends[:, k], axis=0)).max() > 0.3 for k in kept):
+            kept.append(int(column))
+        if len(kept) == _COMMON:
+            break
+    return np.swapaxes(ends[:, kept], 0, 1)
 
 
 def _averaged(subject: Subject, n_elements: int, points: slice | np.ndarray) -> Likelihood:
@@ -158,10 +175,16 @@ def _best_distinct(ends: np.ndarray, objectives: np.ndarray, n: int) -> np.ndarr
 def _noise(kernel: Kernel, subjects: Sequence[Subject], theta: np.ndarray) -> NoiseModel:
     repeated = [(s, t) for s, t in zip(subjects, theta, strict=True) if len(s.repetitions) > 1]
     if repeated:
-        scatters = [
-            scatter_of_repetitions(s.frequency_hz, s.z, kernel.derivative(t, s.frequency_hz)[1]) for s, t in repeated
-        ]
-        return pool(scatters, FLOOR_WITH_REPETITIONS)
+        tangents = [kernel.derivative(t, s.frequency_hz)[1] for s, t in repeated]
+        model: NoiseModel | None = None
+        known: list[np.ndarray | None] = [None] * len(repeated)
+        for _ in range(2):
+            pairs = zip(repeated, tangents, known, strict=True)
+            scatters = [scatter_of_repetitions(s.frequency_hz, s.z, d, sd) for (s, _), d, sd in pairs]
+            model = pool(scatters, FLOOR_WITH_REPETITIONS)
+            known = [model.at(s.frequency_hz, np.abs(s.mean)) for s, _ in repeated]
+        assert model is not None  # two rounds were made
+        return model
     scatters = [
         scatter_of_roughness(s.frequency_hz, s.mean, kernel.impedance(t, s.frequency_hz))
         for s, t in zip(subjects, theta, strict=True)

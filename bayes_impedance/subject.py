@@ -75,7 +75,8 @@ def _gradient(
     prior_precision: np.ndarray,
 ) -> np.ndarray:
     chi, gradient, _ = all_repetitions(program, theta, deviations, omega, z, weight)
-    return exponent / (SCALE_SHAPE + 0.5 * chi) * gradient + prior_precision @ (theta - prior_mean)
+    result: np.ndarray = exponent / (SCALE_SHAPE + 0.5 * chi) * gradient + prior_precision @ (theta - prior_mean)
+    return result
 
 
 @compiled

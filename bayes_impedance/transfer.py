@@ -57,11 +57,11 @@ class TransferFunction:
 
     def zeros(self) -> np.ndarray:
         """Roots of the numerator in rad/s."""
-        return np.roots(self.numerator.astype(float))
+        return np.roots(np.array([complex(c) if isinstance(c, complex) else float(c) for c in self.numerator]))
 
     def poles(self) -> np.ndarray:
         """Roots of the denominator in rad/s."""
-        return np.roots(self.denominator.astype(float))
+        return np.roots(np.array([complex(c) if isinstance(c, complex) else float(c) for c in self.denominator]))
 
     def __call__(self, s: npt.ArrayLike) -> np.ndarray:
         """Value at complex frequency s (rad/s), same shape as `s`."""
@@ -90,8 +90,7 @@ def add_fractions(terms: Sequence[TransferFunction]) -> TransferFunction:
             if j != i:
                 product = _multiply(product, polynomial)
         numerator = _add(numerator, product)
-    common = min(_order(numerator), _order(denominator))
-    return TransferFunction((numerator[common:], denominator[common:]))
+    return TransferFunction((numerator, denominator))
 
 
 def _order(polynomial: Polynomial) -> int:

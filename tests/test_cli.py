@@ -17,9 +17,9 @@ from bayes_impedance.simulate import simulate_recordings
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Six virtual people on disk."""
+    """Twelve virtual people on disk."""
     folder = tmp_path_factory.mktemp("dataset")
-    recordings = simulate_recordings(SMALL, 6, 2, np.geomspace(5, 5000, 30), seed=2).recordings
+    recordings = simulate_recordings(SMALL, 12, 2, np.geomspace(5, 5000, 30), seed=2).recordings
     write_recordings(recordings, folder, significant_digits=6)
     return folder
 
@@ -46,7 +46,7 @@ def test_run_leaves_everything_and_nothing_else(finished: Path) -> None:
 def test_summary_follows_the_schema(finished: Path) -> None:
     summary = json.loads((finished / "summary.json").read_text(encoding="utf-8"))
     assert summary["schema"] == 1
-    assert (summary["subjects"], summary["repetitions"], summary["seed"]) == (6, 2, 4)
+    assert (summary["subjects"], summary["repetitions"], summary["seed"]) == (12, 2, 4)
     assert len(summary["data_sha256"]) == 64
     assert summary["network"] == SMALL.network
     assert list(summary["elements"]) == ["n3", "r3", "m2", "r1", "n1"]
@@ -62,9 +62,15 @@ def test_summary_follows_the_schema(finished: Path) -> None:
     for name in ("population_network", "lookup_mean", "lookup_median"):
         assert {"delta_magnitude", "delta_phase_deg"} <= set(summary["errors"][name])
     assert set(summary["coverage"]) == {"50", "90"}
-    assert {"ensembles", "rhat_max", "ess_min", "tau_max", "acceptance", "log_likelihood_variance", "pareto_k_max"} <= set(
-        summary["sampler"]
-    )
+    assert {
+        "ensembles",
+        "rhat_max",
+        "ess_min",
+        "tau_max",
+        "acceptance",
+        "log_likelihood_variance",
+        "pareto_k_max",
+    } <= set(summary["sampler"])
     assert {"read", "modes", "draws", "population", "predictive"} <= set(summary["seconds"])
 
 
@@ -156,20 +162,19 @@ def test_killed_and_resumed_gives_the_same_bytes(dataset: Path, finished: Path, 
         "import os, sys\nfrom pathlib import Path\nfrom bayes_impedance.jobs import FitOptions, run_dataset\n"
         "def progress(stage, done, total):\n"
         "    if stage == 'sampling' and done * 3 > total:\n        os.kill(os.getpid(), 9)\n"
-        f"run_dataset(Path({str(dataset)!r}), Path({str(tmp_path)!r}), FitOptions(quick=True, seed=4), False, progress)\n"
+        f"source, out = Path({str(dataset)!r}), Path({str(tmp_path)!r})\n"
+        "run_dataset(source, out, FitOptions(quick=True, seed=4), False, progress)\n"
     )
     killed = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert killed.returncode == -9, killed.stderr
     assert not (tmp_path / "result.nc").exists()
-    assert list((tmp_path / "checkpoint").glob("*.h5"))
+    assert list((tmp_path / "checkpoint").glob("ensemble_*/burn_in.npz"))
     assert main(["run", str(dataset), "-o", str(tmp_path), "--quick", "--seed", "4", "--resume"]) == 0
     assert (tmp_path / "result.nc").read_bytes() == (finished / "result.nc").read_bytes()
     assert not (tmp_path / "checkpoint").exists()
 
 
-def test_resuming_something_else_is_refused(
-    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_resuming_something_else_is_refused(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "checkpoint"
     folder.mkdir()
     (folder / "fit.json").write_text("{}\n", encoding="utf-8")
@@ -181,8 +186,16 @@ def test_resuming_something_else_is_refused(
 BAD = {
     "no such path": (None, [], "there is no such file or folder"),
     "empty file": ("", [], "recordings.csv"),
-    "text in a number": ("subject,repetition,frequency_hz,z_re,z_im\nA,1,10,x,1\nA,1,20,1,1\nA,1,30,1,1\n", [], "row 2"),
-    "no network": ("subject,repetition,frequency_hz,z_re,z_im\n" + "".join(f"A,1,{f},1,1\n" for f in range(5, 15)), [], "--network"),
+    "text in a number": (
+        "subject,repetition,frequency_hz,z_re,z_im\nA,1,10,x,1\nA,1,20,1,1\nA,1,30,1,1\n",
+        [],
+        "row 2",
+    ),
+    "no network": (
+        "subject,repetition,frequency_hz,z_re,z_im\n" + "".join(f"A,1,{f},1,1\n" for f in range(5, 15)),
+        [],
+        "--network",
+    ),
     "unknown element": (
         "subject,repetition,frequency_hz,z_re,z_im\n" + "".join(f"A,1,{f},1,1\n" for f in range(5, 15)),
         ["--network", "x1|r1"],

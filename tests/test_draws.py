@@ -6,21 +6,28 @@ from scipy import stats
 
 from bayes_impedance.draws import Reference, draw
 from bayes_impedance.kernel import Kernel
-from bayes_impedance.likelihood import SCALE_SHAPE, Likelihood, log_likelihood
+from bayes_impedance.likelihood import SCALE_SHAPE, Likelihood, Ridge, find_ridge, log_likelihood
 from bayes_impedance.network import parse
-from bayes_impedance.subject import find_mode
+from bayes_impedance.subject import Mode, find_mode
 
 GRID = np.geomspace(5, 5000, 25)
 
 
-def _record(kernel: Kernel, theta: np.ndarray, noise: float, rng: np.random.Generator) -> Likelihood:
-    """Two repetitions whose noise scale comes from the prior of the model."""
-    clean = np.tile(kernel.impedance(theta, GRID), (2, 1))
+def _ridge(kernel: Kernel, likelihood: Likelihood, mode: Mode, rho: float = 1e-3) -> Ridge:
+    """Repetitions that hardly differ."""
+    return find_ridge(kernel, likelihood, mode.theta, mode.scale, np.full(mode.theta.size, rho))
+
+
+def _record(
+    kernel: Kernel, theta: np.ndarray, noise: float, rng: np.random.Generator, repetitions: int = 2
+) -> Likelihood:
+    """Equal repetitions whose noise scale comes from the prior of the model."""
+    clean = np.tile(kernel.impedance(theta, GRID), (repetitions, 1))
     sd = noise * np.abs(clean)
     scale = rng.gamma(SCALE_SHAPE, 1 / SCALE_SHAPE) ** -0.5
     z = clean + scale * sd * (rng.normal(size=clean.shape) + 1j * rng.normal(size=clean.shape))
     # No deviations are estimated here, so all numbers count.
-    likelihood = Likelihood.make(GRID, z, sd, np.zeros((2, theta.size)))
+    likelihood = Likelihood.make(GRID, z, sd, np.zeros((repetitions, theta.size)))
     return Likelihood(likelihood.omega, likelihood.z, likelihood.weight, likelihood.deviations, float(z.size))
 
 
@@ -41,7 +48,7 @@ def test_ranks_of_the_truth_are_uniform(noise: float) -> None:
         theta = mean + factor @ rng.normal(size=5)
         likelihood = _record(kernel, theta, noise, rng)
         mode = find_mode(kernel, likelihood, np.vstack([mean, theta]), mean, precision)
-        draws = draw(kernel, likelihood, mode, reference, 256, seed)
+        draws = draw(kernel, likelihood, mode, _ridge(kernel, likelihood, mode), reference, 256, seed)
         ranks.append(np.exp(draws.log_weight) @ (draws.theta < theta))
     for p in range(5):
         assert stats.kstest(np.array(ranks)[:, p], "uniform").pvalue > 0.002  # five elements, two noises
@@ -51,7 +58,7 @@ def test_mean_weight_is_the_marginal_likelihood() -> None:
     """One element: the integral over theta by quadrature."""
     kernel = Kernel(parse("r1"))
     rng = np.random.default_rng(2)
-    likelihood = _record(kernel, np.array([1.0]), 0.5, rng)
+    likelihood = _record(kernel, np.array([1.0]), 0.5, rng, repetitions=1)
     reference = Reference(np.array([0.8]), np.array([[0.25]]))
     mode = find_mode(kernel, likelihood, np.array([[0.8]]), reference.mean, np.linalg.inv(reference.covariance))
     grid = np.linspace(-4, 5, 20001)[:, None]
@@ -61,7 +68,7 @@ def test_mean_weight_is_the_marginal_likelihood() -> None:
         exact = np.logaddexp.reduce(exponent) + np.log(grid[1, 0] - grid[0, 0])
         estimates = []
         for seed in np.random.SeedSequence(3).spawn(20):
-            draws = draw(kernel, likelihood, mode, reference, 512, seed)
+            draws = draw(kernel, likelihood, mode, _ridge(kernel, likelihood, mode), reference, 512, seed)
             estimates.append(np.logaddexp.reduce(draws.log_ratio + population.log_density(draws.theta)) - np.log(512))
         error = np.std(estimates, ddof=1) / np.sqrt(20)
         assert error < 0.005
@@ -77,7 +84,7 @@ def test_effective_draws_stay_high_where_the_data_say_little() -> None:
     likelihood = _record(kernel, theta, 0.02, rng)
     reference = Reference(theta, np.diag([1.0, 0.3, 0.3]) ** 2)
     mode = find_mode(kernel, likelihood, theta[None], theta, np.linalg.inv(reference.covariance))
-    draws = draw(kernel, likelihood, mode, reference, 512, np.random.SeedSequence(5))
+    draws = draw(kernel, likelihood, mode, _ridge(kernel, likelihood, mode), reference, 512, np.random.SeedSequence(5))
     assert draws.effective > 250
     weight = np.exp(draws.log_weight)
     spread = np.sqrt(weight @ (draws.theta[:, 0] - weight @ draws.theta[:, 0]) ** 2)
@@ -90,7 +97,8 @@ def test_same_seed_same_draws() -> None:
     reference = Reference(np.log([5.0, 1e-3]), 0.1 * np.eye(2))
     mode = find_mode(kernel, likelihood, reference.mean[None], reference.mean, 10 * np.eye(2))
     one, two, other = (
-        draw(kernel, likelihood, mode, reference, 64, np.random.SeedSequence(seed)) for seed in (1, 1, 2)
+        draw(kernel, likelihood, mode, _ridge(kernel, likelihood, mode), reference, 64, np.random.SeedSequence(seed))
+        for seed in (1, 1, 2)
     )
     assert np.array_equal(one.theta, two.theta)
     assert not np.array_equal(one.theta, other.theta)

@@ -34,6 +34,7 @@ ORDER = (
     "starts",
     "empirical_bayes",
     "arviz_adapter",
+    "laplace",
     "sampling",
     "posterior",
     "diagnostics",

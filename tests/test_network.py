@@ -276,7 +276,7 @@ def test_taking_out_keeps_labels():
 def test_taking_out_needs_something_left():
     with pytest.raises(InputError, match="nothing but 'm1'"):
         A.without("m1")
-    with pytest.raises(InputError, match="no place 'r9'"):
+    with pytest.raises(InputError, match="no element 'r9'"):
         (A | B).without("r9")
 
 

@@ -12,7 +12,15 @@ import pytest
 from scipy.stats import loggamma, norm, t
 
 import bayes_impedance
-from bayes_impedance.sampling import Chains, SamplerSettings, _collect, _Ensemble, autoregressive_move, sample
+from bayes_impedance.sampling import (
+    Chains,
+    SamplerSettings,
+    _collect,
+    _Ensemble,
+    autocorrelation_time,
+    crank_nicolson_move,
+    sample,
+)
 
 D = 20
 LONG = SamplerSettings(ensembles=4, chunk=500, longest=500, rhat=0.0, effective=np.inf)
@@ -84,11 +92,10 @@ def test_production_mixture_recovers_means_and_variances(name):
     error = target.sd / np.sqrt(effective)
     assert np.all(np.abs(kept.mean(axis=0) - target.mean) < 4.5 * error)
     assert chains.rhat.max() < 1.02
-    assert chains.effective.min() > 1000
+    assert chains.effective.min() > 500
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="emcee's time takes out each walker's own mean: too short for short chains")
 @pytest.mark.parametrize("name", TARGETS)
 def test_reported_effective_size_is_right(name):
     """Errors of the mean over 40 runs, in units of the reported error."""
@@ -97,7 +104,7 @@ def test_reported_effective_size_is_right(name):
     z = []
     for seed in range(40):
         rng = np.random.SeedSequence(100 + seed)
-        ensembles = [_Ensemble(target, target.mean, target.sd, child, None) for child in rng.spawn(2)]
+        ensembles = [_Ensemble(target, target.mean, np.diag(target.sd**2), child, None) for child in rng.spawn(2)]
         for ensemble in ensembles:
             ensemble.prepare(settings.burn_in, lambda n: None)
             ensemble.run_to(300, lambda n: None)
@@ -117,11 +124,11 @@ def run_single_move(move, target, steps, walkers=64, seed=3, thin=1):
 
 
 MOVES = {
-    "autoregressive, exact": lambda target: autoregressive_move(target.mean, target.covariance),
-    "autoregressive, wrong mean": lambda target: autoregressive_move(target.mean + target.sd, target.covariance),
-    "autoregressive, too wide": lambda target: autoregressive_move(target.mean, 3 * target.covariance),
-    "autoregressive, too narrow": lambda target: autoregressive_move(target.mean, 0.6 * target.covariance),
-    "autoregressive, no correlation": lambda target: autoregressive_move(target.mean, np.diag(target.sd**2)),
+    "Crank-Nicolson, exact": lambda target: crank_nicolson_move(target.mean, target.covariance),
+    "Crank-Nicolson, wrong mean": lambda target: crank_nicolson_move(target.mean + target.sd, target.covariance),
+    "Crank-Nicolson, too wide": lambda target: crank_nicolson_move(target.mean, 3 * target.covariance),
+    "Crank-Nicolson, too narrow": lambda target: crank_nicolson_move(target.mean, 0.6 * target.covariance),
+    "Crank-Nicolson, no correlation": lambda target: crank_nicolson_move(target.mean, np.diag(target.sd**2)),
     "differential evolution": lambda target: emcee.moves.DEMove(),
     "differential evolution, leaps": lambda target: emcee.moves.DEMove(gamma0=1.0),
 }
@@ -131,18 +138,19 @@ MOVES = {
 def test_every_move_alone_keeps_a_known_variance(name):
     target = Gaussian(4, seed=2)
     chain, sampler = run_single_move(MOVES[name](target), target, 2500)
-    tau = emcee.autocorr.integrated_time(chain, tol=0, quiet=True).max()
+    tau = autocorrelation_time(chain).max()
     scores = target.normal_scores(chain.reshape(-1, 4))
     check_standard_normal(scores, np.full(4, len(scores) / tau))
     assert tau < 100  # or the test shows nothing
     assert sampler.acceptance_fraction.mean() > 0.02
 
 
-def test_autoregressive_move_is_always_accepted_where_the_approximation_is_exact():
-    """Also a test of the Metropolis ratio: it must cancel the target's."""
-    target = Gaussian()
-    _, sampler = run_single_move(autoregressive_move(target.mean, target.covariance), target, 200)
-    assert sampler.acceptance_fraction.min() == 1.0
+def test_crank_nicolson_move_is_mostly_accepted_where_the_approximation_is_exact():
+    """Also in 52 dimensions; differential evolution takes 16 % there."""
+    for dimension in (4, 52):
+        target = Gaussian(dimension)
+        _, sampler = run_single_move(crank_nicolson_move(target.mean, target.covariance), target, 100, walkers=104)
+        assert sampler.acceptance_fraction.mean() > 0.5
 
 
 def test_snooker_move_is_never_used():
@@ -318,7 +326,7 @@ class TwoModes:
 def ensembles_in(places, distance, steps=300):
     result = []
     for place, child in zip(places, np.random.SeedSequence(5).spawn(len(places)), strict=True):
-        ensemble = _Ensemble(TwoModes(distance), np.full(6, place), np.full(6, 1.0), child, None)
+        ensemble = _Ensemble(TwoModes(distance), np.full(6, place), np.eye(6), child, None)
         ensemble.prepare((30, 30), lambda n: None)
         ensemble.run_to(steps, lambda n: None)
         result.append(ensemble)

@@ -59,10 +59,10 @@ def test_a_population_survives_its_description() -> None:
     assert again.noise == FINGERTIP.noise
     with pytest.raises(InputError, match="describes no population"):
         population_from({"network": "r1"}, "x.json")
+    keys = ("central", "dispersion_between_persons", "dispersion_between_repetitions")
+    unknown = {"r1": {key: {"median": None} for key in keys}}
     with pytest.raises(InputError, match="element 'r1' has no value"):
-        element = {key: {"median": None} for key in ("central", "dispersion_between_persons")}
-        element["dispersion_between_repetitions"] = {"median": None}
-        population_from({"network": "r1", "elements": {"r1": element}, "correlation": []}, "x.json")
+        population_from({"network": "r1", "elements": unknown, "correlation": []}, "x.json")
 
 
 def test_impossible_populations_are_refused() -> None:
