@@ -51,10 +51,10 @@ demo: $(VENV)/.run
 	@echo "open it: file://$(abspath $(OUT))/report.html"
 
 test: $(VENV)/.test
-	$(BIN)/python -m pytest -n 2 -m "not slow or ci" $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow or ci" $(PYTEST_ARGS)
 
 test-all: $(VENV)/.test
-	$(BIN)/python -m pytest -n 2 $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n 2 --dist loadfile $(PYTEST_ARGS)
 
 lint: $(VENV)/.lint
 	$(BIN)/ruff check .

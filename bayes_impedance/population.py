@@ -87,7 +87,7 @@ class PopulationFit:
     n_ensembles : int
     log_probability : ndarray, shape (E, S)
     person_draws : ndarray, shape (E, S, N, P)
-        Everybody's log elements.
+        Everybody's log elements: the mean over the person's repetitions.
     person_log_likelihood : ndarray, shape (E, S, N)
         Log marginal likelihood of each person under the population draws, up to a constant for each person.
     deviations : tuple of ndarray, shape (J, P)

@@ -24,7 +24,7 @@ from nuts_model import (
 
 from bayes_impedance.population import PopulationFit, fit_population
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.ci]
 
 MEAN, SPREAD, ERRORS = 0.15, 0.10, 3.0
 
