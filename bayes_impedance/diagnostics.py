@@ -18,8 +18,11 @@ VARIANCE_LIMIT = 1.0
 RHAT_LIMIT = 1.05
 """Above this disagreement between ensembles, the posterior is refused."""
 
-SHORTEST_CHAIN = 5.0
-"""Chains of fewer autocorrelation times than this say little, not even how long their memory is."""
+SHORTEST_CHAIN = 2.0
+"""Ensembles of fewer autocorrelation times than this say little, not even how long their memory is."""
+
+FEWEST_EFFECTIVE = 200.0
+"""Fewer effective samples than this give no 5 % quantile worth the name."""
 
 CLOSE_RIVAL = 10.0
 """A solution for the whole population whose log evidence is less than this behind is worth a remark."""
@@ -77,6 +80,8 @@ class Diagnostics:
                 f"the chains are too short ({self.steps} steps, autocorrelation time {self.autocorrelation_max:.0f}): "
                 "sample longer"
             )
+        if not self.effective_min >= FEWEST_EFFECTIVE:
+            found.append(f"there are only {self.effective_min:.0f} effective samples of some parameter: sample longer")
         if not self.log_likelihood_variance <= VARIANCE_LIMIT:
             found.append(
                 f"the population likelihood is too noisy (variance {self.log_likelihood_variance:.2g}, limit "
