@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from bayes_impedance.check import check_recordings, describe
-    from bayes_impedance.errors import ConvergenceError, InputError
+    from bayes_impedance.errors import InputError
     from bayes_impedance.kernel import Kernel
     from bayes_impedance.network import PAPER_NETWORK, Element, Network, parse
     from bayes_impedance.population import FitSettings, PopulationFit, fit_population
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 _MODULES = {
     "check_recordings": "check",
     "describe": "check",
-    "ConvergenceError": "errors",
     "InputError": "errors",
     "Kernel": "kernel",
     "PAPER_NETWORK": "network",
@@ -62,7 +61,6 @@ _MODULES = {
 __all__ = [
     "FINGERTIP",
     "PAPER_NETWORK",
-    "ConvergenceError",
     "Element",
     "FitSettings",
     "InputError",

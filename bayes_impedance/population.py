@@ -19,7 +19,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -171,6 +171,7 @@ def fit_population(
     from threadpoolctl import threadpool_limits
 
     settings = settings or FitSettings()
+    settings = replace(settings, sampler=replace(settings.sampler, workers=workers))
     kernel = Kernel(_network(recordings, network))
     covariates = _standardised(recordings, settings.covariates)
     _enough_points(recordings, kernel)

@@ -333,7 +333,7 @@ def checks(result: Result) -> list[Check]:
             f"{s['rhat_max']:.3f}",
             "below 1.01; refused above 1.05",
             s["rhat_max"] <= 1.01,
-            "Independent ensembles were started far apart. 1 means that they found the same distribution.",
+            "Ensembles start and adapt independently. 1 means that they found the same distribution.",
         ),
         Check(
             "Effective sample size, worst",
