@@ -208,7 +208,8 @@ def fit_population(
         with clock.measure("population"):
             chains = sample(
                 posterior.log_probability,
-                *posterior.normal_approximation(),
+                posterior.mode,
+                posterior.normal_covariance,
                 settings.sampler,
                 seeds[2],
                 progress,

@@ -54,6 +54,8 @@ class Posterior:
         Everybody's, once they are made.
     marginal : Marginal
         The likelihood that rests on them.
+    mode, normal_covariance : ndarray, shape (D,) and (D, D)
+        A normal approximation, where sampling may start.
     redrawn : int
         How often the reference population was moved.
 
@@ -114,11 +116,6 @@ class Posterior:
                 return np.array([-np.inf])
             return np.concatenate([self._inside(row) for row in np.array_split(u, 2)])
 
-    def normal_approximation(self) -> tuple[np.ndarray, np.ndarray]:
-        """Mode (D,) and covariance (D, D) in sampled coordinates; needs the draws."""
-        # The prior alone has a precision of one in most coordinates.
-        return normal_approximation(self.log_probability, self.start(), self.start_scale(), 0.5)
-
     def start(self) -> np.ndarray:
         """The point estimate in sampled coordinates, shape (D,)."""
         mean_repetitions = float(np.mean(self.repetitions))
@@ -155,7 +152,9 @@ class Posterior:
                 means, covariance * widening(self.repetitions.size) ** 2, n_draws, child, executor, progress
             )
             self.redrawn = redrawn
-            mode, normal = self.normal_approximation()
+            # The prior alone has a precision of one in most coordinates.
+            mode, normal = normal_approximation(self.log_probability, self.start(), self.start_scale(), 0.5)
+            self.mode, self.normal_covariance = mode, normal
             pilot = np.random.default_rng(child.spawn(1)[0]).normal(size=(64, mode.size))
             nearby = np.clip(mode + pilot @ np.linalg.cholesky(normal).T, -_LARGEST_COORDINATE, _LARGEST_COORDINATE)
             variance = self.marginal.variance(self.coordinates.unpack(nearby))
