@@ -127,7 +127,7 @@ def estimate(
 
     begin, rivals = first.theta, tuple[float, ...]()
     if len(first.common) > 1 and not one_person:
-        begin, rivals = _best_common(state_from, likelihoods, first, executor, progress)
+        begin, rivals = _best_common(kernel.elements, state_from, likelihoods, first, executor, progress)
     state = state_from(begin, likelihoods)
     rounds = 0
     for rounds in range(1, _MAX_ROUNDS + 1):
@@ -157,6 +157,7 @@ def estimate(
 
 
 def _best_common(
+    elements: Sequence[str],
     state_from: Callable[[np.ndarray, Sequence[Likelihood]], _State],
     likelihoods: Sequence[Likelihood],
     first: FirstFits,
@@ -179,10 +180,14 @@ def _best_common(
         ends.append(state.theta)
         progress("common solutions", c + 1, len(first.common))
     order = np.argsort(evidence)[::-1]
-    best = ends[order[0]]
-    middle = np.median(best, axis=0)
-    others = [k for k in order[1:] if np.abs(np.median(ends[k], axis=0) - middle).max() > 0.3]
-    return best, tuple(float(evidence[order[0]] - evidence[k]) for k in others)
+    middles = [_by_kind(elements, np.median(end, axis=0)) for end in ends]
+    others = [k for k in order[1:] if np.abs(middles[k] - middles[order[0]]).max() > 0.3]
+    return ends[order[0]], tuple(float(evidence[order[0]] - evidence[k]) for k in others)
+
+
+def _by_kind(elements: Sequence[str], theta: np.ndarray) -> np.ndarray:
+    """Log elements in an order that does not change when equal parts of a network change places."""
+    return np.asarray(theta[np.lexsort((theta, [e[0] for e in elements]))])
 
 
 class _State:

@@ -225,3 +225,23 @@ def test_the_population_settles_in_the_right_one_of_two_optima(seed: int) -> Non
     assert np.quantile(n3, 0.01) < 2e-6 < np.quantile(n3, 0.99)
     assert np.median(n3) == pytest.approx(2e-6, rel=0.6)
     assert np.median(fit.parameters.between_persons[:, 0]) < 0.9
+
+
+def test_equal_parts_that_change_places_are_no_rival_solution() -> None:
+    """Two arcs of one shape: each order fits equally well, and everybody must use the same one."""
+    arcs = replace(
+        SMALL,
+        network="r0|(r1-n1)|(r2-n2)",
+        central={"r0": 0.2, "r1": 1.5, "n1": 0.05, "r2": 0.5, "n2": 0.0015},
+        between_persons=dict.fromkeys(("r0", "r1", "n1", "r2", "n2"), 0.2),
+        between_repetitions={},
+        correlation={},
+    )
+    recordings = simulate_recordings(arcs, 12, 1, np.geomspace(0.02, 5000, 40), seed=1).recordings
+    fit = fit_population(recordings, settings=SHORT, seed=1)
+    assert not fit.diagnostics.problems
+    assert not [remark for remark in fit.diagnostics.remarks if "Another solution" in remark]
+    # Either order, but one order: the dispersions are those of an element, not those of two mixed ones.
+    assert np.all(np.median(fit.parameters.between_persons, axis=0) < 0.5)
+    found = sorted(np.exp(np.median(fit.parameters.mu[:, [1, 3]], axis=0)))
+    assert found == pytest.approx([0.5, 1.5], rel=0.3)
