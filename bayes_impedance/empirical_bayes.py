@@ -187,7 +187,7 @@ def _best_common(
 
 def _by_kind(elements: Sequence[str], theta: np.ndarray) -> np.ndarray:
     """Log elements in an order that does not change when equal parts of a network change places."""
-    return np.asarray(theta[np.lexsort((theta, [e[0] for e in elements]))])
+    return np.asarray(theta[np.lexsort((theta, np.array([ord(e[0]) for e in elements])))])
 
 
 class _State:

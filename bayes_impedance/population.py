@@ -49,7 +49,8 @@ class FitSettings:
     Attributes
     ----------
     covariance : str
-        ``full`` (elements vary together between persons) or ``diagonal``.
+        ``full`` (elements vary together between persons) or ``diagonal``, which is also taken if there are fewer
+        persons than two more than elements.
     covariates : tuple of str
         Names of covariates that the mean log elements follow linearly.
     draws : int
@@ -173,6 +174,8 @@ def fit_population(
     settings = settings or FitSettings()
     settings = replace(settings, sampler=replace(settings.sampler, workers=workers))
     kernel = Kernel(_network(recordings, network))
+    if too_few_for_correlations(len(recordings.subjects), len(kernel.elements)):
+        settings = replace(settings, covariance="diagonal")
     covariates = _standardised(recordings, settings.covariates)
     _enough_points(recordings, kernel)
     prior = default_prior(kernel.elements, recordings)
@@ -318,6 +321,14 @@ def _persons(
         chosen = np.minimum((cumulative < level).sum(axis=2), weight.shape[2] - 1)
         theta[start : start + 50] = stacked[np.arange(n), chosen]
     return theta, marginal.terms(parameters)[0]
+
+
+def too_few_for_correlations(n_persons: int, n_elements: int) -> bool:
+    """Whether even a sample covariance of the elements would be singular.
+
+    The posterior of a full one then piles up at singular matrices, held back by nothing but the prior.
+    """
+    return n_persons < n_elements + 2
 
 
 def _network(recordings: Recordings, network: Network | str | None) -> Network:

@@ -18,7 +18,7 @@ import numpy as np
 
 from bayes_impedance.elements import kind_of
 from bayes_impedance.errors import InputError
-from bayes_impedance.population import PopulationFit
+from bayes_impedance.population import PopulationFit, too_few_for_correlations
 from bayes_impedance.predictive import PROBABILITIES, Predictive
 
 SCHEMA = 1
@@ -311,6 +311,11 @@ def _remarks(fit: PopulationFit, predictive: Predictive) -> list[str]:
         remarks.append("There is one subject: the values are this subject's, and no dispersion can be estimated.")
     elif n < 10:
         remarks.append(f"There are only {n} subjects: dispersions rest on the prior as much as on the data.")
+    if not fit.one_person and too_few_for_correlations(n, len(fit.kernel.elements)):
+        remarks.append(
+            f"{n} subjects cannot tell how {len(fit.kernel.elements)} elements vary together: they are taken to vary "
+            "independently."
+        )
     if not fit.repeated:
         mixed = "" if fit.one_person else "the dispersion between persons contains that between repetitions, and "
         remarks.append(f"There is one repetition: {mixed}the noise was estimated from the roughness of the curves.")

@@ -245,3 +245,15 @@ def test_equal_parts_that_change_places_are_no_rival_solution() -> None:
     assert np.all(np.median(fit.parameters.between_persons, axis=0) < 0.5)
     found = sorted(np.exp(np.median(fit.parameters.mu[:, [1, 3]], axis=0)))
     assert found == pytest.approx([0.5, 1.5], rel=0.3)
+
+
+def test_two_persons_get_no_correlations(small_simulation: Simulation) -> None:
+    recordings = small_simulation.recordings.select(small_simulation.recordings.names[:2])
+    fit = fit_population(recordings, settings=SHORT, seed=1)
+    assert fit.settings.covariance == "diagonal"
+    assert np.all(fit.parameters.correlation == np.eye(5))
+    # Dispersions from two persons: hardly better than the prior, whose median is 0.67.
+    width = np.quantile(fit.parameters.between_persons, 0.95, axis=0) / np.quantile(
+        fit.parameters.between_persons, 0.05, axis=0
+    )
+    assert np.all(width > 3)
