@@ -23,6 +23,7 @@ values the result is exact.
 from __future__ import annotations
 
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Self
@@ -56,7 +57,7 @@ class Place(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Network:
+class Network(ABC):
     """A mechanical one-port. Use :class:`Element`, the operators ``|`` and ``-``, or :func:`parse` to make one."""
 
     @property
@@ -102,9 +103,9 @@ class Network:
 
     # ---------------------------------------------------------------- notation
 
+    @abstractmethod
     def _notation(self) -> str:
         """Text of the node without its label."""
-        raise NotImplementedError
 
     def _as_part(self) -> str:
         """Text of the node inside a larger one: groups in parentheses, with label."""
@@ -116,6 +117,7 @@ class Network:
 
     # ---------------------------------------------------------------- physics
 
+    @abstractmethod
     def impedance(self, s: npt.ArrayLike, values: Mapping[str, Any]) -> np.ndarray:
         """Impedance by plain recursion: slow, obvious, and the reference that the compiled kernel is tested against.
 
@@ -137,8 +139,8 @@ class Network:
         InputError
             If an element has no value.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def transfer_function(self, values: Mapping[str, Any]) -> TransferFunction:
         """Numerator and denominator of z(s), with the powers of s that always cancel taken out.
 
@@ -147,7 +149,6 @@ class Network:
         values : mapping of str to number
             Value of each element; floats, or Fractions for an exact result.
         """
-        raise NotImplementedError
 
     # ---------------------------------------------------------------- places and edits
 
