@@ -84,50 +84,15 @@ def fit_dataset(dataset: Path, out: Path, options: FitOptions, resume: bool, pro
     InputError
         If the input cannot be used, or `resume` meets the checkpoint of another fit.
     """
-    from bayes_impedance.recordings import read_recordings
-
-    started = time.perf_counter()
-    recordings = read_recordings(dataset)
-    if options.subjects:
-        recordings = recordings.select(options.subjects)
-    reading = time.perf_counter() - started
-
-    from bayes_impedance.population import fit_population
-    from bayes_impedance.predictive import predict
-    from bayes_impedance.result import make_result, save_result
-
-    settings = options.settings()
-    checkpoint = _checkpoint(out, recordings, options, resume)
-    try:
-        fit = fit_population(
-            recordings,
-            options.network,
-            settings=settings,
-            seed=options.seed,
-            workers=options.workers,
-            progress=progress,
-            checkpoint=checkpoint,
-        )
-    except InputError:  # there is nothing to resume
-        shutil.rmtree(checkpoint)
-        if not any(out.iterdir()):
-            out.rmdir()
-        raise
-    started = time.perf_counter()
-    progress("predictions", 0, 1)
-    predictive = predict(fit, seed=options.seed)
-    progress("predictions", 1, 1)
-    seconds = {"read": reading, **fit.seconds, "predictive": time.perf_counter() - started}
-    result = make_result(fit, predictive, seconds)
-    save_result(result, out)
-    shutil.rmtree(checkpoint)
-    return result
+    return _fit(dataset, out, options, resume, progress)[0]
 
 
 def run_dataset(dataset: Path, out: Path, options: FitOptions, resume: bool, progress: Progress) -> Result:
     """Everything: check, fit, pictures and report."""
-    result = fit_dataset(dataset, out, options, resume, progress)
-    _write_pages(result, out, _findings(dataset, options.subjects), progress)
+    from bayes_impedance.check import check_recordings
+
+    result, recordings = _fit(dataset, out, options, resume, progress)
+    _write_pages(result, out, check_recordings(recordings), progress)
     return result
 
 
@@ -145,7 +110,7 @@ def report_result(out: Path, progress: Progress, dataset: Path | None = None) ->
     from bayes_impedance.result import load_result
 
     result = load_result(out)
-    _write_pages(result, out, _findings(dataset, ()) if dataset is not None else (), progress)
+    _write_pages(result, out, check_dataset(dataset)[2] if dataset is not None else (), progress)
     return result
 
 
@@ -221,6 +186,48 @@ def _population(file: Path) -> VirtualPopulation:
     return population_from(described, str(file))
 
 
+def _fit(dataset: Path, out: Path, options: FitOptions, resume: bool, progress: Progress) -> tuple[Result, Recordings]:
+    """Read, fit, predict, save; the recordings are handed on so that nobody reads them twice."""
+    from bayes_impedance.recordings import read_recordings
+
+    started = time.perf_counter()
+    recordings = read_recordings(dataset)
+    if options.subjects:
+        recordings = recordings.select(options.subjects)
+    reading = time.perf_counter() - started
+
+    from bayes_impedance.population import fit_population
+    from bayes_impedance.predictive import predict
+    from bayes_impedance.result import make_result, save_result
+
+    settings = options.settings()
+    checkpoint = _checkpoint(out, recordings, options, resume)
+    try:
+        fit = fit_population(
+            recordings,
+            options.network,
+            settings=settings,
+            seed=options.seed,
+            workers=options.workers,
+            progress=progress,
+            checkpoint=checkpoint,
+        )
+    except InputError:  # there is nothing to resume
+        shutil.rmtree(checkpoint)
+        if not any(out.iterdir()):
+            out.rmdir()
+        raise
+    started = time.perf_counter()
+    progress("predictions", 0, 1)
+    predictive = predict(fit, seed=options.seed)
+    progress("predictions", 1, 1)
+    seconds = {"read": reading, **fit.seconds, "predictive": time.perf_counter() - started}
+    result = make_result(fit, predictive, seconds)
+    save_result(result, out)
+    shutil.rmtree(checkpoint)
+    return result, recordings
+
+
 def _checkpoint(out: Path, recordings: Recordings, options: FitOptions, resume: bool) -> Path:
     """An empty folder for the chains, or that of the interrupted fit with the same arguments."""
     folder = out / CHECKPOINT_FOLDER
@@ -242,14 +249,6 @@ def _checkpoint(out: Path, recordings: Recordings, options: FitOptions, resume: 
     folder.mkdir(parents=True)
     _write_text(file, text)
     return folder
-
-
-def _findings(dataset: Path, subjects: Sequence[str]) -> tuple[Finding, ...]:
-    from bayes_impedance.check import check_recordings
-    from bayes_impedance.recordings import read_recordings
-
-    recordings = read_recordings(dataset)
-    return check_recordings(recordings.select(subjects) if subjects else recordings)
 
 
 def _write_pages(result: Result, out: Path, findings: Sequence[Finding], progress: Progress) -> None:
