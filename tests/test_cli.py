@@ -264,7 +264,7 @@ def test_real_recordings_run_to_the_end_and_say_how_bad_the_fit_is(
 ) -> None:
     names = [f"B{i:03d}" for i in range(0, 130, 13)]
     arguments = [a for name in names for a in ("--subject", name)]
-    assert main(["fit", str(real_data / "battery_130"), "-o", str(tmp_path), "--quick", *arguments]) in (0, 1)
+    assert main(["fit", str(real_data / "battery_130"), "-o", str(tmp_path), "--quick", *arguments]) == 0
     text = capsys.readouterr().out
     assert "The network does not describe these recordings" in text
     summary = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
