@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from bayes_impedance.check import check_recordings, describe
+    from bayes_impedance.classical import compare_methods, identify, map_to_network, vector_fit
     from bayes_impedance.errors import InputError
     from bayes_impedance.kernel import Kernel
     from bayes_impedance.network import PAPER_NETWORK, Element, Network, parse
@@ -33,6 +34,10 @@ if TYPE_CHECKING:
 _MODULES = {
     "check_recordings": "check",
     "describe": "check",
+    "compare_methods": "classical",
+    "identify": "classical",
+    "map_to_network": "classical",
+    "vector_fit": "classical",
     "InputError": "errors",
     "Kernel": "kernel",
     "PAPER_NETWORK": "network",
@@ -73,15 +78,19 @@ __all__ = [
     "Subject",
     "VirtualPopulation",
     "check_recordings",
+    "compare_methods",
     "describe",
     "fit_population",
+    "identify",
     "load_result",
     "make_result",
+    "map_to_network",
     "parse",
     "predict",
     "read_recordings",
     "save_result",
     "simulate_recordings",
+    "vector_fit",
     "write_recordings",
     "write_report",
 ]

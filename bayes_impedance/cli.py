@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -63,6 +64,12 @@ def _parser() -> argparse.ArgumentParser:
     _dataset(fit)
     _fit_arguments(fit)
     fit.set_defaults(job=_fit)
+
+    compare = commands.add_parser("compare", help="the paper's methods and the population network in one table")
+    _dataset(compare)
+    _fit_arguments(compare)
+    compare.add_argument("--result", type=Path, metavar="FOLDER", help="finished fit of the same recordings to use")
+    compare.set_defaults(job=_compare)
 
     report = commands.add_parser("report", help="pictures and report of a finished fit")
     report.add_argument("out", type=Path, metavar="OUT", help="folder that 'run' or 'fit' has written")
@@ -141,6 +148,33 @@ def _fit(options: argparse.Namespace) -> int:
     with _Bars() as bars:
         result = fit_dataset(options.dataset, options.out, _fit_options(options), options.resume, bars)
     return _finish(result, f"summary: {options.out / 'summary.json'}")
+
+
+def _compare(options: argparse.Namespace) -> int:
+    from bayes_impedance.jobs import compare_dataset
+
+    with _Bars() as bars:
+        comparison = compare_dataset(options.dataset, options.out, _fit_options(options), options.result, bars)
+    for problem in comparison.problems:
+        _tell(f"NOT RELIABLE (population rows): {problem}")
+    _tell(f"\n{len(comparison.observed)} subject(s), network {comparison.network}")
+    _tell("error of one curve for all (eq. 5), mean ± standard deviation over frequency\n")
+    _tell(f"{'':32}{'the paper':20}{'|z|, ' + comparison.unit:>20}{'phase, deg':>20}  passive")
+    for method in comparison.methods:
+        errors = method.errors.summary()
+        cells = [f"{errors[k]:.3g} ± {errors[k + '_sd']:.2g}" for k in ("delta_magnitude", "delta_phase_deg")]
+        passive = "" if method.passivity is None else "yes" if method.passivity.positive_real else "no"
+        _tell(f"{method.label:32}{method.paper:20}{cells[0]:>20}{cells[1]:>20}  {passive}".rstrip())
+    mapping = comparison.mapping
+    exact = "exactly" if any(s.positive for s in mapping.exact) else f"to {100 * mapping.distance:.2g} %"
+    _tell(f"\nthe network meets the system identification's function {exact} over the band")
+    shares = {} if comparison.normality is None else comparison.normality.summary()
+    tested = {part: shares.get(f"chi_square_{part}", math.nan) for part in ("magnitude", "phase")}
+    if all(math.isfinite(share) for share in tested.values()):
+        told = ", ".join(f"{part} {100 * share:.0f} %" for part, share in tested.items())
+        _tell(f"frequencies at which chi-square at 5 % finds impedances normal: {told} (95 % if all are)")
+    _tell(f"\ntable: {options.out / 'comparison.json'}, .csv, .png")
+    return FAILED if comparison.problems else DONE
 
 
 def _report(options: argparse.Namespace) -> int:

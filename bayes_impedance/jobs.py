@@ -20,6 +20,7 @@ from bayes_impedance.errors import InputError
 
 if TYPE_CHECKING:
     from bayes_impedance.check import Finding
+    from bayes_impedance.classical import MethodComparison
     from bayes_impedance.population import FitSettings
     from bayes_impedance.recordings import Recordings
     from bayes_impedance.result import Result
@@ -114,6 +115,52 @@ def report_result(out: Path, progress: Progress, dataset: Path | None = None) ->
     return result
 
 
+def compare_dataset(
+    dataset: Path, out: Path, options: FitOptions, result: Path | None, progress: Progress
+) -> MethodComparison:
+    """The paper's methods and ours in one table; writes ``comparison.json``, ``comparison.csv`` and the pictures.
+
+    Parameters
+    ----------
+    dataset : Path
+    out : Path
+        Folder for the results.
+    options : FitOptions
+        Of the population fit, which is left in ``out/fit``.
+    result : Path or None
+        Folder of a finished fit of the same recordings, which is taken instead.
+    progress : callable
+
+    Raises
+    ------
+    InputError
+        If the input cannot be used, or the finished fit is of other recordings.
+    """
+    from bayes_impedance.recordings import read_recordings
+
+    recordings = _selected(read_recordings(dataset), options)
+    if result is None:
+        fit = _fit(dataset, out / "fit", options, False, progress)[0]
+    else:
+        from bayes_impedance.result import load_result
+
+        fit = load_result(result)
+        if fit.attributes["data_sha256"] != recordings.sha256:
+            raise InputError(f"{result}: is a fit of other recordings than {dataset}; name the right folder or none")
+
+    from bayes_impedance.classical import compare_methods
+    from bayes_impedance.plots import write_comparison
+
+    comparison = compare_methods(recordings, fit, seed=options.seed, progress=progress)
+    out.mkdir(parents=True, exist_ok=True)
+    identity = {"seed": options.seed, "data_sha256": recordings.sha256, "version": version("bayes_impedance")}
+    summary = {**comparison.summary(), **identity}
+    _write_text(out / "comparison.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
+    _write_text(out / "comparison.csv", comparison.csv())
+    write_comparison(comparison, out)
+    return comparison
+
+
 def check_dataset(dataset: Path) -> tuple[dict[str, Any], tuple[str, ...], tuple[Finding, ...]]:
     """What a dataset holds, what was changed on reading it, and what is odd about it."""
     from bayes_impedance.check import check_recordings, describe
@@ -191,9 +238,7 @@ def _fit(dataset: Path, out: Path, options: FitOptions, resume: bool, progress: 
     from bayes_impedance.recordings import read_recordings
 
     started = time.perf_counter()
-    recordings = read_recordings(dataset)
-    if options.subjects:
-        recordings = recordings.select(options.subjects)
+    recordings = _selected(read_recordings(dataset), options)
     reading = time.perf_counter() - started
 
     from bayes_impedance.population import fit_population
@@ -226,6 +271,10 @@ def _fit(dataset: Path, out: Path, options: FitOptions, resume: bool, progress: 
     save_result(result, out)
     shutil.rmtree(checkpoint)
     return result, recordings
+
+
+def _selected(recordings: Recordings, options: FitOptions) -> Recordings:
+    return recordings.select(options.subjects) if options.subjects else recordings
 
 
 def _checkpoint(out: Path, recordings: Recordings, options: FitOptions, resume: bool) -> Path:

@@ -74,6 +74,42 @@ def test_summary_follows_the_schema(finished: Path) -> None:
     assert {"read", "modes", "draws", "population", "predictive"} <= set(summary["seconds"])
 
 
+def test_compare_prints_and_writes_the_table(
+    dataset: Path, finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["compare", str(dataset), "-o", str(tmp_path / "new"), "--result", str(finished)]) == 0
+    text = capsys.readouterr().out
+    for words in ("amplitude, Median", "LuT Mean", "VFMedian", "SIT", "population network", "eq. 5"):
+        assert words in text
+    written = {p.name for p in (tmp_path / "new").iterdir()}
+    pictures = {f"{name}.{end}" for name in ("comparison", "recordings", "bode") for end in ("png", "svg")}
+    assert written == {"comparison.json", "comparison.csv"} | pictures
+    summary = json.loads((tmp_path / "new" / "comparison.json").read_text(encoding="utf-8"))
+    fitted = json.loads((finished / "summary.json").read_text(encoding="utf-8"))
+    assert summary["data_sha256"] == fitted["data_sha256"]
+    ours = next(m for m in summary["methods"] if m["id"] == "population_network")
+    assert ours["delta_magnitude"] == pytest.approx(fitted["errors"]["population_network"]["delta_magnitude"])
+
+
+def test_compare_fits_by_itself(dataset: Path, tmp_path: Path) -> None:
+    names = [name for i in (1, 2, 3) for name in ("--subject", f"V{i:02}")]
+    arguments = ["compare", str(dataset), "-o", str(tmp_path), "--network", "m2|r1|n1", *names]
+    assert main(arguments) in (0, 1)  # three persons and a poor network: the fit may be refused, the table is there
+    assert (tmp_path / "comparison.json").is_file()
+    assert (tmp_path / "fit" / "summary.json").is_file()
+
+
+def test_compare_refuses_a_fit_of_other_recordings(
+    finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = simulate_recordings(SMALL, 12, 1, np.geomspace(5, 5000, 30), seed=3).recordings
+    write_recordings(other, tmp_path / "other", significant_digits=6)
+    arguments = ["compare", str(tmp_path / "other"), "-o", str(tmp_path / "out"), "--result", str(finished)]
+    assert main(arguments) == 2
+    assert "fit of other recordings" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.smoke
 def test_the_result_is_an_ordinary_arviz_file(finished: Path) -> None:
     import warnings

@@ -42,6 +42,7 @@ ORDER = (
     "metrics",
     "predictive",
     "result",
+    "classical",
     "simulate",
     "plots",
     "report",

@@ -7,7 +7,9 @@ Each picture is a function that draws into the matplotlib Figure or Axes it is g
         figure = bands(new_figure(8, 8), result)
         figure.savefig("bands.png")
 
-:func:`write_pictures` writes all that apply to a run. matplotlib is imported when the first picture is drawn.
+:func:`write_pictures` writes all that apply to a run. Those of :mod:`bayes_impedance.plots.paper` show people's curves
+beside models of any origin and need no run; :func:`save_figure` writes them. matplotlib is imported when the first
+picture is drawn.
 """
 
 from __future__ import annotations
@@ -17,8 +19,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bayes_impedance.classical import MethodComparison
 from bayes_impedance.plots.access import identified, subjects, variable
+from bayes_impedance.plots.comparison import COMPARISON_PICTURES
 from bayes_impedance.plots.joint import corner_central, corner_dispersion
+from bayes_impedance.plots.paper import all_curves, bode, error_bars
 from bayes_impedance.plots.parameters import correlation, forest, overview, priors, traces
 from bayes_impedance.plots.spectra import bands, coverage, curves, errors, noise
 from bayes_impedance.plots.style import new_figure, style
@@ -30,20 +35,25 @@ if TYPE_CHECKING:
 __all__ = [
     "PICTURES",
     "Picture",
+    "all_curves",
     "bands",
+    "bode",
     "corner_central",
     "corner_dispersion",
     "correlation",
     "coverage",
     "curves",
+    "error_bars",
     "errors",
     "forest",
     "new_figure",
     "noise",
     "overview",
     "priors",
+    "save_figure",
     "style",
     "traces",
+    "write_comparison",
     "write_pictures",
 ]
 
@@ -80,10 +90,7 @@ class Picture:
         """The finished picture; call inside :func:`style`."""
         figure = new_figure(*self.size(result), constrained=self.constrained)
         self.draw(figure, result)
-        engine = figure.get_layout_engine()
-        if engine is not None:  # once, and not again for every file format
-            engine.execute(figure)
-            figure.set_layout_engine(None)
+        _arrange(figure)
         return figure
 
 
@@ -149,15 +156,62 @@ def write_pictures(result: Result, folder: Path) -> dict[str, Path]:
     dict of str to Path
         Name of the picture to its PNG file; the SVG is beside it.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     written = {}
     with style():
         for picture in PICTURES:
             if picture.applies(result):
-                figure = picture.figure(result)
-                _save(figure, folder / f"{picture.name}.svg", {"Date": None, "Creator": None})
-                written[picture.name] = _save(figure, folder / f"{picture.name}.png", {"Software": None})
+                written[picture.name] = save_figure(picture.figure(result), folder, picture.name)
     return written
+
+
+def write_comparison(comparison: MethodComparison, folder: Path) -> dict[str, Path]:
+    """Write the paper's figures of a comparison of methods, each as PNG and as SVG.
+
+    Parameters
+    ----------
+    comparison : MethodComparison
+    folder : Path
+        Made if it does not exist.
+
+    Returns
+    -------
+    dict of str to Path
+        Name of the picture to its PNG file.
+    """
+    with style():
+        return {name: save_figure(draw(comparison), folder, name) for name, draw in COMPARISON_PICTURES.items()}
+
+
+def save_figure(figure: Figure, folder: Path, name: str) -> Path:
+    """Write a figure as PNG and as SVG; the same figure gives the same bytes.
+
+    Parameters
+    ----------
+    figure : Figure
+        Drawn inside :func:`style`. Its panels stay where they are now arranged.
+    folder : Path
+        Made if it does not exist.
+    name : str
+        Of the files, without a suffix.
+
+    Returns
+    -------
+    Path
+        The PNG file; the SVG is beside it.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with style():  # the names of an SVG's parts come from a setting
+        _arrange(figure)
+        _save(figure, folder / f"{name}.svg", {"Date": None, "Creator": None})
+        return _save(figure, folder / f"{name}.png", {"Software": None})
+
+
+def _arrange(figure: Figure) -> None:
+    """Place the panels once, and not again for every file format."""
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
+        figure.set_layout_engine(None)
 
 
 def _save(figure: Figure, file: Path, metadata: dict[str, Any]) -> Path:

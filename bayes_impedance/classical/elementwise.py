@@ -1,0 +1,244 @@
+r"""Element-wise fits: everybody's elements by Levenberg-Marquardt, then their mean or median.
+
+This is the paper's first attempt: each person's curve is fitted with the network, "absolute amplitudes and phases ...
+separately", and the mean and the median of every element make the model. With :math:`Z(\theta)` in log elements the
+residuals and their derivatives are
+
+.. math::
+    |Z| - |z|:\quad \frac{\partial |Z|}{\partial\theta} = |Z| \operatorname{Re}\frac{\partial_\theta Z}{Z}, \qquad
+    \arg Z - \arg z:\quad \frac{\partial \arg Z}{\partial\theta} = \operatorname{Im}\frac{\partial_\theta Z}{Z}.
+
+**What phases cannot say.** Multiplying every mass and damper by a factor and dividing every compliance by it multiplies
+Z by that factor and leaves all phases as they are. The phase therefore determines the elements but for one common
+scale, and a fit ends with whatever scale its start had. Here that of the start is held on purpose (its elements each
+meet the recordings' magnitude in mid-band); :func:`with_magnitude_of` sets it afterwards, which no longer is a fit of
+phases alone. A magnitude over all frequencies, in contrast, determines the phase of any driving-point impedance
+(its logarithm is analytic in the right half plane), so magnitude fits can have large phase errors only
+where the network is wrong, the band ends, or elements are averaged one by one.
+
+The optima of single curves are many. Random starts are spent on a few people, and the best ends are tried on everybody.
+An element that a curve does not determine runs away; Z no longer changes. It is stopped at a factor of a
+million from where it would matter in the band, so that a mean remains a number, and counted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bayes_impedance.elements import kind_of
+from bayes_impedance.errors import InputError
+from bayes_impedance.kernel import Kernel
+from bayes_impedance.metrics import wrapped_deg
+from bayes_impedance.network import Network
+from bayes_impedance.recordings import Recordings, Subject
+from bayes_impedance.starts import default_prior
+
+PARTS = ("magnitude", "phase", "complex")
+
+_RANDOM_STARTS = 64
+_START_SPREAD = 2.0
+RUNAWAY = float(np.log(1e6))
+"""Log elements are stopped this far from where the element would matter in the band."""
+_THINNED_POINTS = 64
+_SEARCHED = 6
+_KEPT = 3
+
+
+@dataclass(frozen=True)
+class ElementwiseFit:
+    """Everybody's elements, each from the own curve alone.
+
+    Attributes
+    ----------
+    elements : tuple of str
+        P of them.
+    log_elements : ndarray, shape (N, P)
+        Natural logarithms of the values.
+    converged : ndarray of bool, shape (N,)
+        Whether the search ended at a minimum.
+    stopped : ndarray of bool, shape (N, P)
+        Elements that ran away, because the curve does not determine them.
+    """
+
+    elements: tuple[str, ...]
+    log_elements: np.ndarray
+    converged: np.ndarray
+    stopped: np.ndarray
+
+    def mean(self) -> dict[str, float]:
+        """Arithmetic mean of every element over people."""
+        return dict(zip(self.elements, np.exp(self.log_elements).mean(axis=0).tolist(), strict=True))
+
+    def median(self) -> dict[str, float]:
+        """Median of every element over people."""
+        return dict(zip(self.elements, np.exp(np.median(self.log_elements, axis=0)).tolist(), strict=True))
+
+
+def fit_elements(
+    recordings: Recordings, network: Network, part: str, *, weighting: str = "none", seed: int = 1
+) -> ElementwiseFit:
+    """Fit everybody's mean recording by Levenberg-Marquardt.
+
+    Parameters
+    ----------
+    recordings : Recordings
+        N persons.
+    network : Network
+    part : str
+        ``magnitude`` or ``phase`` as in the paper, or ``complex``.
+    weighting : str
+        ``none``: absolute errors as in the paper; ``relative``: divided by abs(z). Phases have no weight.
+    seed : int
+        Of the random starts.
+
+    Returns
+    -------
+    ElementwiseFit
+
+    Raises
+    ------
+    InputError
+        If `part` or `weighting` is unknown, or somebody has fewer numbers than elements.
+    """
+    if part not in PARTS or weighting not in ("none", "relative"):
+        raise InputError(f"part '{part}', weighting '{weighting}': choose {', '.join(PARTS)}, and none or relative")
+    kernel = Kernel(network)
+    for subject in recordings.subjects:
+        if subject.frequency_hz.size * (1 + (part == "complex")) < len(kernel.elements):
+            raise InputError(
+                f"subject {subject.name} has {subject.frequency_hz.size} frequencies, too few for "
+                f"{len(kernel.elements)} elements: record more or use a smaller network"
+            )
+    centre = default_prior(kernel.elements, recordings).centre
+
+    def curve(subject: Subject, points: slice | np.ndarray) -> Curve:
+        z = subject.mean[points]
+        weight = 1 / np.abs(z) if weighting == "relative" else np.ones(z.shape)
+        return Curve(kernel, subject.frequency_hz[points], z, part, weight, centre)
+
+    full = [curve(s, slice(None)) for s in recordings.subjects]
+    thinned = [curve(s, _thinned(s.frequency_hz.size)) for s in recordings.subjects]
+    spread = np.random.default_rng(seed).normal(0, _START_SPREAD, (_RANDOM_STARTS, centre.size))
+    searched = np.unique(np.linspace(0, len(full) - 1, _SEARCHED).round().astype(int))
+    candidates = np.vstack([_search(thinned[i], np.vstack([centre, centre + spread]), _KEPT) for i in searched])
+    found = [f.best(_search(t, candidates, 2)) for f, t in zip(full, thinned, strict=True)]
+    theta, converged = np.array([f[0] for f in found]), np.array([f[1] for f in found])
+    stopped = np.abs(theta - centre) > RUNAWAY
+    return ElementwiseFit(kernel.elements, np.clip(theta, centre - RUNAWAY, centre + RUNAWAY), converged, stopped)
+
+
+def with_magnitude_of(fit: ElementwiseFit, recordings: Recordings, network: Network) -> ElementwiseFit:
+    """The fit with each person's common scale such that the model and the recording have one geometric mean magnitude.
+
+    Parameters
+    ----------
+    fit : ElementwiseFit
+        Of phases.
+    recordings : Recordings
+        Those it was made from.
+    network : Network
+    """
+    kernel = Kernel(network)
+    direction = _scale_direction(fit.elements)
+
+    def moved(theta: np.ndarray, subject: Subject) -> np.ndarray:
+        ratio = np.abs(subject.mean) / np.abs(kernel.impedance(theta, subject.frequency_hz))
+        return np.asarray(theta + direction * np.mean(np.log(ratio)))
+
+    theta = np.array([moved(t, s) for t, s in zip(fit.log_elements, recordings.subjects, strict=True)])
+    return replace(fit, log_elements=theta)
+
+
+def _scale_direction(elements: Sequence[str]) -> np.ndarray:
+    """Change of the log elements that multiplies Z by e."""
+    return np.array([float(kind_of(e).exponent) for e in elements])
+
+
+class Curve:
+    """The least squares problem of one curve.
+
+    Parameters
+    ----------
+    kernel : Kernel
+    frequency_hz : ndarray, shape (F,)
+    z : ndarray, complex, shape (F,)
+    part : str
+        One of :data:`PARTS`.
+    weight : ndarray, shape (F,)
+        Of the residuals of magnitudes and complex values.
+    centre : ndarray, shape (P,)
+        Log elements whose common scale a fit of phases keeps.
+    """
+
+    def __init__(
+        self,
+        kernel: Kernel,
+        frequency_hz: np.ndarray,
+        z: np.ndarray,
+        part: str,
+        weight: np.ndarray,
+        centre: np.ndarray,
+    ) -> None:
+        self.kernel, self.frequency_hz, self.part = kernel, frequency_hz, part
+        self.z, self.magnitude, self.phase_deg = z, np.abs(z), np.angle(z, deg=True)
+        self.weight = weight
+        self.centre = centre
+        self.log_scale = float(np.mean(np.log(np.abs(kernel.impedance(centre, frequency_hz)))))
+
+    def residual(self, theta: np.ndarray) -> np.ndarray:
+        """Weighted differences at log elements theta, (P,) to (K,)."""
+        model = self.kernel.impedance(theta, self.frequency_hz)
+        if self.part == "phase":
+            difference = np.radians(wrapped_deg(np.angle(model, deg=True) - self.phase_deg))
+            # One more row holds the scale that phases leave open; it is zero at every optimum and so costs nothing.
+            return np.append(difference, np.mean(np.log(np.abs(model))) - self.log_scale)
+        if self.part == "magnitude":
+            return np.asarray(self.weight * (np.abs(model) - self.magnitude))
+        difference = self.weight * (model - self.z)
+        return np.concatenate([difference.real, difference.imag])
+
+    def jacobian(self, theta: np.ndarray) -> np.ndarray:
+        """Their derivatives, (P,) to (K, P)."""
+        model, derivative = self.kernel.derivative(theta, self.frequency_hz)
+        if self.part == "phase":
+            ratio = derivative / model
+            return np.vstack([ratio.imag.T, ratio.real.mean(axis=1)])
+        if self.part == "magnitude":
+            return np.asarray((self.weight * np.abs(model) * (derivative / model).real).T)
+        weighted = (self.weight * derivative).T
+        return np.vstack([weighted.real, weighted.imag])
+
+    def minimise(self, start: np.ndarray, evaluations: int = 200) -> tuple[np.ndarray, float, bool]:
+        """End point, half the squares, whether it is a minimum."""
+        from scipy.optimize import least_squares
+
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # far away Z may not be finite
+            if not np.all(np.isfinite(self.residual(start))):
+                return start, np.inf, False
+            done = least_squares(self.residual, start, self.jacobian, method="lm", max_nfev=evaluations)
+        return done.x, float(done.cost), bool(done.status > 0)
+
+    def best(self, starts: np.ndarray, evaluations: int = 200) -> tuple[np.ndarray, bool]:
+        """Best end of several starts, (S, P) to (P,), and whether it is a minimum."""
+        ends = [self.minimise(start, evaluations) for start in starts]
+        theta, _, converged = min(ends, key=lambda end: end[1])
+        return theta, converged
+
+
+def _search(curve: Curve, starts: np.ndarray, n: int) -> np.ndarray:
+    """The n best ends that differ, after a short search on few frequencies."""
+    ends = [curve.minimise(start, 60) for start in starts]
+    kept: list[np.ndarray] = []
+    for theta, cost, _ in sorted(ends, key=lambda end: end[1]):
+        if np.isfinite(cost) and all(np.abs(theta - k).max() > 0.1 for k in kept):
+            kept.append(theta)
+        if len(kept) == n:
+            break
+    return np.array(kept or [curve.centre])
+
+
+def _thinned(n: int) -> np.ndarray:
+    return np.unique(np.linspace(0, n - 1, min(n, _THINNED_POINTS)).round().astype(int))
