@@ -1,6 +1,7 @@
 """Fixtures that several files share: one small virtual population and its fit."""
 
 import os
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from bayes_impedance.population import FitSettings, PopulationFit, fit_population
 from bayes_impedance.sampling import SamplerSettings
 from bayes_impedance.simulate import Simulation, VirtualPopulation, simulate_recordings
+from bayes_impedance.transfer import TransferFunction
 
 SMALL = VirtualPopulation(
     network="skin:(n3|r3)-tissue:(m2|r1|n1)",
@@ -25,6 +27,12 @@ SHORT = FitSettings(
 """Enough for a small population in a few seconds."""
 
 DATA = Path(__file__).parents[1] / "data"
+
+
+def published(name: str, sign: int = -1) -> TransferFunction:
+    """A function of appendix A, ``sit`` or ``vf_median``, without imaginary dirt; sign 1 is as printed."""
+    entry = tomllib.loads((DATA / "appendix_a" / "coefficients.toml").read_text(encoding="utf-8"))[name]
+    return TransferFunction.from_coefficients([sign * c for c in entry["numerator"]], entry["denominator"])
 
 
 @pytest.fixture(scope="session")

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import tomllib
-from pathlib import Path
-
 import numpy as np
 import pytest
+from conftest import published
 from hypothesis import assume, given
 from scipy.optimize import minimize
 from strategies import networks_with_elements, repeatable
@@ -116,9 +114,7 @@ def test_corrected_eq4_is_positive_real_and_the_printed_one_has_an_unstable_pole
 @pytest.mark.parametrize("form", [lambda t: t, partial_fractions], ids=["ratio", "fractions"])
 def test_published_curves(form):
     """Appendix A with its sign turned: VFMedian is positive real, SIT is not below its band."""
-    path = Path(__file__).parents[1] / "data" / "appendix_a" / "coefficients.toml"
-    curves = tomllib.loads(path.read_text(encoding="utf-8"))
-    models = {k: form(ratio([-c for c in v["numerator"]], v["denominator"])) for k, v in curves.items()}
+    models = {name: form(published(name)) for name in ("sit", "vf_median")}
     assert all(model(S).real.min() > 0 for model in models.values())  # the band alone shows nothing
     verdict = check_passivity(models["vf_median"])
     assert verdict.positive_real

@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from conftest import published
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import brentq
@@ -182,9 +183,7 @@ def test_printed_eq4_does_not_know_the_skins_damper():
 
 def test_appendix_sit_has_the_form_of_eq4_and_the_opposite_sign():
     """The SIT curve of appendix A: 5/5, no constant term below, and -z is what has a positive real part."""
-    numerator = (-52.64, -6.44e5, -2.85e9, -7.24e11, -1.89e13, -7.27e14)
-    denominator = (1, 7.04e4, 5.97e8, 2.23e10, 7.54e11, 0)
-    printed = TransferFunction.from_coefficients(numerator, denominator)
+    printed = published("sit", sign=1)
     assert [len(p) for p in printed.ascending] == [6, 6]
     assert printed.ascending[1][0] == 0
     s = 2j * np.pi * np.geomspace(5, 5000, 401)
