@@ -69,7 +69,8 @@ def _parser() -> argparse.ArgumentParser:
     _dataset(compare)
     _fit_arguments(compare)
     compare.add_argument("--result", type=Path, metavar="FOLDER", help="finished fit of the same recordings to use")
-    compare.set_defaults(job=_compare)
+    compare.add_argument("--full", dest="quick", action="store_false", help="as many draws as 'run'; default: --quick")
+    compare.set_defaults(job=_compare, quick=True)
 
     report = commands.add_parser("report", help="pictures and report of a finished fit")
     report.add_argument("out", type=Path, metavar="OUT", help="folder that 'run' or 'fit' has written")

@@ -26,6 +26,7 @@ from itertools import product
 
 import numpy as np
 
+from bayes_impedance.classical.levenberg_marquardt import minimise_many
 from bayes_impedance.network import Network
 from bayes_impedance.transfer import TransferFunction
 
@@ -239,24 +240,9 @@ def _search(
     factor_sign = np.where(np.median(np.sign(ratio), axis=1) < 0, -1.0, 1.0)
     theta[:, -1] = -np.mean(np.log(np.abs(ratio) + 1e-300), axis=1)
     all_positive = bool(np.all(sign > 0) and np.all(wanted > 0))
-    damping = np.full(start.shape[0], 1e-2)
-    residual, jacobian = _residual(equations, wanted, theta, sign, factor_sign, all_positive)
-    cost = np.sum(residual**2, axis=1)
-    for _ in range(_ITERATIONS):
-        gradient = np.einsum("skp,sk->sp", jacobian, residual)
-        curvature = np.einsum("skp,skq->spq", jacobian, jacobian)
-        diagonal = np.einsum("spp->sp", curvature)
-        damped = curvature + np.eye(theta.shape[1]) * (damping[:, None] * (diagonal + 1e-12))[:, None, :]
-        damped += 1e-14 * np.eye(theta.shape[1])
-        step = -np.linalg.solve(damped, gradient[..., None])[..., 0]
-        step /= np.maximum(1.0, np.abs(step).max(axis=1, keepdims=True) / 2.0)
-        trial = theta + step
-        new_residual, new_jacobian = _residual(equations, wanted, trial, sign, factor_sign, all_positive)
-        new_cost = np.sum(new_residual**2, axis=1)
-        better = new_cost < cost
-        theta[better], cost[better] = trial[better], new_cost[better]
-        residual[better], jacobian[better] = new_residual[better], new_jacobian[better]
-        damping = np.clip(np.where(better, damping / 5, damping * 4), 1e-12, 1e10)
+    theta, cost = minimise_many(
+        lambda at: _residual(equations, wanted, at, sign, factor_sign, all_positive), theta, _ITERATIONS
+    )
     near = cost < 1e-12
     return theta[near, :-1], sign[near]
 
@@ -270,19 +256,15 @@ def _residual(
     all_positive: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Residuals (S, C) and their derivatives (S, C, P + 1), the factor's last."""
-    with np.errstate(over="ignore", invalid="ignore"):  # a start too far away is worse than any other, that is all
-        value, slope = equations.evaluate(theta[:, :-1], sign)
-        factor = factor_sign * np.exp(theta[:, -1])
-        ratio = value * factor[:, None] / wanted
-        slope = np.concatenate([slope * (factor[:, None] / wanted)[..., None], ratio[..., None]], axis=2)
-        if all_positive:
-            residual, inner = np.log(ratio), 1 / ratio
-        else:
-            residual, inner = np.arcsinh(ratio) - np.arcsinh(1.0), 1 / np.sqrt(1 + ratio**2)
-        jacobian = slope * inner[..., None]
-    bad = ~(np.isfinite(residual).all(axis=1) & np.isfinite(jacobian).all(axis=(1, 2)))
-    residual[bad], jacobian[bad] = 1e6, 0.0
-    return residual, jacobian
+    value, slope = equations.evaluate(theta[:, :-1], sign)
+    factor = factor_sign * np.exp(theta[:, -1])
+    ratio = value * factor[:, None] / wanted
+    slope = np.concatenate([slope * (factor[:, None] / wanted)[..., None], ratio[..., None]], axis=2)
+    if all_positive:
+        residual, inner = np.log(ratio), 1 / ratio
+    else:
+        residual, inner = np.arcsinh(ratio) - np.arcsinh(1.0), 1 / np.sqrt(1 + ratio**2)
+    return residual, slope * inner[..., None]
 
 
 def _described(

@@ -28,6 +28,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bayes_impedance.classical.levenberg_marquardt import minimise_many
 from bayes_impedance.elements import kind_of
 from bayes_impedance.errors import InputError
 from bayes_impedance.kernel import Kernel
@@ -45,6 +46,7 @@ RUNAWAY = float(np.log(1e6))
 _THINNED_POINTS = 64
 _SEARCHED = 6
 _KEPT = 3
+_STEPS = 40
 
 
 @dataclass(frozen=True)
@@ -189,27 +191,36 @@ class Curve:
         self.log_scale = float(np.mean(np.log(np.abs(kernel.impedance(centre, frequency_hz)))))
 
     def residual(self, theta: np.ndarray) -> np.ndarray:
-        """Weighted differences at log elements theta, (P,) to (K,)."""
-        model = self.kernel.impedance(theta, self.frequency_hz)
+        """Weighted differences at log elements theta, (..., P) to (..., K)."""
+        return self._residual(self.kernel.impedance(theta, self.frequency_hz))
+
+    def _residual(self, model: np.ndarray) -> np.ndarray:
         if self.part == "phase":
             difference = np.radians(wrapped_deg(np.angle(model, deg=True) - self.phase_deg))
             # One more row holds the scale that phases leave open; it is zero at every optimum and so costs nothing.
-            return np.append(difference, np.mean(np.log(np.abs(model))) - self.log_scale)
+            scale = np.mean(np.log(np.abs(model)), axis=-1, keepdims=True) - self.log_scale
+            return np.concatenate([difference, scale], axis=-1)
         if self.part == "magnitude":
             return np.asarray(self.weight * (np.abs(model) - self.magnitude))
         difference = self.weight * (model - self.z)
-        return np.concatenate([difference.real, difference.imag])
+        return np.concatenate([difference.real, difference.imag], axis=-1)
 
-    def jacobian(self, theta: np.ndarray) -> np.ndarray:
-        """Their derivatives, (P,) to (K, P)."""
+    def linearised(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Weighted differences (..., K) and their derivatives (..., K, P)."""
         model, derivative = self.kernel.derivative(theta, self.frequency_hz)
         if self.part == "phase":
-            ratio = derivative / model
-            return np.vstack([ratio.imag.T, ratio.real.mean(axis=1)])
-        if self.part == "magnitude":
-            return np.asarray((self.weight * np.abs(model) * (derivative / model).real).T)
-        weighted = (self.weight * derivative).T
-        return np.vstack([weighted.real, weighted.imag])
+            ratio = derivative / model[..., None, :]
+            rows = np.concatenate([ratio.imag, ratio.real.mean(axis=-1, keepdims=True)], axis=-1)
+        elif self.part == "magnitude":
+            rows = self.weight * np.abs(model)[..., None, :] * (derivative / model[..., None, :]).real
+        else:
+            weighted = self.weight * derivative
+            rows = np.concatenate([weighted.real, weighted.imag], axis=-1)
+        return self._residual(model), np.ascontiguousarray(np.swapaxes(rows, -1, -2))
+
+    def jacobian(self, theta: np.ndarray) -> np.ndarray:
+        """Derivatives of the weighted differences, (..., P) to (..., K, P)."""
+        return self.linearised(theta)[1]
 
     def minimise(self, start: np.ndarray, evaluations: int = 200) -> tuple[np.ndarray, float, bool]:
         """End point, half the squares, whether it is a minimum."""
@@ -229,12 +240,12 @@ class Curve:
 
 
 def _search(curve: Curve, starts: np.ndarray, n: int) -> np.ndarray:
-    """The n best ends that differ, after a short search on few frequencies."""
-    ends = [curve.minimise(start, 60) for start in starts]
+    """The n best ends that differ."""
+    ends, costs = minimise_many(curve.linearised, starts, _STEPS)
     kept: list[np.ndarray] = []
-    for theta, cost, _ in sorted(ends, key=lambda end: end[1]):
-        if np.isfinite(cost) and all(np.abs(theta - k).max() > 0.1 for k in kept):
-            kept.append(theta)
+    for i in np.argsort(costs):
+        if np.isfinite(costs[i]) and all(np.abs(ends[i] - k).max() > 0.1 for k in kept):
+            kept.append(ends[i])
         if len(kept) == n:
             break
     return np.array(kept or [curve.centre])
