@@ -68,7 +68,7 @@ def distance(poles, true):
 
 def scikit_rf(z, n_real, n_pairs, spacing):
     """The model of scikit-rf, whose warnings of non-passive scattering do not concern an impedance."""
-    skrf = pytest.importorskip("skrf")
+    skrf = pytest.importorskip("skrf", reason="needs scikit-rf, the independent reference: pip install .[oracle]")
     frequency = skrf.Frequency.from_f(FREQUENCY, unit="hz")
     fit = skrf.vectorFitting.VectorFitting(skrf.Network(frequency=frequency, z=z[:, None, None]))
     with warnings.catch_warnings(), threadpool_limits(1, "blas"):

@@ -10,7 +10,8 @@ amplitude, Mean, Median  magnitudes of each person's mean recording fitted by Le
 phase, Mean, Median      the same with phases, which leave the common scale of the elements open: it stays that of the
                          start. Two further rows take it from the magnitudes
 LuT Mean, Median         no model: mean or median over people at every frequency, magnitude and phase apart
-VFMean, VFMedian         vector fitting of these two curves, as many poles as the network has, all of them free
+VFMean, VFMedian         vector fitting of these two curves with weights 1/abs(z), as many poles as the network has, all
+                         of them free
 SIT                      a rational function of the network's orders with its pole at 0, complex least squares without
                          weights as a toolbox does by default
 (not in the paper)       element-wise fits of the complex impedance; the centre of the population network; the
