@@ -155,7 +155,9 @@ def _compare(options: argparse.Namespace) -> int:
     from bayes_impedance.jobs import compare_dataset
 
     with _Bars() as bars:
-        comparison = compare_dataset(options.dataset, options.out, _fit_options(options), options.result, bars)
+        comparison = compare_dataset(
+            options.dataset, options.out, _fit_options(options), options.result, options.resume, bars
+        )
     for problem in comparison.problems:
         _tell(f"NOT RELIABLE (population rows): {problem}")
     _tell(f"\n{len(comparison.observed)} subject(s), network {comparison.network}")

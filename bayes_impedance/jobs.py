@@ -116,7 +116,7 @@ def report_result(out: Path, progress: Progress, dataset: Path | None = None) ->
 
 
 def compare_dataset(
-    dataset: Path, out: Path, options: FitOptions, result: Path | None, progress: Progress
+    dataset: Path, out: Path, options: FitOptions, result: Path | None, resume: bool, progress: Progress
 ) -> MethodComparison:
     """The paper's methods and ours in one table; writes ``comparison.json``, ``comparison.csv`` and the pictures.
 
@@ -129,24 +129,29 @@ def compare_dataset(
         Of the population fit, which is left in ``out/fit``.
     result : Path or None
         Folder of a finished fit of the same recordings, which is taken instead.
+    resume : bool
+        Continue an interrupted fit.
     progress : callable
 
     Raises
     ------
     InputError
-        If the input cannot be used, or the finished fit is of other recordings.
+        If the input cannot be used, or the finished fit is of other recordings or another network.
     """
     from bayes_impedance.recordings import read_recordings
 
     recordings = _selected(read_recordings(dataset), options)
     if result is None:
-        fit = _fit(dataset, out / "fit", options, False, progress)[0]
+        fit = _fit(dataset, out / "fit", options, resume, progress)[0]
     else:
+        from bayes_impedance.network import parse
         from bayes_impedance.result import load_result
 
         fit = load_result(result)
         if fit.attributes["data_sha256"] != recordings.sha256:
             raise InputError(f"{result}: is a fit of other recordings than {dataset}; name the right folder or none")
+        if options.network is not None and str(parse(options.network)) != fit.attributes["network"]:
+            raise InputError(f"{result}: is a fit of the network {fit.attributes['network']}; leave out --network")
 
     from bayes_impedance.classical import compare_methods
     from bayes_impedance.plots import write_comparison

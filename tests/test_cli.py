@@ -99,14 +99,17 @@ def test_compare_fits_by_itself(dataset: Path, tmp_path: Path) -> None:
     assert (tmp_path / "fit" / "summary.json").is_file()
 
 
-def test_compare_refuses_a_fit_of_other_recordings(
-    finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_compare_refuses_a_fit_of_other_recordings_or_another_network(
+    dataset: Path, finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     other = simulate_recordings(SMALL, 12, 1, np.geomspace(5, 5000, 30), seed=3).recordings
     write_recordings(other, tmp_path / "other", significant_digits=6)
     arguments = ["compare", str(tmp_path / "other"), "-o", str(tmp_path / "out"), "--result", str(finished)]
     assert main(arguments) == 2
     assert "fit of other recordings" in capsys.readouterr().err
+    arguments = ["compare", str(dataset), "-o", str(tmp_path / "out"), "--result", str(finished), "--network", "m1|r1"]
+    assert main(arguments) == 2
+    assert "leave out --network" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

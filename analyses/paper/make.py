@@ -20,7 +20,7 @@ OUT = Path(__file__).parent / "results"
 def main() -> None:
     dataset = Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "data" / "fingertip_71"
     started = time.perf_counter()
-    comparison = compare_dataset(dataset, OUT, FitOptions(quick=True), None, lambda *_: None)
+    comparison = compare_dataset(dataset, OUT, FitOptions(quick=True), None, False, lambda *_: None)
     table = comparison.method("lookup_median").errors.summary()
     print(f"{'':34}{'the paper':20}{'|z|':>16}{'phase (deg)':>16}{'over the table (%)':>22}")
     for method in comparison.methods:
