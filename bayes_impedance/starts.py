@@ -121,7 +121,7 @@ def first_fits(
     common = int(np.argmin(np.minimum(regret, 50).sum(axis=0)))  # capped: one odd person must not decide
     own = np.where(regret[:, common] < 8, common, np.argmin(regret, axis=1))
     start = ends[np.arange(len(subjects)), own]
-    alternatives = np.array([_best_distinct(e, o, _KEPT) for e, o in zip(ends, objectives, strict=True)])
+    alternatives = np.array([best_distinct(e, o, _KEPT) for e, o in zip(ends, objectives, strict=True)])
 
     def provisional(person: int) -> np.ndarray:
         likelihood = _averaged(subjects[person], n_elements, slice(None))
@@ -159,7 +159,7 @@ def search_modes(kernel: Kernel, likelihood: Likelihood, starts: np.ndarray, pri
     ends, objectives, _ = all_modes(kernel, likelihood, starts, prior.centre, precision, _FIRST_STEPS)
     followed = np.argsort(objectives)[: max(_FOLLOWED, 2 * n)]
     ends, objectives, _ = all_modes(kernel, likelihood, ends[followed], prior.centre, precision, 40)
-    return _best_distinct(ends, objectives, n)
+    return best_distinct(ends, objectives, n)
 
 
 def _common_solutions(ends: np.ndarray, regret: np.ndarray) -> np.ndarray:
@@ -182,12 +182,15 @@ def _averaged(subject: Subject, n_elements: int, points: slice | np.ndarray) -> 
 
 
 def _thinned(subject: Subject, n_elements: int) -> Likelihood:
-    n = subject.frequency_hz.size
-    points = np.unique(np.linspace(0, n - 1, min(n, _THINNED_POINTS)).round().astype(int))
-    return _averaged(subject, n_elements, points)
+    return _averaged(subject, n_elements, thinned_points(subject.frequency_hz.size))
 
 
-def _best_distinct(ends: np.ndarray, objectives: np.ndarray, n: int) -> np.ndarray:
+def thinned_points(n: int) -> np.ndarray:
+    """Evenly spread indices of n frequencies, few enough for a search from many starts."""
+    return np.unique(np.linspace(0, n - 1, min(n, _THINNED_POINTS)).round().astype(int))
+
+
+def best_distinct(ends: np.ndarray, objectives: np.ndarray, n: int) -> np.ndarray:
     """The n best end points that differ by more than rounding; the best one is repeated if there are fewer."""
     kept: list[np.ndarray] = []
     for i in np.argsort(objectives):

@@ -35,7 +35,7 @@ from bayes_impedance.kernel import Kernel
 from bayes_impedance.metrics import wrapped_deg
 from bayes_impedance.network import Network
 from bayes_impedance.recordings import Recordings, Subject
-from bayes_impedance.starts import default_prior
+from bayes_impedance.starts import best_distinct, default_prior, thinned_points
 
 PARTS = ("magnitude", "phase", "complex")
 
@@ -43,7 +43,6 @@ _RANDOM_STARTS = 64
 _START_SPREAD = 2.0
 RUNAWAY = float(np.log(1e6))
 """Log elements are stopped this far from where the element would matter in the band."""
-_THINNED_POINTS = 64
 _SEARCHED = 6
 _KEPT = 3
 _STEPS = 40
@@ -122,7 +121,7 @@ def fit_elements(
         return Curve(kernel, subject.frequency_hz[points], z, part, weight, centre)
 
     full = [curve(s, slice(None)) for s in recordings.subjects]
-    thinned = [curve(s, _thinned(s.frequency_hz.size)) for s in recordings.subjects]
+    thinned = [curve(s, thinned_points(s.frequency_hz.size)) for s in recordings.subjects]
     spread = np.random.default_rng(seed).normal(0, _START_SPREAD, (_RANDOM_STARTS, centre.size))
     searched = np.unique(np.linspace(0, len(full) - 1, _SEARCHED).round().astype(int))
     candidates = np.vstack([_search(thinned[i], np.vstack([centre, centre + spread]), _KEPT) for i in searched])
@@ -240,16 +239,6 @@ class Curve:
 
 
 def _search(curve: Curve, starts: np.ndarray, n: int) -> np.ndarray:
-    """The n best ends that differ."""
+    """The n best ends that differ, the best repeated if there are fewer."""
     ends, costs = minimise_many(curve.linearised, starts, _STEPS)
-    kept: list[np.ndarray] = []
-    for i in np.argsort(costs):
-        if np.isfinite(costs[i]) and all(np.abs(ends[i] - k).max() > 0.1 for k in kept):
-            kept.append(ends[i])
-        if len(kept) == n:
-            break
-    return np.array(kept or [curve.centre])
-
-
-def _thinned(n: int) -> np.ndarray:
-    return np.unique(np.linspace(0, n - 1, min(n, _THINNED_POINTS)).round().astype(int))
+    return best_distinct(ends, costs, n)

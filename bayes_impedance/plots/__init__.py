@@ -19,7 +19,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayes_impedance.classical import MethodComparison
 from bayes_impedance.plots.access import identified, subjects, variable
 from bayes_impedance.plots.comparison import COMPARISON_PICTURES
 from bayes_impedance.plots.joint import corner_central, corner_dispersion
@@ -31,6 +30,8 @@ from bayes_impedance.result import Result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from bayes_impedance.classical import MethodComparison
 
 __all__ = [
     "PICTURES",

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from bayes_impedance.classical.methods import MethodComparison
 from bayes_impedance.plots.paper import all_curves, bode, error_bars
 from bayes_impedance.plots.style import new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from bayes_impedance.classical.methods import MethodComparison
 
 BODE_METHODS = ("sit", "vector_fitting_mean", "vector_fitting_median", "population_network")
 """What fig. 5 shows: the paper's models, and the network that it could not give."""
