@@ -2,13 +2,14 @@
 
 The public names, in the order of a session::
 
-    from bayes_impedance import fit_population, make_result, parse, predict, read_recordings, save_result
+    from bayes_impedance import diagnose, fit_population, make_result, predict, read_recordings, save_result
 
     recordings = read_recordings("data/fingertip_71")
     fit = fit_population(recordings, "(n3|r3)-(m2|r1|n1|(m1-(n2|r2)))", seed=1)
     fit.diagnostics.problems                       # look here first
     predictive = predict(fit)
     save_result(make_result(fit, predictive, fit.seconds), "out")
+    diagnose(recordings).verdict["summary"]        # what the network leaves out
 
 Names are imported when they are first used, so that ``import bayes_impedance`` costs nothing.
 """
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from bayes_impedance.classical import compare_methods, identify, map_to_network, vector_fit
     from bayes_impedance.errors import InputError
     from bayes_impedance.kernel import Kernel
+    from bayes_impedance.mismatch import Diagnosis, diagnose
     from bayes_impedance.network import PAPER_NETWORK, Element, Network, parse
     from bayes_impedance.population import FitSettings, PopulationFit, fit_population
     from bayes_impedance.predictive import Predictive, predict
@@ -47,6 +49,8 @@ _MODULES = {
     "FitSettings": "population",
     "PopulationFit": "population",
     "fit_population": "population",
+    "Diagnosis": "mismatch",
+    "diagnose": "mismatch",
     "Predictive": "predictive",
     "predict": "predictive",
     "Recordings": "recordings",
@@ -66,6 +70,7 @@ _MODULES = {
 __all__ = [
     "FINGERTIP",
     "PAPER_NETWORK",
+    "Diagnosis",
     "Element",
     "FitSettings",
     "InputError",
@@ -80,6 +85,7 @@ __all__ = [
     "check_recordings",
     "compare_methods",
     "describe",
+    "diagnose",
     "fit_population",
     "identify",
     "load_result",

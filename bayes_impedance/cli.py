@@ -72,6 +72,11 @@ def _parser() -> argparse.ArgumentParser:
     compare.add_argument("--full", dest="quick", action="store_false", help="as many draws as 'run'; default: --quick")
     compare.set_defaults(job=_compare, quick=True)
 
+    diagnose = commands.add_parser("diagnose", help="what the network leaves out: verdict.json and a report")
+    _dataset(diagnose)
+    _diagnose_arguments(diagnose)
+    diagnose.set_defaults(job=_diagnose)
+
     report = commands.add_parser("report", help="pictures and report of a finished fit")
     report.add_argument("out", type=Path, metavar="OUT", help="folder that 'run' or 'fit' has written")
     report.add_argument("--dataset", type=Path, help="the recordings, to list what is odd about them")
@@ -105,6 +110,21 @@ def _fit_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=_seed, default=1, help="default: 1; the same seed gives the same result")
     parser.add_argument("--quick", action="store_true", help="fewer draws: a first look")
     parser.add_argument("--resume", action="store_true", help="continue a fit that was interrupted")
+    parser.add_argument("--workers", type=_count, default=2, metavar="N", help="threads (default: 2)")
+
+
+def _diagnose_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("-o", "--out", type=Path, default=Path("out"), help="folder for the results (default: out)")
+    parser.add_argument("--network", help="the network as claimed; default: the one in dataset.toml")
+    parser.add_argument(
+        "--simulation", type=Path, metavar="DATASET", help="simulated population that claims to describe the recordings"
+    )
+    parser.add_argument(
+        "--covariance", choices=("full", "diagonal"), default="full", help="claim about people; default: full"
+    )
+    parser.add_argument("--subject", action="append", default=[], metavar="NAME", help="use only this one; repeatable")
+    parser.add_argument("--seed", type=_seed, default=1, help="default: 1; the same seed gives the same verdict")
+    parser.add_argument("--quick", action="store_true", help="without held-out frequencies and without proposals")
     parser.add_argument("--workers", type=_count, default=2, metavar="N", help="threads (default: 2)")
 
 
@@ -178,6 +198,36 @@ def _compare(options: argparse.Namespace) -> int:
         _tell(f"frequencies at which chi-square at 5 % finds impedances normal: {told} (95 % if all are)")
     _tell(f"\ntable: {options.out / 'comparison.json'}, .csv, .png")
     return FAILED if comparison.problems else DONE
+
+
+def _diagnose(options: argparse.Namespace) -> int:
+    from bayes_impedance.jobs import FitOptions, diagnose_dataset
+
+    chosen = FitOptions(
+        options.network,
+        options.covariance,
+        subjects=tuple(options.subject),
+        seed=options.seed,
+        quick=options.quick,
+        workers=options.workers,
+    )
+    with _Bars() as bars:
+        diagnosis = diagnose_dataset(options.dataset, options.out, chosen, options.simulation, bars)
+    verdict = diagnosis.verdict
+    for remark in verdict["remarks"]:
+        _tell(f"note: {remark}")
+    if not verdict["reliable"]:
+        _tell("NOT RELIABLE: the fit did not come to rest")
+    _tell(f"\n{verdict['summary']}\n")
+    for entry in verdict["physics"]:
+        _tell(f"{entry['id']} at {entry['place']} ({entry['side'] or 'rig or body not decided'}): {entry['name']}")
+        for name, row in entry["parameters"].items():
+            values = " to ".join(f"{row[k]:.4g}" for k in ("q05", "q95"))
+            _tell(f"    {name:16} {row['median']:.4g} ({values}) {row['unit']}")
+        for alias in [a for a in entry["aliases"] if not a["separated"]][:3]:
+            _tell(f"    not told from    {alias['id']} at {alias['place']}; would separate: {alias['would_separate']}")
+    _tell(f"\nreport: {options.out / 'report.html'}, verdict: {options.out / 'verdict.json'}")
+    return DONE if verdict["reliable"] else FAILED
 
 
 def _report(options: argparse.Namespace) -> int:

@@ -8,6 +8,7 @@ arguments, and gives the same numbers as one that was not interrupted.
 from __future__ import annotations
 
 import json
+import math
 import shutil
 import time
 from collections.abc import Sequence
@@ -21,6 +22,7 @@ from bayes_impedance.errors import InputError
 if TYPE_CHECKING:
     from bayes_impedance.check import Finding
     from bayes_impedance.classical import MethodComparison
+    from bayes_impedance.mismatch import Diagnosis
     from bayes_impedance.population import FitSettings
     from bayes_impedance.recordings import Recordings
     from bayes_impedance.result import Result
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
     from bayes_impedance.starts import Progress
 
 CHECKPOINT_FOLDER, PICTURE_FOLDER, TRUTH_FILE = "checkpoint", "pictures", "truth.json"
+VERDICT_FILE = "verdict.json"
 
 
 @dataclass(frozen=True)
@@ -164,6 +167,62 @@ def compare_dataset(
     _write_text(out / "comparison.csv", comparison.csv())
     write_comparison(comparison, out)
     return comparison
+
+
+def diagnose_dataset(
+    dataset: Path,
+    out: Path,
+    options: FitOptions,
+    simulation: Path | None,
+    progress: Progress,
+) -> Diagnosis:
+    """What the network leaves out; writes ``verdict.json``, the report and its pictures.
+
+    Parameters
+    ----------
+    dataset : Path
+    out : Path
+        Folder for the results.
+    options : FitOptions
+        Network, subjects, seed and workers; the diagnosis has no shorter form.
+    simulation : Path or None
+        Dataset of a simulated population that claims to describe the recordings.
+    progress : callable
+
+    Raises
+    ------
+    InputError
+        If the input cannot be used.
+    """
+    from bayes_impedance.recordings import read_recordings
+
+    recordings = _selected(read_recordings(dataset), options)
+    claimed = None if simulation is None else read_recordings(simulation)
+    if claimed is not None and claimed.unit != recordings.unit:
+        raise InputError(
+            f"{simulation}: unit is {claimed.unit}, of {dataset} {recordings.unit}; compare like with like"
+        )
+
+    from bayes_impedance.mismatch import diagnose
+    from bayes_impedance.report.diagnosis import write_diagnosis_report
+
+    network = options.network if options.network is not None or claimed is None else recordings.network
+    diagnosis = diagnose(
+        recordings,
+        network or (claimed.network if claimed is not None else None),
+        simulation=claimed,
+        diagonal=options.covariance == "diagonal",
+        quick=options.quick,
+        seed=options.seed,
+        workers=options.workers,
+        progress=progress,
+    )
+    out.mkdir(parents=True, exist_ok=True)
+    progress("pictures and report", 0, 1)
+    write_diagnosis_report(diagnosis, out)
+    _write_text(out / VERDICT_FILE, json.dumps(_plain(diagnosis.verdict), indent=2, allow_nan=False) + "\n")
+    progress("pictures and report", 1, 1)
+    return diagnosis
 
 
 def check_dataset(dataset: Path) -> tuple[dict[str, Any], tuple[str, ...], tuple[Finding, ...]]:
@@ -314,6 +373,17 @@ def _write_pages(result: Result, out: Path, findings: Sequence[Finding], progres
     progress("pictures and report", 1, 2)
     write_report(result, out, findings, pictures)
     progress("pictures and report", 2, 2)
+
+
+def _plain(value: Any) -> Any:
+    """Nested data with numbers that JSON knows: what is not finite becomes null."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value
 
 
 def _write_text(file: Path, text: str) -> None:

@@ -17,13 +17,18 @@ The derivative runs the same program backwards. With :math:`w = 1/v` the adjoint
 
 and a leaf's derivative with respect to its logarithm is :math:`\pm\bar v\, c\,(j\omega)^p`: nothing is divided twice.
 
-The program is data (small integer arrays), so one compiled function serves every network; it is compiled once per
+An :mod:`operation <bayes_impedance.operations>` at a place is a node of its own: its sum is the impedance z of the
+place, its output T(z), and backwards :math:`\\bar z = T'(z)\\,\\bar T`.
+
+The program is data (small arrays), so one compiled function serves every network; it is compiled once per
 machine and cached. Real and imaginary parts live in separate contiguous arrays over frequency, which is the layout
 that compilers vectorise.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,6 +38,7 @@ from numba import njit
 from bayes_impedance.elements import kind_of
 from bayes_impedance.errors import InputError
 from bayes_impedance.network import Element, Network, Series
+from bayes_impedance.operations import N_PARAMETERS, Operation, transform
 
 
 class Program(NamedTuple):
@@ -44,6 +50,11 @@ class Program(NamedTuple):
         For each leaf: the node it is summed in, the element it is, and c = exp(exponent * theta), p in that domain.
     node_parent, node_invert : ndarray of int, shape (N,)
         For each node, parts before parents: where its sum goes (-1 for the port), and whether it is inverted first.
+    node_code : ndarray of int, shape (N,)
+        Operation on the node's sum; 0 for none.
+    node_parameter : ndarray of int, shape (N, 3)
+        Its parameters' positions in theta; -1 for none.
+    node_constant : ndarray of float, shape (N, 3)
     """
 
     term_node: np.ndarray
@@ -52,39 +63,82 @@ class Program(NamedTuple):
     term_power: np.ndarray
     node_parent: np.ndarray
     node_invert: np.ndarray
+    node_code: np.ndarray
+    node_parameter: np.ndarray
+    node_constant: np.ndarray
 
 
-def compile_network(network: Network) -> Program:
+def compile_network(network: Network, operations: Sequence[Operation] = ()) -> Program:
     """Translate a network into a program for the compiled functions.
 
     Parameters
     ----------
     network : Network
         Elements are numbered in the order of ``network.elements``.
+    operations : sequence of Operation
+        Those at one place are applied in this order; their parameters are numbered after the elements.
     """
-    index = {name: i for i, name in enumerate(network.elements)}
+    index = {name: i for i, name in enumerate(parameter_names(network, operations))}
     terms: list[tuple[int, int, int, int]] = []
-    nodes: list[tuple[int, bool]] = []
+    nodes: list[_Node] = []
 
-    def visit(node: Network, parent_is_mobility: bool) -> int:
+    def visit(node: Network, path: tuple[int, ...], parent_is_mobility: bool) -> int:
         """Append the nodes below and then this one; the parent's number is filled in by the caller."""
+        here = [operation for operation in operations if operation.path == path]
         mobility = isinstance(node, Series)
-        leaves = [node] if isinstance(node, Element) else [p for p in node.parts if isinstance(p, Element)]
-        groups = [part for part in node.parts if not isinstance(part, Element)]
-        children = [visit(part, mobility) for part in groups]
+        parts = list(enumerate(node.parts))
+        plain = {
+            i for i, part in parts if isinstance(part, Element) and not any(o.path == (*path, i) for o in operations)
+        }
+        leaves = [node] if isinstance(node, Element) else [part for i, part in parts if i in plain]
+        children = [visit(part, (*path, i), mobility) for i, part in parts if i not in plain]
         number = len(nodes)
-        nodes.append((-1, mobility != parent_is_mobility))
+        nodes.append(_Node(invert=mobility != (parent_is_mobility and not here)))
         for child in children:
-            nodes[child] = (number, nodes[child][1])
+            nodes[child].parent = number
         for leaf in leaves:
+            assert isinstance(leaf, Element)  # by how they were chosen
             kind, sign = kind_of(leaf.name), -1 if mobility else 1
             terms.append((number, index[leaf.name], sign * kind.exponent, sign * kind.power))
-        return number
+        for i, operation in enumerate(here):
+            nodes[-1].parent = len(nodes)
+            last = i == len(here) - 1
+            parameters = [index[name] for name in operation.parameters]
+            nodes.append(_Node(parent_is_mobility and last, operation.code, parameters, list(operation.constants)))
+        return len(nodes) - 1
 
-    visit(network, False)
+    visit(network, (), False)
     columns = np.array(terms, dtype=np.int64).T
-    parent, invert = np.array(nodes, dtype=np.int64).T
-    return Program(*(np.ascontiguousarray(column) for column in (*columns, parent, invert)))
+    padded = [(n.parameters + [-1] * N_PARAMETERS)[:N_PARAMETERS] for n in nodes]
+    constants = [(n.constants + [0.0] * N_PARAMETERS)[:N_PARAMETERS] for n in nodes]
+    node, element, exponent, power = (np.ascontiguousarray(column) for column in columns)
+    return Program(
+        node,
+        element,
+        exponent,
+        power,
+        np.array([n.parent for n in nodes], dtype=np.int64),
+        np.array([n.invert for n in nodes], dtype=np.int64),
+        np.array([n.code for n in nodes], dtype=np.int64),
+        np.array(padded, dtype=np.int64),
+        np.array(constants, dtype=float),
+    )
+
+
+def parameter_names(network: Network, operations: Sequence[Operation]) -> tuple[str, ...]:
+    """Names of all parameters: the elements, then those of the operations."""
+    return network.elements + tuple(name for operation in operations for name in operation.parameters)
+
+
+@dataclass
+class _Node:
+    """A node while the program is written."""
+
+    invert: bool
+    code: int = 0
+    parameters: list[int] = field(default_factory=list)
+    constants: list[float] = field(default_factory=list)
+    parent: int = -1
 
 
 compiled: Any = njit(cache=True, nogil=True, error_model="numpy")
@@ -113,7 +167,16 @@ def forward(program: Program, theta: np.ndarray, omega: np.ndarray, sums: np.nda
     for node in range(n_nodes):
         real, imag = sums[node, 0], sums[node, 1]
         out_real, out_imag = outputs[node, 0], outputs[node, 1]
-        if program.node_invert[node] == 1:
+        if program.node_code[node] > 0:
+            u, c = _parameters(program, node, theta), program.node_constant[node]
+            for f in range(n_frequencies):
+                z = complex(real[f], imag[f])
+                out = transform(program.node_code[node], u[0], u[1], u[2], c[0], c[1], c[2], omega[f], z)[0]
+                if program.node_invert[node] == 1:
+                    out = 1.0 / out
+                out_real[f] = out.real
+                out_imag[f] = out.imag
+        elif program.node_invert[node] == 1:
             for f in range(n_frequencies):
                 scale = 1.0 / (real[f] * real[f] + imag[f] * imag[f])
                 out_real[f] = real[f] * scale
@@ -131,10 +194,23 @@ def forward(program: Program, theta: np.ndarray, omega: np.ndarray, sums: np.nda
 
 
 @compiled
+def _parameters(program: Program, node: int, theta: np.ndarray) -> tuple[float, float, float]:
+    u0, u1, u2 = 0.0, 0.0, 0.0
+    if program.node_parameter[node, 0] >= 0:
+        u0 = theta[program.node_parameter[node, 0]]
+    if program.node_parameter[node, 1] >= 0:
+        u1 = theta[program.node_parameter[node, 1]]
+    if program.node_parameter[node, 2] >= 0:
+        u2 = theta[program.node_parameter[node, 2]]
+    return u0, u1, u2
+
+
+@compiled
 def backward(
     program: Program,
     theta: np.ndarray,
     omega: np.ndarray,
+    sums: np.ndarray,
     outputs: np.ndarray,
     adjoints: np.ndarray,
     derivative: np.ndarray,
@@ -161,6 +237,20 @@ def backward(
                 a, b = real[f], imag[f]
                 real[f] = a * square_real - b * square_imag
                 imag[f] = a * square_imag + b * square_real
+        if program.node_code[node] > 0:
+            u, c = _parameters(program, node, theta), program.node_constant[node]
+            for f in range(n_frequencies):
+                z, bar = complex(sums[node, 0, f], sums[node, 1, f]), complex(real[f], imag[f])
+                t = transform(program.node_code[node], u[0], u[1], u[2], c[0], c[1], c[2], omega[f], z)
+                for k in range(3):
+                    p = program.node_parameter[node, k]
+                    if p >= 0:
+                        slope = bar * (t[2] if k == 0 else t[3] if k == 1 else t[4])
+                        derivative[p, 0, f] = slope.real
+                        derivative[p, 1, f] = slope.imag
+                bar = bar * t[1]
+                real[f] = bar.real
+                imag[f] = bar.imag
     for t in range(program.term_node.size):
         element = program.term_element[t]
         exponent = program.term_exponent[t]
@@ -207,7 +297,7 @@ def _derivative(program: Program, theta: np.ndarray, omega: np.ndarray) -> tuple
     dz = np.empty((n_sets, n_elements, omega.size), dtype=np.complex128)
     for i in range(n_sets):
         forward(program, theta[i], omega, sums, outputs)
-        backward(program, theta[i], omega, outputs, adjoints, one)
+        backward(program, theta[i], omega, sums, outputs, adjoints, one)
         for f in range(omega.size):
             z[i, f] = complex(outputs[n_nodes - 1, 0, f], outputs[n_nodes - 1, 1, f])
         for p in range(n_elements):
@@ -223,20 +313,23 @@ class Kernel:
     ----------
     network : Network
         Any network of masses, compliances and dampers.
+    operations : sequence of Operation
+        What else happens to the impedance at its places.
 
     Attributes
     ----------
     network : Network
     elements : tuple of str
-        The order of elements in every array, P of them.
+        The order of elements in every array, P of them; parameters of the operations come after the elements.
     program : Program
         What the compiled functions take.
     """
 
-    def __init__(self, network: Network) -> None:
+    def __init__(self, network: Network, operations: Sequence[Operation] = ()) -> None:
         self.network = network
-        self.elements = network.elements
-        self.program = compile_network(network)
+        self.operations = tuple(operations)
+        self.elements = parameter_names(network, operations)
+        self.program = compile_network(network, operations)
 
     def impedance(self, log_elements: npt.ArrayLike, frequency_hz: npt.ArrayLike) -> np.ndarray:
         """Impedance of many parameter sets.

@@ -148,9 +148,10 @@ def normal_equations(
     n_nodes, n_elements = program.node_parent.size, theta.size
     sums = np.empty((n_nodes, 2, omega.size))
     outputs = np.empty((n_nodes, 2, omega.size))
+    adjoints = np.empty((n_nodes, 2, omega.size))
     derivative = np.empty((n_elements, 2, omega.size))
     forward(program, theta, omega, sums, outputs)
-    backward(program, theta, omega, outputs, sums, derivative)  # the sums are not needed any more
+    backward(program, theta, omega, sums, outputs, adjoints, derivative)
     residual = outputs[n_nodes - 1]
     for f in range(omega.size):
         residual[0, f] -= z[0, f]

@@ -173,11 +173,11 @@ def fit_population(
 
     settings = settings or FitSettings()
     settings = replace(settings, sampler=replace(settings.sampler, workers=workers))
-    kernel = Kernel(_network(recordings, network))
+    kernel = Kernel(network_of(recordings, network))
     if too_few_for_correlations(len(recordings.subjects), len(kernel.elements)):
         settings = replace(settings, covariance="diagonal")
     covariates = _standardised(recordings, settings.covariates)
-    _enough_points(recordings, kernel)
+    require_enough_points(recordings, kernel)
     prior = default_prior(kernel.elements, recordings)
     seeds = np.random.SeedSequence(seed).spawn(5)
     clock = _Clock()
@@ -186,7 +186,7 @@ def fit_population(
     with threadpool_limits(1), ThreadPoolExecutor(workers) as executor:
         with clock.measure("modes"):
             first = first_fits(kernel, recordings, prior, seeds[0], executor, progress)
-            likelihoods = _likelihoods(recordings, first, len(kernel.elements))
+            likelihoods = initial_likelihoods(recordings, first, len(kernel.elements))
             point = estimate(
                 kernel,
                 likelihoods,
@@ -331,7 +331,8 @@ def too_few_for_correlations(n_persons: int, n_elements: int) -> bool:
     return n_persons < n_elements + 2
 
 
-def _network(recordings: Recordings, network: Network | str | None) -> Network:
+def network_of(recordings: Recordings, network: Network | str | None) -> Network:
+    """The network asked for, or the dataset's own."""
     given = network if network is not None else recordings.network
     if given is None:
         raise InputError('no network: name one with --network, or write network = "..." into dataset.toml')
@@ -352,7 +353,8 @@ def _standardised(recordings: Recordings, names: tuple[str, ...]) -> np.ndarray:
     return np.array(columns).T if columns else np.zeros((len(recordings.subjects), 0))
 
 
-def _enough_points(recordings: Recordings, kernel: Kernel) -> None:
+def require_enough_points(recordings: Recordings, kernel: Kernel) -> None:
+    """Refuse people with fewer numbers than elements."""
     for subject in recordings.subjects:
         if 2 * subject.frequency_hz.size <= len(kernel.elements):
             raise InputError(
@@ -361,7 +363,8 @@ def _enough_points(recordings: Recordings, kernel: Kernel) -> None:
             )
 
 
-def _likelihoods(recordings: Recordings, first: FirstFits, n_elements: int) -> tuple[Likelihood, ...]:
+def initial_likelihoods(recordings: Recordings, first: FirstFits, n_elements: int) -> tuple[Likelihood, ...]:
+    """Everybody's likelihood with the noise of the first fits, and no deviations between repetitions yet."""
     return tuple(
         Likelihood.make(s.frequency_hz, s.z, noise, np.zeros((len(s.repetitions), n_elements)))
         for s, noise in zip(recordings.subjects, first.noise, strict=True)

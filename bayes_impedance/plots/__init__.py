@@ -14,13 +14,15 @@ picture is drawn.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bayes_impedance.errors import InputError
 from bayes_impedance.plots.access import identified, subjects, variable
 from bayes_impedance.plots.comparison import COMPARISON_PICTURES
+from bayes_impedance.plots.diagnosis import DIAGNOSIS_PICTURES
 from bayes_impedance.plots.joint import corner_central, corner_dispersion
 from bayes_impedance.plots.paper import all_curves, bode, error_bars
 from bayes_impedance.plots.parameters import correlation, forest, overview, priors, traces
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from bayes_impedance.classical import MethodComparison
+    from bayes_impedance.mismatch.diagnosis import Diagnosis
 
 __all__ = [
     "PICTURES",
@@ -55,9 +58,16 @@ __all__ = [
     "style",
     "traces",
     "write_comparison",
+    "write_diagnosis_pictures",
     "write_pictures",
 ]
 
+_METADATA: dict[str, dict[str, Any]] = {
+    "svg": {"Date": None, "Creator": None},
+    "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
+    "png": {"Software": None},
+}
+"""What each kind of file says about its making: nothing that changes from run to run."""
 _DPI = 130
 _WIDTH = 8.2
 """Inches: about the width of a page, so that letters on the screen are as large as its text."""
@@ -183,8 +193,35 @@ def write_comparison(comparison: MethodComparison, folder: Path) -> dict[str, Pa
         return {name: save_figure(draw(comparison), folder, name) for name, draw in COMPARISON_PICTURES.items()}
 
 
-def save_figure(figure: Figure, folder: Path, name: str) -> Path:
-    """Write a figure as PNG and as SVG; the same figure gives the same bytes.
+def write_diagnosis_pictures(
+    diagnosis: Diagnosis, folder: Path, formats: Sequence[str] = ("svg", "png")
+) -> dict[str, Path]:
+    """Write every picture of a diagnosis that applies.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+    folder : Path
+        Made if it does not exist.
+    formats : sequence of str
+        Of ``png``, ``svg`` and ``pdf``.
+
+    Returns
+    -------
+    dict of str to Path
+        Name of the picture to its PNG file, or to that of the last format if there is no PNG.
+    """
+    written = {}
+    with style():
+        for name, draw in DIAGNOSIS_PICTURES.items():
+            figure = draw(diagnosis)
+            if figure is not None:
+                written[name] = save_figure(figure, folder, name, formats)
+    return written
+
+
+def save_figure(figure: Figure, folder: Path, name: str, formats: Sequence[str] = ("svg", "png")) -> Path:
+    """Write a figure, as PNG and as SVG if nothing else is asked for; the same figure gives the same bytes.
 
     Parameters
     ----------
@@ -194,17 +231,29 @@ def save_figure(figure: Figure, folder: Path, name: str) -> Path:
         Made if it does not exist.
     name : str
         Of the files, without a suffix.
+    formats : sequence of str
+        Of ``png``, ``svg`` and ``pdf``.
 
     Returns
     -------
     Path
-        The PNG file; the SVG is beside it.
+        The PNG file, or that of the last format if there is no PNG; the others are beside it.
+
+    Raises
+    ------
+    InputError
+        If there is no format, or one that is not known.
     """
+    unknown = sorted(set(formats) - set(_METADATA))
+    if unknown or not formats:
+        raise InputError(
+            f"pictures cannot be written as {', '.join(unknown) or 'nothing'}: choose from png, svg and pdf"
+        )
     folder.mkdir(parents=True, exist_ok=True)
     with style():  # the names of an SVG's parts come from a setting
         _arrange(figure)
-        _save(figure, folder / f"{name}.svg", {"Date": None, "Creator": None})
-        return _save(figure, folder / f"{name}.png", {"Software": None})
+        files = [_save(figure, folder / f"{name}.{kind}", _METADATA[kind]) for kind in formats]
+    return files[list(formats).index("png")] if "png" in formats else files[-1]
 
 
 def _arrange(figure: Figure) -> None:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from html import escape
 
 from bayes_impedance.elements import kind_of
-from bayes_impedance.network import Element, Network, Parallel
+from bayes_impedance.network import Element, Network, Parallel, Place
 
 _WIDTH, _ABOVE, _BELOW = 112.0, 34.0, 36.0
 """Of an element, in pixels: the name stands above its symbol and the value below."""
@@ -32,7 +32,12 @@ _STYLE = (
     ".n{font-size:16px;font-weight:600}.v{font-size:13px;fill:#0b5a8f}.l{font-size:13px;fill:#5b6b78;font-style:italic}"
     ".p{font-size:13px;fill:#444}"
 )
+_MARKED = (  # stands in the drawing only if something is marked
+    ".k{stroke:#c77700;stroke-width:2;fill:#f6a623;fill-opacity:.16}.kb{fill:#c77700}"
+    ".kt{font-size:13px;font-weight:700;fill:#fff}"
+)
 
+Path = tuple[int, ...]
 Paint = Callable[[float, float, float], list[str]]
 
 
@@ -57,7 +62,13 @@ class _Block:
     open_right: bool = False
 
 
-def schematic(network: Network, values: Mapping[str, str] | None = None, *, electrical: bool = False) -> str:
+def schematic(
+    network: Network,
+    values: Mapping[str, str] | None = None,
+    *,
+    electrical: bool = False,
+    mark: Place | Path | Mapping[Path, str] | None = None,
+) -> str:
     """Draw a network.
 
     Parameters
@@ -67,13 +78,17 @@ def schematic(network: Network, values: Mapping[str, str] | None = None, *, elec
         Text below an element, for instance its central value.
     electrical : bool
         Draw coils, capacitors and resistors, by the analogy of force and voltage.
+    mark : Place, path, or mapping of path to str, optional
+        Put a box around what stands there, with a short text on it if there is one. The port (the empty path) is
+        marked at its end of the drawing. A place is given as such or by its path.
 
     Returns
     -------
     str
         An ``<svg>`` element for an HTML page. Each element is a group with the attribute ``data-element``.
     """
-    block = _build(network, values or {}, electrical)
+    marks = _marks(mark)
+    block = _build(network, values or {}, electrical, {path: text for path, text in marks.items() if path})
     margin, port = 12.0, 62.0
     end = 26.0 if not electrical else 62.0
     height = block.above + block.below + 2 * margin
@@ -82,6 +97,8 @@ def schematic(network: Network, values: Mapping[str, str] | None = None, *, elec
     x = margin + port
     parts = block.paint(x, y, block.width)
     parts += _port(margin + 8, x, y, "V, i" if electrical else "F, v")
+    if () in marks:
+        parts += _highlight(margin - 3, y - 38, port - 5, 54, marks[()])
     right = x + block.width
     parts += (
         _terminal(right, right + end - 8, y) if electrical else _ground(right, right + end - 8, y, block.open_right)
@@ -89,23 +106,34 @@ def schematic(network: Network, values: Mapping[str, str] | None = None, *, elec
     return (
         f'<svg class="schematic" role="img" aria-label="Drawing of the network {escape(str(network), quote=True)}" '
         f'viewBox="0 0 {width:.0f} {height:.0f}" width="{width:.0f}" height="{height:.0f}">'
-        f"<style>{_STYLE}</style>{''.join(parts)}</svg>"
+        f"<style>{_STYLE}{_MARKED if marks else ''}</style>{''.join(parts)}</svg>"
     )
 
 
-def _build(node: Network, values: Mapping[str, str], electrical: bool) -> _Block:
+def _marks(mark: Place | Path | Mapping[Path, str] | None) -> dict[Path, str]:
+    if mark is None:
+        return {}
+    if isinstance(mark, Place):
+        return {mark.path: ""}
+    return dict(mark) if isinstance(mark, Mapping) else {tuple(mark): ""}
+
+
+def _build(
+    node: Network, values: Mapping[str, str], electrical: bool, marks: Mapping[Path, str], path: Path = ()
+) -> _Block:
     if isinstance(node, Element):
         block = _element(node.name, values.get(node.name, ""), electrical)
     else:
-        parts = list(node.parts)
+        parts = list(enumerate(node.parts))
         chained = isinstance(node, Parallel) == electrical
         if chained and not electrical:
             # The other end of a mass is the inertial frame, so what holds one stands last; a chain's order does not
             # change its impedance.
-            parts.sort(key=_inertia)
-        blocks = [_build(part, values, electrical) for part in parts]
+            parts.sort(key=lambda part: _inertia(part[1]))
+        blocks = [_build(part, values, electrical, marks, (*path, i)) for i, part in parts]
         block = _chain(blocks) if chained else _stack(blocks)
-    return block if node.label is None else _frame(block, node.label)
+    block = block if node.label is None else _frame(block, node.label)
+    return _marked(block, marks[path]) if path in marks else block
 
 
 def _inertia(node: Network) -> int:
@@ -218,6 +246,30 @@ def _frame(block: _Block, label: str) -> _Block:
 
     width = max(block.width, 8.0 * len(label) + 20) + 4 * _PAD
     return _Block(width, block.above + _HEAD, block.below + _PAD, paint, block.open_right)
+
+
+def _marked(block: _Block, text: str) -> _Block:
+    """A coloured box around a part."""
+
+    def paint(x: float, y: float, room: float) -> list[str]:
+        left, right = x + _PAD, x + room - _PAD
+        return [
+            *_wire(x, left + _PAD, y),
+            *_highlight(left, y - block.above - _PAD, right - left, block.above + block.below + 2 * _PAD - 2, text),
+            *block.paint(left + _PAD, y, right - left - 2 * _PAD),
+            *_wire(right - _PAD, x + room, y, dashed=block.open_right),
+        ]
+
+    return _Block(block.width + 4 * _PAD, block.above + 2 * _PAD, block.below + _PAD, paint, block.open_right)
+
+
+def _highlight(x: float, y: float, width: float, height: float, text: str) -> list[str]:
+    box = f'<rect class="k" x="{x:.1f}" y="{y:.1f}" width="{width:.1f}" height="{height:.1f}" rx="7"/>'
+    if not text:
+        return [box]
+    long = max(18.0, 8.0 * len(text) + 10)
+    badge = f'<rect class="kb" x="{x + 6:.1f}" y="{y - 9:.1f}" width="{long:.1f}" height="18" rx="9"/>'
+    return [box, badge, _text(x + 6 + long / 2, y + 4.5, text, "kt")]
 
 
 # -------------------------------------------------------------------- symbols, each between x and x + _SYMBOL

@@ -1,0 +1,255 @@
+"""Diagnosis from start to end: fit, locate, search, confirm, and say it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from bayes_impedance.metrics import on_grid
+from bayes_impedance.mismatch import catalogue  # noqa: F401  (fills the register of effects)
+from bayes_impedance.mismatch.claims import compare_populations
+from bayes_impedance.mismatch.confirm import extended_start, starts_of
+from bayes_impedance.mismatch.diagnosis import Diagnosis, ParameterDifference
+from bayes_impedance.mismatch.effects import Effect, registered
+from bayes_impedance.mismatch.entries import aliases, physics_entry
+from bayes_impedance.mismatch.held_out import held_out, people_gain
+from bayes_impedance.mismatch.inversion import missing_one_ports
+from bayes_impedance.mismatch.locate import locate
+from bayes_impedance.mismatch.mains import find_mains
+from bayes_impedance.mismatch.model import Model, build
+from bayes_impedance.mismatch.network_fit import Fitted, fit_network, without_hum
+from bayes_impedance.mismatch.ranking import ranking
+from bayes_impedance.mismatch.refit import Refit
+from bayes_impedance.mismatch.screen import person_residuals
+from bayes_impedance.mismatch.search import Found, search
+from bayes_impedance.mismatch.snapshot import snapshot
+from bayes_impedance.mismatch.structure import covariates_of, structure_entries
+from bayes_impedance.mismatch.unknown import Realised, realise
+from bayes_impedance.mismatch.verdict import FEW_PEOPLE, Evidence, make_verdict
+from bayes_impedance.network import Network
+from bayes_impedance.recordings import Recordings
+from bayes_impedance.starts import Progress
+
+UNKNOWN_ALPHA = 1e-3
+_MAINS_ALPHA = 1e-3
+_NAMED_SHARE = 0.9
+
+
+@dataclass(frozen=True)
+class _Job:
+    """What all parts of one diagnosis share."""
+
+    effects: tuple[Effect, ...]
+    diagonal: bool
+    quick: bool
+    seed: int
+    executor: ThreadPoolExecutor
+    progress: Progress
+
+
+def diagnose(
+    recordings: Recordings,
+    network: Network | str | None = None,
+    *,
+    simulation: Recordings | None = None,
+    effects: Sequence[Effect] | None = None,
+    diagonal: bool = False,
+    quick: bool = False,
+    seed: int = 1,
+    workers: int = 2,
+    progress: Progress = lambda *_: None,
+) -> Diagnosis:
+    """Find what a network leaves out of recordings.
+
+    Parameters
+    ----------
+    recordings : Recordings
+        One recording or many.
+    network : Network or str, optional
+        The network as claimed; the dataset's own if not given.
+    simulation : Recordings, optional
+        A simulated population that claims to describe the recordings.
+    effects : sequence of Effect, optional
+        Candidates; all that are registered if not given.
+    diagonal : bool
+        The claim is that elements vary independently of each other; by default they may vary together.
+    quick : bool
+        Without held-out frequencies and without proposals of what would separate rivals.
+    seed : int
+        The same seed and data give the same verdict on one machine.
+    workers : int
+        Threads; the verdict does not depend on their number.
+    progress : callable, optional
+        Called with stage, done, total.
+
+    Returns
+    -------
+    Diagnosis
+
+    Raises
+    ------
+    InputError
+        If there is no network, or somebody has fewer points than elements.
+    """
+    from threadpoolctl import threadpool_limits
+
+    clock = _Clock()
+    candidates = tuple(registered() if effects is None else effects)
+    with threadpool_limits(1), ThreadPoolExecutor(workers) as executor:
+        job = _Job(candidates, diagonal, quick, seed, executor, progress)
+        claimed = None
+        if simulation is not None:
+            claimed = _diagnosed_simulation(simulation, network, job, clock)
+        return _diagnose(recordings, network, claimed, job, clock)
+
+
+def _diagnose(
+    recordings: Recordings,
+    network: Network | str | None,
+    claimed: Found | None,
+    job: _Job,
+    clock: _Clock,
+) -> Diagnosis:
+    seed, executor, progress = job.seed, job.executor, job.progress
+    with clock.measure("fit"):
+        fitted = fit_network(recordings, network, seed, executor, progress)
+        hum = find_mains(person_residuals(fitted.fit, recordings.names), _MAINS_ALPHA)
+        clean = recordings
+        if hum is not None:
+            clean = without_hum(recordings, hum)
+            fitted = fit_network(clean, network, seed, executor, progress)
+    base = fitted.fit
+    if claimed is not None and claimed.final.model.additions:
+        with clock.measure("fit"):
+            base = _like(fitted, claimed.final.model)
+    with clock.measure("search"):
+        found = search(fitted.refitter, base, recordings.names, job.effects, seed, executor, progress)
+    with clock.measure("locate"):
+        progress("locating", 0, 2)
+        covariates = covariates_of(recordings)
+        first = locate(found.steps[0].residuals, seed, covariates=covariates)
+        progress("locating", 1, 2)
+        residuals = found.steps[0].residuals
+        last = first
+        if found.final.model.additions:
+            residuals = tuple(person_residuals(found.final, recordings.names))
+            last = locate(residuals, seed)
+        one_ports = missing_one_ports(found.base, found.steps[0].residuals)
+        progress("locating", 2, 2)
+    unknown = None
+    with clock.measure("unknown"):
+        if last.p_value < UNKNOWN_ALPHA or (found.steps[-1].log_p < np.log(UNKNOWN_ALPHA) and not _exhausted(found)):
+            progress("unknown physics", 0, 1)
+            ports = missing_one_ports(found.final, residuals)
+            unknown = realise(fitted.refitter, found.final, residuals, ports, seed, executor)
+            if unknown is not None and _names_too_little(found, unknown):
+                residuals = found.steps[0].residuals
+                again = realise(fitted.refitter, found.base, residuals, one_ports, seed, executor)
+                if again is not None:
+                    unknown = again
+                    found = Found(found.base, found.base, found.steps[:1], None)
+            progress("unknown physics", 1, 1)
+    final = unknown.trial.fit if unknown is not None else found.final
+    with clock.measure("confirm"):
+        progress("confirming", 0, 3)
+        entries = _entries(fitted, found, job)
+        progress("confirming", 1, 3)
+        structures, remarks = structure_entries(found.final, clean, job.diagonal, seed)
+        gain = None
+        if final is not found.base:
+            gain = held_out(fitted.refitter, found.base, final, seed, blocks=not job.quick)
+        progress("confirming", 2, 3)
+        before = snapshot("before", clean, found.base, found.steps[0].residuals, seed)
+        after = None
+        if final is not found.base:
+            after = snapshot("after", clean, final, person_residuals(final, recordings.names), seed)
+        progress("confirming", 3, 3)
+    changed = None if final is found.base else final
+    evidence = Evidence(found, first, entries, structures, unknown, hum, gain, before, after, changed, remarks)
+    verdict = make_verdict(recordings, fitted, evidence, seed)
+    differences: tuple[ParameterDifference, ...] = ()
+    if claimed is not None:
+        differences = compare_populations(claimed.final, final, recordings.unit)
+        verdict["parameters_differ"] = [asdict(d) for d in differences if d.p_value < 0.05]
+    return Diagnosis(
+        recordings.title,
+        recordings.unit,
+        recordings.names,
+        max(len(s.repetitions) for s in recordings.subjects),
+        verdict,
+        before,
+        after,
+        on_grid(clean, before.frequency_hz),
+        ranking(found.steps[0]),
+        one_ports,
+        differences,
+        clock.seconds,
+    )
+
+
+def _exhausted(found: Found) -> bool:
+    """Whether the search ended because no more additions are allowed."""
+    return found.steps[-1].chosen is not None
+
+
+def _names_too_little(found: Found, unknown: Realised) -> bool:
+    """Whether the named effects explain too small a part of what can be explained: then they are wrong names."""
+    named = float(np.sum(found.final.evidence) - np.sum(found.base.evidence))
+    return unknown.trial.gain > (1 - _NAMED_SHARE) * (named + unknown.trial.gain)
+
+
+def _entries(fitted: Fitted, found: Found, job: _Job) -> list[dict[str, Any]]:
+    model, first = found.final.model, len(found.base.model.additions)
+    entries = []
+    if found.posterior is None:
+        return []
+    few = len(fitted.recordings.subjects) < FEW_PEOPLE
+    for i in range(first, len(model.additions)):
+        step = found.step_of(model.additions[i])
+        gain = None
+        if step is not None and step.chosen is not None and len(fitted.refitter.data) >= 10:
+            gain = people_gain(fitted.refitter, step.before, step.chosen.fit, job.seed)
+        entry = physics_entry(found, i, found.posterior, gain, few)
+        if step is not None:
+            entry["aliases"] = aliases(step, job.quick)
+        entries.append(entry)
+    return entries
+
+
+def _diagnosed_simulation(
+    simulation: Recordings,
+    network: Network | str | None,
+    job: _Job,
+    clock: _Clock,
+) -> Found:
+    """What the simulation itself is made of: its population, and physics beyond the network that it has already."""
+    with clock.measure("simulation"):
+        fitted = fit_network(simulation, network, job.seed, job.executor, job.progress)
+        return search(fitted.refitter, fitted.fit, simulation.names, job.effects, job.seed, job.executor, job.progress)
+
+
+def _like(fitted: Fitted, claimed: Model) -> Refit:
+    """The recordings' fit with the physics that the simulation has."""
+    own = fitted.fit.model
+    model = build(own.network, claimed.additions, own.scales, starts_of(claimed))
+    fit = fitted.refitter.fit(model, *extended_start(fitted.fit, model), 80)
+    return fitted.refitter.settle(fit, 1)
+
+
+class _Clock:
+    """Seconds of each named step."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def measure(self, name: str) -> Iterator[None]:
+        started = time.perf_counter()
+        yield
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - started

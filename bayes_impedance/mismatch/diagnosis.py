@@ -1,0 +1,174 @@
+"""What a diagnosis found: all that the report and ``verdict.json`` need, and nothing that must still be computed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """How well one model describes the recordings: the network as given, or with what was found.
+
+    Attributes
+    ----------
+    label : str
+        ``before`` or ``after``, or what else the model is.
+    network : str
+        Notation.
+    frequency_hz : ndarray, shape (F,)
+        Common grid.
+    magnitude, phase_deg : ndarray, shape (3, F)
+        5 %, 50 % and 95 % quantiles of a new person's recording.
+    residual_magnitude, residual_phase : ndarray, shape (N, F)
+        Everybody's whitened residual along |z| and across it (in phase), averaged over the repetitions and scaled to
+        unit variance if nothing is missing; NaN outside of a person's range.
+    delta_magnitude, delta_phase_deg : ndarray, shape (F,)
+        Eq. 5 of the population network.
+    subject_rms_relative : ndarray, shape (N,)
+        Complex relative error of everybody's own network.
+    coverage90 : ndarray, shape (2, F)
+        Share of people inside the 90 % bands of magnitude and of phase.
+    """
+
+    label: str
+    network: str
+    frequency_hz: np.ndarray
+    magnitude: np.ndarray
+    phase_deg: np.ndarray
+    residual_magnitude: np.ndarray
+    residual_phase: np.ndarray
+    delta_magnitude: np.ndarray
+    delta_phase_deg: np.ndarray
+    subject_rms_relative: np.ndarray
+    coverage90: np.ndarray
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """A candidate in the ranking of the first screening.
+
+    Attributes
+    ----------
+    id, place : str
+    pooling : str
+        ``shared``, ``varying`` or ``some`` (only some people have it).
+    shape : str
+        The nonlinear parameter at which the score is highest, for a reader ("corner 0.12 Hz"); empty if there is none.
+    score : float
+        Chi-square statistic, one degree of freedom when shared.
+    p_value : float
+        Corrected for everything that was tried.
+    size : str
+        One-step estimate of the coefficient with its unit.
+    physical : bool
+        Whether the sign is one the effect can have.
+    likeness : float
+        Cosine between this candidate's signature and the first's, elements projected out: 1 cannot be told apart.
+    note : str
+        For a reader: ``found``, ``alias, 3.1 behind``, ``unphysical sign``, or empty.
+    """
+
+    id: str
+    place: str
+    pooling: str
+    shape: str
+    score: float
+    p_value: float
+    size: str
+    physical: bool
+    likeness: float
+    note: str
+
+
+@dataclass(frozen=True)
+class OnePort:
+    """The missing one-port at one place: what would close the gap there.
+
+    Attributes
+    ----------
+    place : str
+    frequency_hz : ndarray, shape (G,)
+    ratio : ndarray, complex, shape (G,)
+        (z_needed - z_place) / z_place, averaged coherently over the population.
+    sd : ndarray, shape (G,)
+        Standard error of its real and of its imaginary part.
+    share : float
+        Part of the mismatch that closing the gap here removes, between 0 and 1.
+    """
+
+    place: str
+    frequency_hz: np.ndarray
+    ratio: np.ndarray
+    sd: np.ndarray
+    share: float
+
+
+@dataclass(frozen=True)
+class ParameterDifference:
+    """How an element differs between simulation and recordings.
+
+    Attributes
+    ----------
+    element, unit : str
+    what : str
+        ``central`` or ``dispersion_between_persons`` or ``dispersion_between_repetitions``.
+    simulation, recordings : float
+    ratio, q05, q95 : float
+        Recordings over simulation, with its 90 % interval.
+    p_value : float
+        Corrected for all that were compared.
+    """
+
+    element: str
+    unit: str
+    what: str
+    simulation: float
+    recordings: float
+    ratio: float
+    q05: float
+    q95: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Everything a diagnosis found.
+
+    Attributes
+    ----------
+    title, unit : str
+        Of the recordings.
+    subjects : tuple of str
+    repetitions : int
+        Largest number per person.
+    verdict : dict
+        Content of ``verdict.json``.
+    before : Snapshot
+    after : Snapshot or None
+        None if nothing is missing.
+    observed : ndarray, complex, shape (N, F)
+        Everybody's mean recording on the snapshots' grid.
+    ranking : tuple of Ranked
+        Best first.
+    one_ports : tuple of OnePort
+        Best place first.
+    differences : tuple of ParameterDifference
+        From a claimed simulation; empty without one.
+    seconds : dict of str to float
+    """
+
+    title: str
+    unit: str
+    subjects: tuple[str, ...]
+    repetitions: int
+    verdict: dict[str, Any]
+    before: Snapshot
+    after: Snapshot | None
+    observed: np.ndarray
+    ranking: tuple[Ranked, ...]
+    one_ports: tuple[OnePort, ...]
+    differences: tuple[ParameterDifference, ...]
+    seconds: dict[str, float]

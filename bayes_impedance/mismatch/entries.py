@@ -1,0 +1,235 @@
+"""Entries of the verdict: one for every effect that was found, with what it cannot be told from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy.special import ndtri
+
+from bayes_impedance.mismatch.catalogue import STRUCTURES
+from bayes_impedance.mismatch.coefficients import CoefficientPosterior, Reported, reported, verdict_on_side
+from bayes_impedance.mismatch.confirm import LEAST_GAIN, Trial
+from bayes_impedance.mismatch.mains import Hum
+from bayes_impedance.mismatch.members import Members, members
+from bayes_impedance.mismatch.proposals import best_sentence, separation
+from bayes_impedance.mismatch.search import Found, Step
+from bayes_impedance.mismatch.unknown import Realised
+from bayes_impedance.mismatch.wording import number
+
+_MOST_ALIASES = 12
+_PROPOSALS = 4
+
+
+def parameters_of(rows: Sequence[Reported]) -> dict[str, dict[str, Any]]:
+    """Parameters for the verdict."""
+    return {
+        row.name: {
+            "unit": row.unit,
+            "median": row.median,
+            "q05": row.q05,
+            "q95": row.q95,
+            "dispersion": row.dispersion,
+        }
+        for row in rows
+    }
+
+
+def physics_entry(
+    found: Found,
+    addition: int,
+    posterior: CoefficientPosterior,
+    gain: tuple[float, float | None] | None,
+    one_recording: bool,
+) -> dict[str, Any]:
+    """One effect that was found.
+
+    Parameters
+    ----------
+    found : Found
+    addition : int
+        Its number in the final model.
+    posterior : CoefficientPosterior
+    gain : (float, float) or None
+        On held-out people, with its standard error.
+    one_recording : bool
+        There are too few people to tell rig from body.
+    """
+    model = found.final.model
+    item = model.additions[addition]
+    effect = item.effect
+    who = members(found.final, addition) if effect.pooling == "some" else None
+    if who is not None:  # the coefficient of those who have it, not of everybody
+        posterior = _of_members(posterior, model.columns(addition)[0] - model.n_elements, who)
+    rows = reported(model, addition, posterior, np.asarray(found.final.u[:, : model.n_elements].mean(axis=0)))
+    column = model.columns(addition)[0] - model.n_elements
+    dispersion = posterior.relative_dispersion[:, column]
+    interval = [float(q) for q in np.quantile(dispersion, (0.05, 0.95))] if item.pooling != "shared" else [0.0, 0.0]
+    side: str | None = effect.side
+    if one_recording:
+        side = None
+    elif item.pooling != "shared" and verdict_on_side(dispersion) == "body":
+        side = "body"
+    step = found.step_of(item)
+    z = _score_of(step, item.key) if step else float("nan")
+    parameters = parameters_of(rows)
+    people: Any = "all"
+    if who is not None:
+        parameters["fraction"] = {
+            "unit": "",
+            "median": who.fraction,
+            "q05": who.q05,
+            "q95": who.q95,
+            "dispersion": None,
+        }
+        people = np.flatnonzero(who.probability > 0.5).tolist()
+    return {
+        "id": effect.id,
+        "name": effect.name,
+        "place": item.place,
+        "side": side,
+        "pooling": effect.pooling if effect.pooling == "some" else "shared" if item.pooling == "shared" else "varying",
+        "subjects": people,
+        "parameters": parameters,
+        "evidence": {
+            "score": float(z**2) if np.isfinite(z) else None,
+            "p_value": float(np.exp(step.screening.log_p(z))) if step and np.isfinite(z) else None,
+            "elpd_gain": None if gain is None else gain[0],
+            "elpd_gain_se": None if gain is None else gain[1],
+        },
+        "aliases": [],
+        "story": effect.story,
+        "formula": effect.formula,
+        "look_for": effect.look_for,
+        "source": effect.source,
+        "dispersion_interval": interval,
+    }
+
+
+def _of_members(posterior: CoefficientPosterior, column: int, who: Members) -> CoefficientPosterior:
+    """The posterior with one coefficient's distribution replaced by that among those who have it."""
+    central, relative = posterior.central.copy(), posterior.relative_dispersion.copy()
+    order = np.argsort(np.argsort(central[:, column]))
+    quantiles = (order + 0.5) / len(order)
+    central[:, column] = who.mean + who.mean_sd * ndtri(quantiles)  # keeps the correlation with the shapes
+    relative[:, column] = who.dispersion
+    return CoefficientPosterior(central, relative, posterior.covariance)
+
+
+def _score_of(step: Step, key: tuple[str, str, str]) -> float:
+    same = [k for k, c in enumerate(step.screening.candidates) if (c.effect.id, c.effect.form, c.place) == key]
+    z = np.abs(np.nan_to_num(step.screening.z[same]))
+    return float(z.max(initial=0.0))
+
+
+def rivals(step: Step) -> list[tuple[Trial, float, bool]]:
+    """Other explanations in place of the one that a step has chosen, how far behind, and whether they are separated.
+
+    A rival counts as separated when the evidence is behind by more than three (20 to 1) and by more than twice the
+    scatter of that difference over people.
+    """
+    assert step.chosen is not None  # steps without a choice have no rivals
+    chosen = step.chosen
+    best: dict[tuple[str, str, str], Trial] = {}
+    for trial in step.trials:
+        if not trial.physical or not np.isfinite(trial.gain):
+            continue
+        key = (trial.effect.id, trial.effect.form, trial.candidate.place)
+        if key == chosen.fit.model.additions[-1].key:
+            continue
+        if key not in best or best[key].gain < trial.gain:
+            best[key] = trial
+    result = []
+    for trial in best.values():
+        difference = chosen.fit.evidence - trial.fit.evidence
+        se = np.sqrt(difference.size) * difference.std(ddof=1) if difference.size > 1 else 0.0
+        behind = chosen.gain - trial.gain
+        result.append((trial, float(behind), bool(behind > LEAST_GAIN and behind > 2 * se)))
+    return sorted(result, key=lambda row: row[1])[:_MOST_ALIASES]
+
+
+def aliases(step: Step, quick: bool) -> list[dict[str, Any]]:
+    """Rivals of what a step has chosen, the closest first, and what would separate them.
+
+    Parameters
+    ----------
+    step : Step
+    quick : bool
+        Quote the catalogue's measurement; otherwise it is computed which one separates, for the closest.
+    """
+    assert step.chosen is not None
+    rows = []
+    for k, (trial, behind, separated) in enumerate(rivals(step)):
+        remedy = trial.effect.separates
+        if not separated and k < _PROPOSALS and not quick:
+            remedy = f"{best_sentence(separation(step.chosen.fit, trial.fit))}; usually: {remedy}"
+        rows.append(
+            {
+                "id": trial.effect.id,
+                "name": trial.effect.name,
+                "place": trial.candidate.place,
+                "elpd_behind": behind,
+                "separated": separated,
+                "would_separate": remedy,
+            }
+        )
+    return rows
+
+
+def unknown_entry(unknown: Realised) -> dict[str, Any]:
+    """Entry for physics without a name: the small network that stands in for it."""
+    addition = unknown.trial.fit.model.additions[-1]
+    return {
+        "id": "unknown",
+        "name": "physics outside of the catalogue",
+        "place": addition.place,
+        "side": None,
+        "pooling": "shared" if addition.pooling == "shared" else "varying",
+        "parameters": {},
+        "evidence": {
+            "score": None,
+            "p_value": None,
+            "elpd_gain": unknown.gain,
+            "elpd_gain_se": unknown.gain_se,
+        },
+        "aliases": [],
+        "network": addition.effect.branch,
+        "connection": addition.effect.connection,
+        "formula": f"a small network {addition.effect.branch} {addition.effect.connection} the place",
+        "story": addition.effect.story,
+    }
+
+
+def hum_entry(hum: Hum, unit: str) -> dict[str, Any]:
+    """Entry for hum of the mains, its amplitude in the unit of the impedance."""
+    structure = STRUCTURES["rig.mains"]
+    return {
+        "id": structure.id,
+        "name": f"{structure.name} at {number(hum.line_hz, 'Hz')}",
+        "place": "port",
+        "side": "rig",
+        "pooling": "shared",
+        "parameters": {
+            "amplitude": {"unit": unit, "median": hum.amplitude, "q05": hum.q05, "q95": hum.q95, "dispersion": 0.0}
+        },
+        "evidence": {"score": None, "p_value": hum.p_value, "elpd_gain": None, "elpd_gain_se": None},
+        "aliases": [],
+        "story": structure.story,
+        "formula": structure.formula,
+        "look_for": structure.look_for,
+        "source": structure.source,
+        "frequencies_hz": list(hum.frequencies_hz),
+    }
+
+
+def joint(found: Found) -> dict[str, Any]:
+    """Correlations of all parameters in the joint posterior of several effects."""
+    assert found.posterior is not None
+    model = found.final.model
+    names = [
+        f"{model.additions[p.addition].effect.id} {p.name.split('.')[-2] if '.' in p.name else p.name}"
+        for p in model.parameters
+    ]
+    correlation = np.corrcoef(found.posterior.central.T)
+    return {"parameters": names, "correlation": np.round(np.atleast_2d(correlation), 3).tolist()}

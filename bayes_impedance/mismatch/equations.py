@@ -1,0 +1,165 @@
+r"""Quadratic expansion of everybody's likelihood, and what it says about additions with the elements left free.
+
+With the elements of every recording free, person i's log likelihood of the additions' parameters y (shared ones and the
+person's own coefficients c) is quadratic, :math:`h_i\cdot y - \tfrac12 y^TD_iy`: coefficients act linearly. Between
+people :math:`c_i \sim N(\mu, \operatorname{diag}\tau^2)`, and with :math:`a = (\varphi, \mu)`,
+:math:`W_i = T(1 + D_{cc}T)^{-1}`, :math:`q_i = (h_i - D_ia)_c`,
+
+.. math:: \ell_i(a, \tau) = h_i\cdot a - \tfrac12 a^TD_ia + \tfrac12 q_i^TW_iq_i - \tfrac12\ln|1 + D_{cc}T| .
+
+The sum is quadratic in a: its maximum is where the shared parameters and the means go.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayes_impedance.kernel import Program, compiled
+from bayes_impedance.likelihood import SCALE_SHAPE, Likelihood, normal_equations
+from bayes_impedance.mismatch.model import Model
+
+_FREEDOM = 5.0
+
+
+@dataclass(frozen=True)
+class Population:
+    """Population parameters of the varying parameters, V of them.
+
+    Attributes
+    ----------
+    mu : ndarray, shape (V,)
+    covariance : ndarray, shape (V, V)
+    rho : ndarray, shape (V,)
+    """
+
+    mu: np.ndarray
+    covariance: np.ndarray
+    rho: np.ndarray
+
+
+@dataclass(frozen=True)
+class Equations:
+    """Everybody's chi-square, gradient and information, recordings stacked (M of them, P parameters)."""
+
+    chi: np.ndarray
+    gradient: np.ndarray
+    information: np.ndarray
+
+
+def owners(data: Sequence[Likelihood]) -> np.ndarray:
+    """Person of every recording, shape (M,)."""
+    return np.repeat(np.arange(len(data)), [d.z.shape[0] for d in data])
+
+
+def weights(data: Sequence[Likelihood], chi: np.ndarray) -> np.ndarray:
+    """1/scale^2 of everybody's noise from the recordings' chi-squares, shape (N,)."""
+    total = np.bincount(owners(data), chi, minlength=len(data))
+    return np.asarray((SCALE_SHAPE + counts(data)) / (SCALE_SHAPE + 0.5 * total))
+
+
+def counts(data: Sequence[Likelihood]) -> np.ndarray:
+    """Complex numbers of everybody, shape (N,)."""
+    return np.array([d.z.shape[0] * d.omega.size for d in data], dtype=float)
+
+
+@compiled
+def _person(
+    program: Program, u: np.ndarray, omega: np.ndarray, z: np.ndarray, weight: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    n, p = u.shape
+    chi, gradient, information = np.empty(n), np.empty((n, p)), np.empty((n, p, p))
+    for j in range(n):
+        chi[j], gradient[j], information[j] = normal_equations(program, u[j], omega, z[j], weight[j])
+    return chi, gradient, information
+
+
+def equations_at(model: Model, data: Sequence[Likelihood], u: np.ndarray, executor: Executor) -> Equations:
+    """Chi-square, gradient and information of every recording at u (M, P)."""
+    starts = np.r_[0, np.cumsum([d.z.shape[0] for d in data])]
+
+    def one(i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        d = data[i]
+        return _person(model.kernel.program, u[starts[i] : starts[i + 1]], d.omega, d.z, d.weight)  # type: ignore[no-any-return]
+
+    chi, gradient, information = zip(*executor.map(one, range(len(data))), strict=True)
+    return Equations(np.concatenate(chi), np.concatenate(gradient), np.concatenate(information))
+
+
+def quadratic(
+    model: Model, data: Sequence[Likelihood], u: np.ndarray, equations: Equations, covariance: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Everybody's h (N, A) and D (N, A, A), and how the elements of every recording follow y, (M, E, A).
+
+    Elements are free to five standard deviations of the population's `covariance`: one that the band does not see would
+    run away otherwise.
+    """
+    e, a = slice(0, model.n_elements), slice(model.n_elements, None)
+    owner = owners(data)
+    w = weights(data, equations.chi)[owner]
+    information = w[:, None, None] * equations.information
+    gradient = w[:, None] * equations.gradient
+    inside = information[:, e, e].copy()
+    inside += np.linalg.inv(covariance[e, e]) / _FREEDOM**2
+    cross = information[:, e, a]
+    solved = np.linalg.solve(inside, np.concatenate([cross, gradient[:, e, None]], axis=2))
+    response, step = -solved[..., :-1], solved[..., -1]
+    d = information[:, a, a] + np.einsum("mea,meb->mab", cross, response)
+    s = -gradient[:, a] + np.einsum("mea,me->ma", cross, step)
+    h = s + np.einsum("mab,mb->ma", d, u[:, a])
+    n = len(data)
+    return sums(h, owner, n), sums(0.5 * (d + np.swapaxes(d, 1, 2)), owner, n), response
+
+
+@dataclass(frozen=True)
+class Marginal:
+    """The likelihood of a = (phi, mu) with everybody's own coefficients integrated out.
+
+    Attributes
+    ----------
+    log_density : float
+        With a integrated out as well, up to a constant.
+    mean : ndarray, shape (A,)
+    precision : ndarray, shape (A, A)
+        Both with the prior of a.
+    """
+
+    log_density: float
+    mean: np.ndarray
+    precision: np.ndarray
+
+
+def marginal(model: Model, h: np.ndarray, d: np.ndarray, tau: np.ndarray) -> Marginal:
+    """Integrate everybody's coefficients out.
+
+    Parameters
+    ----------
+    model : Model
+    h, d : ndarray, shapes (N, A) and (N, A, A)
+        From :func:`quadratic`.
+    tau : ndarray, shape (A,)
+        Standard deviations between people; ignored for shared parameters.
+    """
+    varying = ~model.shared[model.n_elements :]
+    prior_sd = np.array([p.prior_sd for p in model.parameters])
+    centre = np.array([p.centre for p in model.parameters])
+    t = np.diag(tau[varying] ** 2)
+    dcc, dc = d[:, varying][:, :, varying], d[:, :, varying]
+    root = np.eye(t.shape[0]) + dcc @ t
+    w = np.linalg.solve(np.swapaxes(root, 1, 2), np.broadcast_to(t, dcc.shape))
+    precision = (d - dc @ w @ np.swapaxes(dc, 1, 2)).sum(axis=0) + np.diag(prior_sd**-2.0)
+    right = (h - np.einsum("nac,ncd,nd->na", dc, w, h[:, varying])).sum(axis=0) + centre / prior_sd**2
+    mean = np.linalg.solve(precision, right)
+    value = 0.5 * right @ mean - 0.5 * np.linalg.slogdet(precision)[1]
+    value += 0.5 * np.einsum("nc,ncd,nd->", h[:, varying], w, h[:, varying])
+    return Marginal(float(value - 0.5 * np.linalg.slogdet(root)[1].sum()), mean, 0.5 * (precision + precision.T))
+
+
+def sums(values: np.ndarray, owner: np.ndarray, n: int) -> np.ndarray:
+    """Sums over everybody's recordings: (M, ...) to (N, ...)."""
+    total = np.zeros((n, *values.shape[1:]))
+    np.add.at(total, owner, values)
+    return total

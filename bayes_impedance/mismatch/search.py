@@ -1,0 +1,224 @@
+"""Forward selection of what is missing, a backward pass, and what cannot be told apart.
+
+Each step looks at all candidates with what was found before in place, refits the most promising with the whole
+population and keeps the best one. It stops when no candidate is significant after correction for all that were tried,
+when none improves the evidence, or when the people are too few for more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bayes_impedance.mismatch.coefficients import CoefficientPosterior, coefficient_posterior
+from bayes_impedance.mismatch.confirm import (
+    ALPHA,
+    LEAST_GAIN,
+    Trial,
+    best_trial,
+    extended_start,
+    gain,
+    starts_of,
+)
+from bayes_impedance.mismatch.effects import Effect
+from bayes_impedance.mismatch.model import Addition, Model, build
+from bayes_impedance.mismatch.refit import Refit, Refitter
+from bayes_impedance.mismatch.residuals import PersonResiduals
+from bayes_impedance.mismatch.screen import Screening, person_residuals, screen
+
+MOST_ADDITIONS = 4
+_PEOPLE_PER_ADDITION = 8
+
+SPREAD_PENALTY = float(np.log(100.0))
+"""The spread between people is held to a stricter level: noise of another shape in some people looks like it."""
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of the forward selection.
+
+    Attributes
+    ----------
+    before : Refit
+        Without the addition.
+    residuals : tuple of PersonResiduals
+        Of that.
+    screening : Screening
+        Of that.
+    trials : tuple of Trial
+        Everything that was refitted.
+    chosen : Trial or None
+        What was added.
+    """
+
+    before: Refit
+    residuals: tuple[PersonResiduals, ...]
+    screening: Screening
+    trials: tuple[Trial, ...]
+    chosen: Trial | None
+
+    @property
+    def log_p(self) -> float:
+        """Smallest corrected log p-value among candidates with a possible sign, of a common size or of its spread."""
+        s = self.screening
+        z = np.where(s.physical, np.nan_to_num(s.z), 0.0)
+        body = np.array([c.effect.side == "body" for c in s.candidates], dtype=bool)
+        spread = float(np.min(np.where(body & s.physical, s.log_p_spread, 0.0), initial=0.0))
+        return min(float(s.log_p(np.abs(z).max(initial=0.0))), spread + SPREAD_PENALTY)
+
+
+@dataclass(frozen=True)
+class Found:
+    """Where the search ended.
+
+    Attributes
+    ----------
+    base, final : Refit
+    steps : tuple of Step
+        The last one found nothing more.
+    posterior : CoefficientPosterior or None
+        Joint posterior of everything that was added.
+    """
+
+    base: Refit
+    final: Refit
+    steps: tuple[Step, ...]
+    posterior: CoefficientPosterior | None
+
+    def step_of(self, addition: Addition) -> Step | None:
+        """The step in which an addition was found."""
+        for step in self.steps:
+            if step.chosen is not None and step.chosen.fit.model.additions[-1].key == addition.key:
+                return step
+        return None
+
+
+def search(
+    refitter: Refitter,
+    base: Refit,
+    names: Sequence[str],
+    effects: Sequence[Effect],
+    seed: int,
+    executor: Executor,
+    progress: Progress,
+) -> Found:
+    """Find what is missing.
+
+    Parameters
+    ----------
+    refitter : Refitter
+    base : Refit
+        The network alone, or with what is known to belong to it.
+    names : sequence of str
+        Of the people.
+    effects : sequence of Effect
+    seed : int
+    executor : Executor
+    progress : callable
+    """
+    most = min(MOST_ADDITIONS, max(1, len(refitter.data) // _PEOPLE_PER_ADDITION))
+    fit, steps, posterior = base, list[Step](), None
+    for number in range(most + 1):
+        progress("looking for what is missing", number, most + 1)
+        residuals = tuple(person_residuals(fit, names))
+        screening = screen(fit, residuals, effects, seed, executor)
+        step = Step(fit, residuals, screening, (), None)
+        if number < most and step.log_p < np.log(ALPHA):
+            chosen, trials = best_trial(refitter, fit, screening, lambda _: None)
+            if chosen is not None:
+                chosen = freed(refitter, fit, chosen)
+                settled, posterior = measured(refitter, refitter.settle(chosen.fit, seed), seed)
+                chosen = replace(chosen, fit=settled, gain=gain(settled, fit))
+            step = replace(step, trials=tuple(trials), chosen=chosen)
+        steps.append(step)
+        if step.chosen is None:
+            break
+        fit = step.chosen.fit
+    final = _backward(refitter, base, fit)
+    if final is not fit and final.model.additions:
+        final, posterior = measured(refitter, final, seed)
+    progress("looking for what is missing", most + 1, most + 1)
+    return Found(base, final, tuple(steps), posterior if final.model.additions else None)
+
+
+def freed(refitter: Refitter, fit: Refit, trial: Trial) -> Trial:
+    """The trial with shapes that differ between people, if that is worth its parameters."""
+    effect = trial.effect
+    shapes = [c for c in effect.coefficients[1:] if c.link != "linear"]
+    if trial.pooling != "varying" or not shapes:
+        return trial
+    model = with_pooling(trial.fit.model, len(trial.fit.model.additions) - 1, "free")
+    grown = refitter.fit(model, *extended_start(trial.fit, model), 30)
+    candidate = replace(trial, pooling="free", fit=grown, gain=gain(grown, fit))
+    return candidate if candidate.gain > trial.gain + LEAST_GAIN else trial
+
+
+def with_pooling(model: Model, addition: int, pooling: str, dispersions: Sequence[float] = ()) -> Model:
+    """The model with one addition pooled in another way; dispersions of its coefficient and shapes, if given."""
+    additions = list(model.additions)
+    changed = replace(additions[addition], pooling=pooling)
+    if dispersions:
+        changed = replace(changed, dispersion=dispersions[0], shape_dispersions=tuple(dispersions[1:]))
+    additions[addition] = changed
+    return rebuilt(model, additions, list(range(len(additions))))
+
+
+def rebuilt(model: Model, additions: Sequence[Addition], kept: Sequence[int]) -> Model:
+    """A model with other additions; `kept` says which of the old ones each was, for the centres of its shapes."""
+    starts = starts_of(model)
+    return build(model.network, additions, model.scales, [starts[k] for k in kept])
+
+
+def measured(refitter: Refitter, fit: Refit, seed: int) -> tuple[Refit, CoefficientPosterior]:
+    """The fit with dispersions at their posterior medians, and the joint posterior of the additions."""
+    posterior = coefficient_posterior(fit, seed)
+    for _ in range(2):
+        if all(a.pooling == "shared" for a in fit.model.additions):
+            break
+        model = fit.model
+        for i, addition in enumerate(model.additions):
+            if addition.pooling != "shared":
+                columns = [c - model.n_elements for c in model.columns(i)]
+                middle = np.clip(np.median(posterior.relative_dispersion[:, columns], axis=0), 0.03, 1.5)
+                model = with_pooling(model, i, addition.pooling, middle.tolist())
+        fit = refitter.fit(model, *extended_start(fit, model))
+        posterior = coefficient_posterior(fit, seed)
+    return fit, posterior
+
+
+def _backward(refitter: Refitter, base: Refit, fit: Refit) -> Refit:
+    """Take out what later additions have made superfluous."""
+    first = len(base.model.additions)
+    while len(fit.model.additions) > first + 1:
+        losses = []
+        for k in range(first, len(fit.model.additions)):
+            kept = [i for i in range(len(fit.model.additions)) if i != k]
+            model = rebuilt(fit.model, [fit.model.additions[i] for i in kept], kept)
+            smaller = _shrunk(refitter, fit, model, kept)
+            losses.append((gain(fit, smaller), smaller))
+        loss, smaller = min(losses, key=lambda pair: pair[0])
+        if loss > LEAST_GAIN:
+            return fit
+        fit = smaller
+    return fit
+
+
+def _shrunk(refitter: Refitter, fit: Refit, model: Model, kept: Sequence[int]) -> Refit:
+    """The fit of a model with fewer additions, whose parameters carry other numbers in their names."""
+    columns = list(range(fit.model.n_elements)) + sorted(c for k in kept for c in fit.model.columns(k))
+    u = fit.u[:, columns]
+    varying_old = np.flatnonzero(~fit.model.shared)
+    positions = [int(np.flatnonzero(varying_old == c)[0]) for c in columns if not fit.model.shared[c]]
+    population = fit.population
+    smaller = replace(
+        population,
+        mu=population.mu[positions],
+        covariance=population.covariance[np.ix_(positions, positions)],
+        rho=population.rho[positions],
+    )
+    return refitter.fit(model, u, smaller)
