@@ -120,8 +120,10 @@ def _diagnose(
     with clock.measure("fit"):
         fitted = fit_network(recordings, network, seed, executor, progress)
         hum = find_mains(person_residuals(fitted.fit, recordings.names), _MAINS_ALPHA)
-        clean = recordings
+        clean, spoilt = recordings, None
         if hum is not None:
+            residuals_before = person_residuals(fitted.fit, recordings.names)
+            spoilt = snapshot("with hum", recordings, fitted.fit, residuals_before, seed)
             clean = without_hum(recordings, hum)
             fitted = fit_network(clean, network, seed, executor, progress)
     base = fitted.fit
@@ -171,7 +173,9 @@ def _diagnose(
             after = snapshot("after", clean, final, person_residuals(final, recordings.names), seed)
         progress("confirming", 3, 3)
     changed = None if final is found.base else final
-    evidence = Evidence(found, first, entries, structures, unknown, hum, gain, before, after, changed, remarks)
+    if not final.settled and final is not found.base:
+        remarks.append("The fit with what was found did not come to rest; its numbers are rough.")
+    evidence = Evidence(found, first, entries, structures, unknown, hum, gain, before, after, changed, remarks, spoilt)
     verdict = make_verdict(recordings, fitted, evidence, seed)
     differences: tuple[ParameterDifference, ...] = ()
     if claimed is not None:

@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from scipy.special import ndtri
 
 from bayes_impedance.mismatch.catalogue import STRUCTURES
-from bayes_impedance.mismatch.coefficients import CoefficientPosterior, Reported, reported, verdict_on_side
+from bayes_impedance.mismatch.coefficients import (
+    CoefficientPosterior,
+    Reported,
+    coefficient_posterior,
+    reported,
+    verdict_on_side,
+)
 from bayes_impedance.mismatch.confirm import LEAST_GAIN, Trial
 from bayes_impedance.mismatch.mains import Hum
 from bayes_impedance.mismatch.members import Members, members
 from bayes_impedance.mismatch.proposals import best_sentence, separation
-from bayes_impedance.mismatch.search import Found, Step
+from bayes_impedance.mismatch.refit import Refit
+from bayes_impedance.mismatch.search import Found, Step, with_pooling
 from bayes_impedance.mismatch.unknown import Realised
 from bayes_impedance.mismatch.wording import number
 
@@ -65,7 +73,9 @@ def physics_entry(
     rows = reported(model, addition, posterior, np.asarray(found.final.u[:, : model.n_elements].mean(axis=0)))
     column = model.columns(addition)[0] - model.n_elements
     dispersion = posterior.relative_dispersion[:, column]
-    interval = [float(q) for q in np.quantile(dispersion, (0.05, 0.95))] if item.pooling != "shared" else [0.0, 0.0]
+    if item.pooling == "shared" and not one_recording:
+        dispersion = dispersion_of_shared(found.final, addition, 1)
+    interval = [float(q) for q in np.quantile(dispersion, (0.05, 0.95))] if not one_recording else None
     side: str | None = effect.side
     if one_recording:
         side = None
@@ -105,6 +115,13 @@ def physics_entry(
         "source": effect.source,
         "dispersion_interval": interval,
     }
+
+
+def dispersion_of_shared(fit: Refit, addition: int, seed: int) -> np.ndarray:
+    """Draws of how much people differ in a coefficient that was fitted as the same for all, relative to it."""
+    model = with_pooling(fit.model, addition, "varying")
+    column = model.columns(addition)[0] - model.n_elements
+    return coefficient_posterior(replace(fit, model=model), seed).relative_dispersion[:, column]
 
 
 def _of_members(posterior: CoefficientPosterior, column: int, who: Members) -> CoefficientPosterior:

@@ -37,9 +37,7 @@ MINIMUM_PERSONS = 12
 """With fewer, two groups of at least three differ by chance too often for any shift to stand out."""
 
 _BATCH = 40
-_ENOUGH_ABOVE = (
-    6  # replicates of the first batch above the real statistic: p is above 0.1, and need not be known better
-)
+_ENOUGH_ABOVE = 6  # replicates of each batch with a larger statistic: p is above 0.1, which is all one wants to know
 _ROUNDS = 60
 _PRIOR_PERSONS = 2.0
 

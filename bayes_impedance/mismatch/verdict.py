@@ -89,18 +89,22 @@ def _merged(bands: list[list[float]]) -> list[list[float]]:
     return result
 
 
-def improvement(before: Snapshot, after: Snapshot, gain: HeldOut) -> dict[str, Any]:
+def improvement(before: Snapshot, after: Snapshot, gain: HeldOut | None) -> dict[str, Any]:
     """What the additions change, on what was fitted and on what was held out."""
 
     def pair(value: Any) -> list[float]:
         return [float(value(before)), float(value(after))]
 
-    people = gain.people is not None
-    return {
+    errors: dict[str, Any] = {
         "delta_magnitude": pair(lambda s: np.nanmean(s.delta_magnitude)),
         "delta_phase_deg": pair(lambda s: np.nanmean(s.delta_phase_deg)),
         "subject_rms_relative": pair(lambda s: np.median(s.subject_rms_relative)),
         "coverage90": pair(lambda s: np.nanmean(s.coverage90)),
+    }
+    if gain is None:
+        return errors | {"elpd_gain": None, "elpd_gain_se": None, "held_out": "nothing: spoilt points were left out"}
+    people = gain.people is not None
+    return errors | {
         "elpd_gain": gain.people if people else gain.blocks,
         "elpd_gain_se": gain.people_se if people else gain.blocks_se,
         "elpd_gain_blocks": gain.blocks,
@@ -129,6 +133,8 @@ class Evidence:
     changed : Refit or None
         The model with everything that was added.
     remarks : list of str
+    spoilt : Snapshot or None
+        With the points that hum has spoilt, where there are any.
     """
 
     found: Found
@@ -142,6 +148,7 @@ class Evidence:
     after: Snapshot | None
     changed: Refit | None
     remarks: list[str]
+    spoilt: Snapshot | None
 
 
 def make_verdict(recordings: Recordings, fitted: Fitted, evidence: Evidence, seed: int) -> dict[str, Any]:
@@ -155,7 +162,7 @@ def make_verdict(recordings: Recordings, fitted: Fitted, evidence: Evidence, see
     seed : int
     """
     found, location, hum, after = evidence.found, evidence.location, evidence.hum, evidence.after
-    unknown, before, gain = evidence.unknown, evidence.before, evidence.gain
+    unknown, before = evidence.unknown, evidence.before
     physics = list(evidence.entries)
     unexplained = None
     if unknown is not None:
@@ -189,8 +196,9 @@ def make_verdict(recordings: Recordings, fitted: Fitted, evidence: Evidence, see
         "mismatch": mismatch,
         "summary": "",
         "where": spot if mismatch else where(location, None, "all", None, None) | {"bands_hz": []},
+        "located": _located(location),
         "physics": physics,
-        "improvement": improvement(before, after, gain) if after is not None and gain is not None else None,
+        "improvement": _improvement(evidence),
         "network": [str(found.base.model.network), after.network if after is not None else str(before.network)],
         "unexplained": unexplained,
         "detectable": limits,
@@ -210,6 +218,36 @@ def make_verdict(recordings: Recordings, fitted: Fitted, evidence: Evidence, see
         verdict["joint"] = joint(found)
     verdict["summary"] = sentence(verdict, len(recordings.subjects))
     return verdict
+
+
+def _located(location: Location) -> dict[str, Any]:
+    """Where structure was left before anything was added: every band by itself, repetitions and covariates."""
+    trend = location.repetitions
+    return {
+        "p_value": location.p_value,
+        "bands": [
+            {
+                "low_hz": band.low_hz,
+                "high_hz": band.high_hz,
+                "part": band.part,
+                "kind": band.kind,
+                "z": band.statistic,
+                "p_value": band.p_value,
+            }
+            for band in location.bands
+        ],
+        "magnitude_share": location.magnitude_share if np.isfinite(location.magnitude_share) else None,
+        "subjects_p_value": location.subjects_p_value,
+        "repetitions": None if trend is None else {"change": trend.change, "p_value": trend.p_value},
+        "covariates": dict(location.covariates),
+    }
+
+
+def _improvement(evidence: Evidence) -> dict[str, Any] | None:
+    before, after = evidence.spoilt or evidence.before, evidence.after
+    if after is not None:
+        return improvement(before, after, evidence.gain)
+    return None if evidence.spoilt is None else improvement(before, evidence.before, None)
 
 
 def _limits_of_few(recordings: Recordings) -> list[str]:
