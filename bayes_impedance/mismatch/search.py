@@ -31,6 +31,8 @@ from bayes_impedance.mismatch.screen import Screening, person_residuals, screen
 
 MOST_ADDITIONS = 4
 _PEOPLE_PER_ADDITION = 8
+_REPEATS = 3
+_SURE = 3.0
 
 SPREAD_PENALTY = float(np.log(100.0))
 """The spread between people is held to a stricter level: noise of another shape in some people looks like it."""
@@ -123,7 +125,8 @@ def search(
     """
     most = min(MOST_ADDITIONS, max(1, len(refitter.data) // _PEOPLE_PER_ADDITION))
     fit, steps, posterior = base, list[Step](), None
-    for number in range(most + 1):
+    number = repeats = 0
+    while number <= most:
         progress("looking for what is missing", number, most + 1)
         residuals = tuple(person_residuals(fit, names))
         screening = screen(fit, residuals, effects, seed, executor)
@@ -132,18 +135,50 @@ def search(
             chosen, trials = best_trial(refitter, fit, screening, lambda _: None)
             if chosen is not None:
                 chosen = freed(refitter, fit, chosen)
-                settled, posterior = measured(refitter, refitter.settle(chosen.fit, seed), seed)
+                settled, measure = measured(refitter, refitter.settle(chosen.fit, seed), seed)
+                better = _without_last(refitter, fit, settled)
+                if better is not None and repeats < _REPEATS:  # it was not physics that was missing but convergence
+                    repeats += 1
+                    base = better if fit is base else base
+                    fit = better
+                    continue
                 chosen = replace(chosen, fit=settled, gain=gain(settled, fit))
+                if chosen.gain <= LEAST_GAIN or not _sure(settled, measure):
+                    chosen = None
+                else:
+                    posterior = measure
             step = replace(step, trials=tuple(trials), chosen=chosen)
         steps.append(step)
         if step.chosen is None:
             break
         fit = step.chosen.fit
+        number += 1
     final = _backward(refitter, base, fit)
     if final is not fit and final.model.additions:
         final, posterior = measured(refitter, final, seed)
     progress("looking for what is missing", most + 1, most + 1)
     return Found(base, final, tuple(steps), posterior if final.model.additions else None)
+
+
+def _without_last(refitter: Refitter, fit: Refit, grown: Refit) -> Refit | None:
+    """The fit without the last addition, begun where the larger model has ended; None if that is no better."""
+    columns = [grown.model.kernel.elements.index(name) for name in fit.model.kernel.elements]
+    again = refitter.fit(fit.model, grown.u[:, columns], fit.population)
+    return again if again.evidence.sum() > fit.evidence.sum() + LEAST_GAIN else None
+
+
+def _sure(fit: Refit, posterior: CoefficientPosterior) -> bool:
+    """Whether the coefficient of the last addition is surely not zero."""
+    last = len(fit.model.additions) - 1
+    columns = [
+        c - fit.model.n_elements
+        for c in fit.model.columns(last)
+        if fit.model.parameters[c - fit.model.n_elements].is_coefficient
+    ]
+    if not columns or fit.model.additions[last].effect.pooling == "some":
+        return True  # a branch has no zero; who has a layer and who has not was tested already
+    draws = posterior.central[:, columns]
+    return bool(np.any(np.abs(draws.mean(axis=0)) > _SURE * draws.std(axis=0)))
 
 
 def freed(refitter: Refitter, fit: Refit, trial: Trial) -> Trial:
