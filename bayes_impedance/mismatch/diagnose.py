@@ -153,7 +153,9 @@ def _diagnose(
             if unknown is not None and _names_too_little(found, unknown):
                 residuals = found.steps[0].residuals
                 again = realise(fitted.refitter, found.base, residuals, one_ports, seed, executor)
-                if again is not None:
+                if again is not None and again.trial.gain > float(
+                    np.sum(found.final.evidence) - np.sum(found.base.evidence)
+                ):
                     unknown = again
                     found = Found(found.base, found.base, found.steps[:1], None)
             progress("unknown physics", 1, 1)

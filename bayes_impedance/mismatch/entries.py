@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -219,7 +220,10 @@ def unknown_entry(unknown: Realised) -> dict[str, Any]:
 
 
 def hum_entry(hum: Hum, unit: str) -> dict[str, Any]:
-    """Entry for hum of the mains, its amplitude in the unit of the impedance."""
+    """Entry for hum of the mains; its amplitude is that of the complex hum, of which each part has the rms found."""
+    amplitude = {
+        key: math.sqrt(2) * value for key, value in (("median", hum.amplitude), ("q05", hum.q05), ("q95", hum.q95))
+    }
     structure = STRUCTURES["rig.mains"]
     return {
         "id": structure.id,
@@ -227,9 +231,7 @@ def hum_entry(hum: Hum, unit: str) -> dict[str, Any]:
         "place": "port",
         "side": "rig",
         "pooling": "shared",
-        "parameters": {
-            "amplitude": {"unit": unit, "median": hum.amplitude, "q05": hum.q05, "q95": hum.q95, "dispersion": 0.0}
-        },
+        "parameters": {"amplitude": {"unit": unit, **amplitude, "dispersion": 0.0}},
         "evidence": {"score": None, "p_value": hum.p_value, "elpd_gain": None, "elpd_gain_se": None},
         "aliases": [],
         "story": structure.story,

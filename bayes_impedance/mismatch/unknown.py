@@ -16,7 +16,7 @@ import numpy as np
 from bayes_impedance.mismatch.confirm import LEAST_GAIN, Trial, best_shapes, try_candidate
 from bayes_impedance.mismatch.diagnosis import OnePort
 from bayes_impedance.mismatch.effects import Effect
-from bayes_impedance.mismatch.held_out import people_gain
+from bayes_impedance.mismatch.held_out import held_out, people_gain
 from bayes_impedance.mismatch.refit import Refit, Refitter
 from bayes_impedance.mismatch.residuals import PersonResiduals
 from bayes_impedance.mismatch.screen import screen
@@ -99,7 +99,10 @@ def realise(
         return None
     good = sorted(good, key=lambda t: -t.gain)[:3]
     if len(refitter.data) < 10:
-        return Realised(good[0], good[0].gain, None)
+        held = [held_out(refitter, fit, t.fit, seed) for t in good]
+        best = int(np.argmax([h.blocks or 0.0 for h in held]))
+        gain = held[best].blocks or 0.0
+        return Realised(good[best], gain, held[best].blocks_se) if gain > 0 else None
     gains = [people_gain(refitter, fit, t.fit, seed) for t in good]
     best = int(np.argmax([g for g, _ in gains]))
     return Realised(good[best], *gains[best]) if gains[best][0] > 0 else None

@@ -39,7 +39,7 @@ def sentence(verdict: Mapping[str, Any], people: int) -> str:
     band = f", mostly {_span(bands)}" if bands else ""
     gain = verdict["improvement"].get("elpd_gain") if verdict.get("improvement") else None
     text = f"The network leaves out {_listed(parts)}{band}"
-    if gain is not None:
+    if gain is not None and gain > 0:
         text += f"; with it, predictions of what was held out improve by {gain:.0f} natural logarithms"
     undecided = [a for entry in physics for a in entry.get("aliases", []) if not a["separated"]]
     if undecided:
