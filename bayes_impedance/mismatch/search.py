@@ -32,6 +32,7 @@ from bayes_impedance.mismatch.screen import Screening, person_residuals, screen
 MOST_ADDITIONS = 4
 _PEOPLE_PER_ADDITION = 8
 _REPEATS = 3
+_FEWEST = 10
 _SURE = 3.0
 
 SPREAD_PENALTY = float(np.log(100.0))
@@ -143,7 +144,7 @@ def search(
                     fit = better
                     continue
                 chosen = replace(chosen, fit=settled, gain=gain(settled, fit))
-                if chosen.gain <= LEAST_GAIN or not _sure(settled, measure):
+                if chosen.gain <= LEAST_GAIN or not (_sure(settled, measure) and _shared_by_many(settled, fit)):
                     chosen = None
                 else:
                     posterior = measure
@@ -179,6 +180,14 @@ def _sure(fit: Refit, posterior: CoefficientPosterior) -> bool:
         return True  # a branch has no zero; who has a layer and who has not was tested already
     draws = posterior.central[:, columns]
     return bool(np.any(np.abs(draws.mean(axis=0)) > _SURE * draws.std(axis=0)))
+
+
+def _shared_by_many(grown: Refit, fit: Refit) -> bool:
+    """Whether the gain exceeds its scatter over people: what one person gains is a local optimum and not physics."""
+    difference = grown.evidence - fit.evidence
+    if difference.size < _FEWEST or grown.model.additions[-1].effect.pooling == "some":
+        return True
+    return bool(difference.sum() > 2 * np.sqrt(difference.size) * difference.std(ddof=1))
 
 
 def freed(refitter: Refitter, fit: Refit, trial: Trial) -> Trial:

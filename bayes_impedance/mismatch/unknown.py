@@ -24,6 +24,7 @@ from bayes_impedance.mismatch.screen import screen
 BRANCHES = ("m", "n", "r", "n|r", "m-r", "n-r", "m-(n|r)", "n-(m|r)", "(n-r)|(n-r)", "(n-r)-(m|r)")
 _PLACES = 3
 _REFITTED = 6
+_SURE = 2.0
 
 
 @dataclass(frozen=True)
@@ -105,7 +106,9 @@ def realise(
         return Realised(good[best], gain, held[best].blocks_se) if gain > 0 else None
     gains = [people_gain(refitter, fit, t.fit, seed) for t in good]
     best = int(np.argmax([g for g, _ in gains]))
-    return Realised(good[best], *gains[best]) if gains[best][0] > 0 else None
+    total, se = gains[best]
+    # What a single person gains is that person's local optimum, not physics.
+    return Realised(good[best], total, se) if total > _SURE * (se or 0.0) else None
 
 
 def _numbered(branch: str) -> str:
