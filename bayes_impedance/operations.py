@@ -19,12 +19,15 @@ reflex              z + x exp(-s t)/(s (1 + s/p))                               
 bypass              z + x + y/s                                                  y = c1 u1
 series_compliance   1/(1/z + s x)
 series_layer        1/(1/z + s x/(1 + s t))                                      t = exp(u1)
+sweep               z exp(x q), q = (1 - (w/c1)^-p)/(1 - c2^-p)                  p = exp(u1)
 ==================  ===========================================================  ===========================
 
 with s = jw and the coefficient x = c0 u0, which may have either sign and where zero means that nothing happens, or
 x = exp(u0) if c2 is 1. All parameters u are real and unbounded, as log elements are, and stand beside them in every
 array of parameters; c are constants of the operation. The line is a layer whose mass x is spread over its thickness
-instead of standing at its end: for small w it is z + s x/3, a third of the mass moves along.
+instead of standing at its end: for small w it is z + s x/3, a third of the mass moves along. In the sweep, c1 is the
+frequency with which it begins, c2 > 1 the ratio of its ends, and q the part of its time that has passed: p = 1 if every
+frequency takes the same number of periods, and p -> 0 if every octave takes the same time.
 
 Each operation is holomorphic in z, so one complex derivative dT/dz carries the chain rule through it.
 """
@@ -53,6 +56,7 @@ NAMES = (
     "bypass",
     "series_compliance",
     "series_layer",
+    "sweep",
 )
 """Codes are the positions, from 1; 0 is no operation."""
 
@@ -160,6 +164,13 @@ def transform(
         factor = 1.0 / (1.0 + z * s * x / lag)
         pull = -z * z * factor * factor * s / lag
         return z * factor, factor * factor, pull * slope, -pull * x * (lag - 1.0) / lag, none
+    if code == 15:
+        p, passed, all_of_it = np.exp(u1), np.log(omega / c1), np.log(c2)
+        above, below = -np.expm1(-p * passed), -np.expm1(-p * all_of_it)
+        q = above / below
+        factor = np.exp(x * q)
+        slowing = (passed * (1.0 - above) - q * all_of_it * (1.0 - below)) / below
+        return z * factor, complex(factor, 0.0), z * factor * q * slope, z * factor * x * slowing * p, none
     return z, 1.0 + 0j, none, none, none
 
 

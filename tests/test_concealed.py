@@ -48,7 +48,7 @@ def test_numbers_are_those_of_the_shipped_population() -> None:
 
 def test_every_effect_of_the_catalogue_is_there_with_its_names() -> None:
     assert set(forms.PARAMETERS) == set(forms.EFFECTS)
-    assert len(forms.EFFECTS) == 22
+    assert len(forms.EFFECTS) == 23
 
 
 @pytest.mark.parametrize(("name", "place"), CURVES)

@@ -62,6 +62,8 @@ CASES = (
     Case("bypass", (3.0, 200.0), (0.4, 0.6)),
     Case("series_compliance", (1e-6,), (0.7,)),
     Case("series_layer", (1e-6,), (0.7, -8.0)),
+    Case("sweep", (1.0, OMEGA[0], 1000.0), (0.3, 0.0)),
+    Case("sweep", (1.0, OMEGA[0], 1000.0), (-0.3, -3.0)),
 )
 CASE = pytest.mark.parametrize("case", CASES, ids=lambda c: f"{c.name}{c.u[0]:+}")
 
@@ -106,6 +108,9 @@ def formula(case: Case, s: np.ndarray, z: np.ndarray) -> np.ndarray:
             return 1 / (1 / z + s * x)
         case "series_layer":
             return 1 / (1 / z + s * x / (1 + s * np.exp(u1)))
+        case "sweep":
+            p = np.exp(u1)
+            return z * np.exp(x * (1 - (s.imag / c1) ** -p) / (1 - case.constants[2] ** -p))
     raise AssertionError(case.name)
 
 

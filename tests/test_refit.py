@@ -21,6 +21,7 @@ from bayes_impedance.mismatch.effects import Effect, Scales, registered
 from bayes_impedance.mismatch.equations import (
     Equations,
     Population,
+    Stack,
     counts,
     equations_at,
     marginal,
@@ -199,7 +200,7 @@ def test_owners_counts_and_weights() -> None:
 def test_equations_are_the_residuals_and_their_slopes() -> None:
     experiment = toy(*TOY, seed=1, n=3)
     u = experiment.u + 0.1
-    found = equations_at(experiment.model, experiment.data, u, Serial())
+    found = equations_at(experiment.model, Stack.of(experiment.data), u, Serial())
     for m, i in enumerate(owners(experiment.data)):
         d = experiment.data[i]
         z, dz = Kernel(experiment.model.network).derivative(u[m], d.omega / (2 * np.pi))
@@ -243,7 +244,7 @@ def test_quadratic_is_the_likelihood_with_the_elements_free() -> None:
     centre = np.zeros(2)
     _, elements = best(centre)
     u = np.column_stack([elements, np.tile(centre, (2, 1))])
-    equations = equations_at(model, experiment.data, u, Serial())
+    equations = equations_at(model, Stack.of(experiment.data), u, Serial())
     h, information, response = quadratic(model, experiment.data, u, equations, FREE)
     w = weights(experiment.data, equations.chi)[0]
     factor = np.linalg.cholesky(np.linalg.inv(information[0]))
@@ -265,7 +266,7 @@ def test_quadratic_does_not_care_where_the_elements_are() -> None:
     for shift in (0.0, 0.003, -0.003):
         u = start.copy()
         u[:, :2] += shift
-        equations = equations_at(model, experiment.data, u, Serial())
+        equations = equations_at(model, Stack.of(experiment.data), u, Serial())
         # The weights depend on where we are; we ask about the rest.
         fixed = replace(equations, chi=np.full(len(u), 82.0))
         h, information, _ = quadratic(model, experiment.data, u, fixed, FREE)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from cases import COVARIATE, Case, followers, prepare, stream
-from forms import EFFECTS, NOTHING, PARAMETERS, equivalents, same_places
+from forms import EFFECTS, NOTHING, PARAMETERS, VERDICT_ID, equivalents, same_places
 from people import ELEMENTS, NETWORK, Conditions, record
 from visibility import visibility
 
@@ -95,7 +95,7 @@ def _truth(case: Case, sd: np.ndarray, names: tuple[str, ...]) -> dict[str, Any]
     relative = np.abs(case.concealed - case.without)[case.members] / sd[case.members]
     visible, outside = visibility(case, sd) if missing else (0.0, np.zeros(case.frequency_hz.size))
     return {
-        "id": case.id,
+        "id": VERDICT_ID.get(case.id, case.id),
         "mismatch": missing,
         "place": case.place if missing else None,
         "places": list(same_places(case.id, case.place)) if missing else [],

@@ -28,6 +28,7 @@ body.reflex            z_p + k exp(-s T)/s/(1 + s/wc), wc = 2 pi 8 Hz
 body.covariate         ln n3 - b ln F, ln r3 + b ln F with the contact force F
 body.subgroup          1/(1/z + 1/(r + 1/(s n))) for 30 % of the people
 body.drift             ln x + b (repetition - 1), for everybody
+body.drift.sweep       z_p exp(b q), q the part of the sweep's time that has passed: of the octaves or of the periods
 body.correlation       nothing: the elements are strongly correlated
 none                   nothing
 =====================  ==============================================================================================
@@ -69,6 +70,7 @@ PARAMETERS: dict[str, dict[str, tuple[str, str]]] = {
         "compliance": ("compliance", "m/N"),
     },
     "body.drift": {"trend": ("trend", "1/repetition")},
+    "body.drift.sweep": {"change": ("change", "1")},
     "body.correlation": {},
     "none": {},
 }
@@ -177,6 +179,17 @@ def _layer(s: np.ndarray, z: np.ndarray, p: Mapping[str, np.ndarray]) -> np.ndar
     return 1 / (1 / z + 1 / (p["damping"] + 1 / (s * p["compliance"])))
 
 
+def _start_sweep(rng: np.random.Generator, _place: str) -> Values:
+    return {"change": float(rng.choice([-1.0, 1.0])) * 0.1, "same_periods": float(rng.integers(2))}
+
+
+def _sweep(s: np.ndarray, z: np.ndarray, p: Mapping[str, np.ndarray]) -> np.ndarray:
+    w = s.imag
+    octaves = np.log(w / w.min()) / np.log(w.max() / w.min())
+    periods = (1 / w.min() - 1 / w) / (1 / w.min() - 1 / w.max())
+    return z * np.exp(p["change"] * np.where(p["same_periods"] > 0.5, periods, octaves))
+
+
 EFFECTS: dict[str, Effect] = {
     "rig.mass": Effect(("port",), "shared", _signed_mass, {"mass": 1}, form=lambda s, z, p: z + s * p["mass"]),
     "rig.damping": Effect(
@@ -273,9 +286,13 @@ EFFECTS: dict[str, Effect] = {
         _layer,
     ),
     "body.drift": Effect(("n1", "n3", "r1"), "shared", _constant()),
+    "body.drift.sweep": Effect(("n3", "r3", "n1"), "varying", _start_sweep, {"change": 1}, {"change": 0.2}, _sweep),
     "body.correlation": Effect(("port",), "none", _constant()),
     "none": Effect(("port",), "none", _constant()),
 }
+
+VERDICT_ID = {"body.drift.sweep": "body.drift"}
+"""What a verdict calls an effect, where it is one of several forms of it."""
 
 NOTHING = ("none", "body.correlation")
 """Effects that conceal nothing: the right answer is "nothing missing"."""

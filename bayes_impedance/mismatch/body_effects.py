@@ -179,6 +179,25 @@ BODY_REFLEX = register(
     )
 )
 
+BODY_DRIFT = register(
+    Effect(
+        id="body.drift",
+        name="tissue that changes during the sweep",
+        side="body",
+        pooling="varying",
+        places=("springs", "dampers"),
+        formula="z exp(x q(f)), q the part of the sweep's time that has passed",
+        story="The tissue relaxes under the load while the frequencies are measured one after the other. "
+        "An element is not the same at the end of the sweep as it was at its beginning.",
+        look_for="a slope of the magnitude over frequency without the phase that belongs to it",
+        separates="a sweep in the opposite direction, or in random order",
+        source="Creep of about 0.5 % per second under load",
+        operation="sweep",
+        coefficients=(Coefficient("change", ""), Coefficient("time_law", "", "log", (0.03, 1.0), 0.7)),
+        signed=True,
+    )
+)
+
 BODY_SUBGROUP = register(
     Effect(
         id="body.subgroup",

@@ -2,8 +2,8 @@
 
 Order matters a little: of two entries that explain recordings equally well the earlier one is named first, the simpler
 before the richer, and the rig before the body. Effects that concern how elements are distributed between people or
-repetitions (``body.covariate``, ``body.subgroup``, ``body.drift``, ``body.correlation``) change no formula; they stand
-at the end, and :mod:`bayes_impedance.mismatch.between` looks for them.
+repetitions (``body.covariate``, ``body.subgroup``, ``body.drift`` over repetitions, ``body.correlation``) change no
+formula; they stand at the end, and :mod:`bayes_impedance.mismatch.between` looks for them.
 """
 
 from __future__ import annotations

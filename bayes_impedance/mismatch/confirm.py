@@ -37,7 +37,8 @@ _LEAST_SHARE = 0.4
 _PLACES_EACH, _BY_SPREAD = 2, 2
 _CLEARLY_VARIES = -10.0  # logarithm of a p-value
 _SURE = 12.0  # chi-square of one person's own best shape
-_UNPHYSICAL = 2.0
+_FIRST_ROUNDS, _MORE_ROUNDS = 8, 22
+_FAR_BEHIND = 40.0
 
 
 @dataclass(frozen=True)
@@ -274,47 +275,49 @@ def own_shapes(refitter: Refitter, fit: Refit, screening: Screening, k: int, rou
 Watch = Callable[[str], None]
 
 
-def best_trial(
+def try_shortlist(
     refitter: Refitter, fit: Refit, screening: Screening, watch: Watch, n: int = SHORTLIST
-) -> tuple[Trial | None, list[Trial]]:
-    """Refit the shortlist; the physical trial with the largest gain, if that is large enough, and all trials."""
+) -> list[Trial]:
+    """Refit the shortlist, and the best of it at the places that the list had no room for."""
     trials: list[Trial] = []
     for k in shortlist(screening, n):
         candidate = screening.candidates[k]
         watch(f"{candidate.effect.id} at {candidate.place}")
         poolings = poolings_for(candidate, len(refitter.data))
-        trials += try_candidate(refitter, fit, candidate, float(screening.size[k]), poolings)
+        trials += try_candidate(refitter, fit, candidate, float(screening.size[k]), poolings, _FIRST_ROUNDS)
         if "varying" in poolings and has_shapes(candidate.effect) and screening.log_p_spread[k] < _CLEARLY_VARIES:
-            trials.append(own_shapes(refitter, fit, screening, k))
+            trials.append(own_shapes(refitter, fit, screening, k, _FIRST_ROUNDS))
+    trials = _continued(refitter, fit, trials)
     possible = [t for t in trials if t.physical and np.isfinite(t.gain)]
     if not possible:
-        return None, trials
+        return trials
     leader = max(possible, key=lambda t: t.gain)
-    for k in best_shapes(screening):  # the same effect at places that the shortlist had no room for
+    for k in best_shapes(screening):
         other = screening.candidates[k]
         tried = {(t.candidate.place, t.pooling) for t in trials if t.effect == leader.effect}
         if other.effect == leader.effect and (other.place, leader.pooling) not in tried:
             watch(f"{other.effect.id} at {other.place}")
             if leader.pooling == "free":
-                trial = own_shapes(refitter, fit, screening, k)
+                trials.append(own_shapes(refitter, fit, screening, k))
             else:
-                trial = try_candidate(refitter, fit, other, float(screening.size[k]), (leader.pooling,))[-1]
-            trials.append(trial)
-            if trial.physical and np.isfinite(trial.gain):
-                possible.append(trial)
-    if leader.pooling == "free":  # many optima: a place must not lose because somebody sits in the wrong one
-        rivals = [t for t in possible if t.effect == leader.effect and t.pooling == "free"]
-        for trial in rivals:
-            settled = refitter.settle(trial.fit, 1, tries=3, rounds=2)
-            trials[trials.index(trial)] = better = replace(trial, fit=settled, gain=gain(settled, fit))
-            possible[possible.index(trial)] = better
-    top = max(t.gain for t in possible)
-    if top <= LEAST_GAIN:
-        return None, trials
-    # Of equally good explanations the one that stands first in the catalogue: the simpler, and the rig's.
-    order = {effect: i for i, effect in enumerate(registered())}
-    close = [t for t in possible if t.gain > top - 1.0]
-    return min(close, key=lambda t: (order.get(t.effect, len(order)), -t.gain)), trials
+                size = float(screening.size[k])
+                trials.append(try_candidate(refitter, fit, other, size, (leader.pooling,))[-1])
+    return trials
+
+
+def _continued(refitter: Refitter, fit: Refit, trials: list[Trial]) -> list[Trial]:
+    """The trials that are not far behind after their first rounds, with more rounds; the others as they are."""
+    gains = [t.gain for t in trials if np.isfinite(t.gain) and t.physical]
+    if not gains:
+        return trials
+    enough = max(gains) - max(_FAR_BEHIND, (1 - _LEAST_SHARE) * max(gains))
+    result = []
+    for trial in trials:
+        if trial.gain > enough and not trial.fit.settled:
+            grown = refitter.fit(trial.fit.model, trial.fit.u, trial.fit.population, _MORE_ROUNDS)
+            trial = replace(trial, fit=grown, gain=gain(grown, fit), physical=is_physical(grown))
+        result.append(trial)
+    return result
 
 
 def poolings_for(candidate: Candidate, n_people: int) -> tuple[str, ...]:

@@ -304,7 +304,7 @@ def direction(effect: Effect, shape: dict[str, float], scales: Scales, omega: np
         branch = parse(effect.branch).impedance(1j * omega, shape)
         return np.broadcast_to(branch, z.shape) if effect.connection == "beside" else np.asarray(-(z**2) / branch)
     u = np.zeros((z.shape[0], N_PARAMETERS))
-    constants = np.array([1.0, operation_constant(effect, scales), 0.0])
+    constants = np.array([1.0, *operation_constants(effect, scales)])
     code = NAMES.index(effect.operation) + 1
     if effect.operation == "line":
         # The tangent at zero mass is that of a mass; the layer's own mark is where waves fit into it.
@@ -317,16 +317,18 @@ def direction(effect: Effect, shape: dict[str, float], scales: Scales, omega: np
     return np.asarray(transform_many(code, u, constants, omega, np.ascontiguousarray(z))[2])
 
 
-def operation_constant(effect: Effect, scales: Scales) -> float:
-    """The constant c1 of an effect's operation."""
+def operation_constants(effect: Effect, scales: Scales) -> tuple[float, float]:
+    """The constants c1 and c2 of an effect's operation."""
     match effect.operation:
         case "add":
-            return {"m": 1.0, "r": 0.0, "k": -1.0}[effect.coefficients[0].unit]
+            return {"m": 1.0, "r": 0.0, "k": -1.0}[effect.coefficients[0].unit], 0.0
         case "power" | "beside_power":
-            return scales.middle
+            return scales.middle, 0.0
         case "bypass":
-            return effect.coefficients[1].scale(scales)
-    return 0.0
+            return effect.coefficients[1].scale(scales), 0.0
+        case "sweep":
+            return scales.low, scales.high / scales.low
+    return 0.0, 0.0
 
 
 def line_mass(omega: np.ndarray, z: np.ndarray) -> np.ndarray:

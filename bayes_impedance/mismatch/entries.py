@@ -19,11 +19,12 @@ from bayes_impedance.mismatch.coefficients import (
     verdict_on_side,
 )
 from bayes_impedance.mismatch.confirm import LEAST_GAIN, Trial
+from bayes_impedance.mismatch.finalists import with_pooling
 from bayes_impedance.mismatch.mains import Hum
 from bayes_impedance.mismatch.members import Members, members
 from bayes_impedance.mismatch.proposals import best_sentence, separation
 from bayes_impedance.mismatch.refit import Refit
-from bayes_impedance.mismatch.search import Found, Step, with_pooling
+from bayes_impedance.mismatch.search import Found, Step
 from bayes_impedance.mismatch.unknown import Realised
 from bayes_impedance.mismatch.wording import number
 

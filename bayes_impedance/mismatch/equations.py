@@ -23,6 +23,7 @@ from bayes_impedance.likelihood import SCALE_SHAPE, Likelihood, normal_equations
 from bayes_impedance.mismatch.model import Model
 
 _FREEDOM = 5.0
+_PIECES = 4
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,14 @@ class Equations:
     gradient: np.ndarray
     information: np.ndarray
 
+    def with_rows(self, rows: np.ndarray, other: Equations) -> Equations:
+        """These, but for some recordings (bool, shape (M,)) those of `other`."""
+        return Equations(
+            np.where(rows, other.chi, self.chi),
+            np.where(rows[:, None], other.gradient, self.gradient),
+            np.where(rows[:, None, None], other.information, self.information),
+        )
+
 
 def owners(data: Sequence[Likelihood]) -> np.ndarray:
     """Person of every recording, shape (M,)."""
@@ -66,27 +75,77 @@ def counts(data: Sequence[Likelihood]) -> np.ndarray:
     return np.array([d.z.shape[0] * d.omega.size for d in data], dtype=float)
 
 
+@dataclass(frozen=True)
+class Stack:
+    """All recordings, those with the same frequencies one after the other: few long tasks instead of many short ones.
+
+    Attributes
+    ----------
+    owner : ndarray, shape (M,)
+        Person of every recording.
+    groups : tuple of (rows, omega, z, weight)
+        Numbers (R,) of the recordings in a group, and their data of shape (F,), (R, 2, F) and (R, F).
+    """
+
+    owner: np.ndarray
+    groups: tuple[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], ...]
+
+    @classmethod
+    def of(cls, data: Sequence[Likelihood]) -> Stack:
+        """Of everybody's data."""
+        owner = owners(data)
+        people: dict[bytes, list[int]] = {}
+        for i, d in enumerate(data):
+            people.setdefault(d.omega.tobytes(), []).append(i)
+        groups = []
+        for own in people.values():
+            rows = np.concatenate([np.flatnonzero(owner == i) for i in own])
+            z = np.ascontiguousarray(np.concatenate([data[i].z for i in own]))
+            weight = np.ascontiguousarray(np.concatenate([data[i].weight for i in own]))
+            groups.append((rows, data[own[0]].omega, z, weight))
+        return cls(owner, tuple(groups))
+
+
 @compiled
-def _person(
-    program: Program, u: np.ndarray, omega: np.ndarray, z: np.ndarray, weight: np.ndarray
+def _recordings(
+    program: Program, u: np.ndarray, omega: np.ndarray, z: np.ndarray, weight: np.ndarray, chosen: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    n, p = u.shape
+    n, p = chosen.size, u.shape[1]
     chi, gradient, information = np.empty(n), np.empty((n, p)), np.empty((n, p, p))
-    for j in range(n):
-        chi[j], gradient[j], information[j] = normal_equations(program, u[j], omega, z[j], weight[j])
+    for k in range(n):
+        j = chosen[k]
+        chi[k], gradient[k], information[k] = normal_equations(program, u[j], omega, z[j], weight[j])
     return chi, gradient, information
 
 
-def equations_at(model: Model, data: Sequence[Likelihood], u: np.ndarray, executor: Executor) -> Equations:
-    """Chi-square, gradient and information of every recording at u (M, P)."""
-    starts = np.r_[0, np.cumsum([d.z.shape[0] for d in data])]
+def equations_at(
+    model: Model,
+    stack: Stack,
+    u: np.ndarray,
+    executor: Executor,
+    people: np.ndarray | None = None,
+    known: Equations | None = None,
+) -> Equations:
+    """Chi-square, gradient and information of every recording at u (M, P).
 
-    def one(i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        d = data[i]
-        return _person(model.kernel.program, u[starts[i] : starts[i + 1]], d.omega, d.z, d.weight)  # type: ignore[no-any-return]
-
-    chi, gradient, information = zip(*executor.map(one, range(len(data))), strict=True)
-    return Equations(np.concatenate(chi), np.concatenate(gradient), np.concatenate(information))
+    Only those of some people (bool, shape (N,)) are computed if the others' are known.
+    """
+    m, p = u.shape
+    if known is None or people is None:
+        result, wanted = Equations(np.empty(m), np.empty((m, p)), np.empty((m, p, p))), np.ones(m, dtype=bool)
+    else:
+        result = Equations(known.chi.copy(), known.gradient.copy(), known.information.copy())
+        wanted = people[stack.owner]
+    tasks = []
+    for rows, omega, z, weight in stack.groups:
+        own = np.ascontiguousarray(u[rows])
+        chosen = np.flatnonzero(wanted[rows])
+        for piece in np.array_split(chosen, min(_PIECES, max(len(chosen), 1))):
+            if piece.size:
+                tasks.append((rows[piece], (model.kernel.program, own, omega, z, weight, piece)))
+    for (rows, _), found in zip(tasks, executor.map(lambda task: _recordings(*task[1]), tasks), strict=True):
+        result.chi[rows], result.gradient[rows], result.information[rows] = found
+    return result
 
 
 def quadratic(

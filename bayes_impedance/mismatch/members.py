@@ -19,6 +19,7 @@ from bayes_impedance.mismatch.equations import quadratic
 from bayes_impedance.mismatch.refit import Refit
 
 _ROUNDS = 200
+_FEWEST = 2.5
 
 
 @dataclass(frozen=True)
@@ -48,8 +49,8 @@ class Members:
 
     @property
     def only_some(self) -> bool:
-        """Whether the effect is clearly absent in a good part of the people."""
-        return self.gain > 3.0 and self.fraction < 0.85
+        """Whether the effect is clearly absent in a good part of the people, and not a matter of one or two."""
+        return bool(self.gain > 3.0 and self.fraction < 0.85 and self.probability.sum() > _FEWEST)
 
 
 def members(fit: Refit, addition: int) -> Members:

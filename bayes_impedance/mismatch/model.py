@@ -11,7 +11,7 @@ import numpy as np
 
 from bayes_impedance.elements import band_scale, kind_of
 from bayes_impedance.kernel import Kernel
-from bayes_impedance.mismatch.effects import Effect, Scales, operation_constant
+from bayes_impedance.mismatch.effects import Effect, Scales, operation_constants
 from bayes_impedance.network import Element, Network, Parallel, Place, parse
 from bayes_impedance.operations import Operation
 from bayes_impedance.recordings import Recordings
@@ -19,8 +19,9 @@ from bayes_impedance.recordings import Recordings
 ELEMENT_SD = 3.0
 """Prior standard deviation of a log element around its natural scale, as everywhere in the package."""
 
-COEFFICIENT_SD = 3.0
-"""Prior standard deviation of a linear coefficient around zero, in units of its scale."""
+COEFFICIENT_SD = 30.0
+"""Prior standard deviation of a linear coefficient around zero, in units of its scale: flat, because what stands inside
+a network may be much larger than what is seen at the port."""
 
 TYPICAL_DISPERSION = 0.35
 """What people usually differ by, before it is estimated."""
@@ -216,7 +217,7 @@ def build(network: Network, additions: Sequence[Addition], scales: Scales, start
     for addition, own_names, _ in found:
         effect = addition.effect
         path = () if effect.side == "rig" else _find(grown, names[addition.place]).path
-        constants = (effect.coefficients[0].scale(scales), operation_constant(effect, scales), 0.0)
+        constants = (effect.coefficients[0].scale(scales), *operation_constants(effect, scales))
         operations.append(Operation(effect.operation, path, own_names, constants))
     kernel = Kernel(grown, operations)
     by_name = {p.name: p for p in (*branch_parameters, *parameters)}

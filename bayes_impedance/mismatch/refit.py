@@ -36,6 +36,7 @@ from bayes_impedance.likelihood import SCALE_SHAPE, Likelihood
 from bayes_impedance.mismatch.equations import (
     Equations,
     Population,
+    Stack,
     counts,
     equations_at,
     marginal,
@@ -125,7 +126,8 @@ class Refitter:
         self.data = tuple(data)
         self.executor = executor
         self.one_person = one_person
-        self.owner = owners(self.data)
+        self.stack = Stack.of(self.data)
+        self.owner = self.stack.owner
         self.repeated = any(d.z.shape[0] > 1 for d in self.data)
 
     def subset(self, people: np.ndarray) -> Refitter:
@@ -165,7 +167,7 @@ class Refitter:
         population = replace(population, covariance=_with_dispersions(model, population.covariance, population.mu))
         persons = _means(u[:, varying], self.owner, n)
         damping = np.full(n, 1e-3)
-        equations = equations_at(model, self.data, u, self.executor)
+        equations = equations_at(model, self.stack, u, self.executor)
         settled = False
         hold_population = hold_population or self.one_person
         for _ in range(rounds):
@@ -286,22 +288,25 @@ class Refitter:
         step_v = np.linalg.solve(blocks.precision, right[..., None])[..., 0]
         step_u = free + np.einsum("mpq,mq->mp", blocks.inverse, r * step_v[self.owner])
         part = np.minimum(1.0, 2.0 / np.maximum(_most(np.abs(step_u).max(axis=1), self.owner, n), 1e-12))
+        trial_u, trial_v, trial = u.copy(), persons.copy(), equations
+        moving = np.ones(n, dtype=bool)
         for _ in range(5):
-            trial_u, trial_v = u.copy(), persons + part[:, None] * step_v
-            trial_u[:, varying] += part[self.owner, None] * step_u
-            trial = equations_at(model, self.data, trial_u, self.executor)
+            rows = np.flatnonzero(moving[self.owner])
+            trial_u[np.ix_(rows, varying)] = u[np.ix_(rows, varying)] + (part[self.owner, None] * step_u)[rows]
+            trial_v[moving] = (persons + part[:, None] * step_v)[moving]
+            trial = equations_at(model, self.stack, trial_u, self.executor, moving, trial)
             after = self._objective(trial.chi, trial_u[:, varying], trial_v, population)
             worse = ~(after <= before + 1e-6)
-            damping = np.where(worse, np.minimum(10 * damping, 1e6), np.maximum(damping / 3, 1e-9))
+            damping = np.where(worse, np.minimum(10 * damping, 1e6), damping)
+            damping = np.where(moving & ~worse, np.maximum(damping / 3, 1e-9), damping)
             if not worse.any():
                 break
             part = np.where(worse, 0.25 * part, part)
-        else:
-            part = np.where(worse, 0.0, part)
-            keep = (part > 0)[self.owner]
-            trial_u = np.where(keep[:, None], trial_u, u)
-            trial_v = np.where((part > 0)[:, None], trial_v, persons)
-            trial = equations_at(model, self.data, trial_u, self.executor)
+            moving = worse
+        else:  # who finds no way downwards stays
+            rows = moving[self.owner]
+            trial_u[rows], trial_v[moving] = u[rows], persons[moving]
+            trial = trial.with_rows(rows, equations)
         length = np.sqrt(np.maximum(np.einsum("np,npq,nq->n", step_v, blocks.precision, step_v), 0.0))
         return trial_u, trial_v, trial, damping, float(length.max())
 
@@ -332,7 +337,7 @@ class Refitter:
             trial_u = u.copy()
             trial_u[:, n_elements:] += own[self.owner]
             trial_u[:, :n_elements] += np.clip(np.einsum("mea,ma->me", response, own[self.owner]), -1.0, 1.0)
-            trial = equations_at(model, self.data, trial_u, self.executor)
+            trial = equations_at(model, self.stack, trial_u, self.executor)
             if self._misfit(trial.chi) <= before + 0.5:
                 mu = population.mu.copy()
                 mu[n_elements:] += step[varying]

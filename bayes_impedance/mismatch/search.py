@@ -13,18 +13,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayes_impedance.mismatch.coefficients import CoefficientPosterior, coefficient_posterior
-from bayes_impedance.mismatch.confirm import (
-    ALPHA,
-    LEAST_GAIN,
-    Trial,
-    best_trial,
-    extended_start,
-    gain,
-    starts_of,
-)
+from bayes_impedance.mismatch.coefficients import CoefficientPosterior
+from bayes_impedance.mismatch.confirm import ALPHA, LEAST_GAIN, Trial, gain, try_shortlist
 from bayes_impedance.mismatch.effects import Effect
-from bayes_impedance.mismatch.model import Addition, Model, build
+from bayes_impedance.mismatch.finalists import at_rest, finalists, measured, rebuilt, whole_gain
+from bayes_impedance.mismatch.model import Addition, Model
 from bayes_impedance.mismatch.refit import Refit, Refitter
 from bayes_impedance.mismatch.residuals import PersonResiduals
 from bayes_impedance.mismatch.screen import Screening, person_residuals, screen
@@ -34,6 +27,7 @@ _PEOPLE_PER_ADDITION = 8
 _REPEATS = 3
 _FEWEST = 10
 _SURE = 3.0
+_SECOND_CHANCES = 3
 
 SPREAD_PENALTY = float(np.log(100.0))
 """The spread between people is held to a stricter level: noise of another shape in some people looks like it."""
@@ -133,22 +127,25 @@ def search(
         screening = screen(fit, residuals, effects, seed, executor)
         step = Step(fit, residuals, screening, (), None)
         if number < most and step.log_p < np.log(ALPHA):
-            chosen, trials = best_trial(refitter, fit, screening, lambda _: None)
-            if chosen is not None:
-                chosen = freed(refitter, fit, chosen)
-                settled, measure = measured(refitter, refitter.settle(chosen.fit, seed), seed)
-                better = _without_last(refitter, fit, settled)
-                if better is not None and repeats < _REPEATS:  # it was not physics that was missing but convergence
-                    repeats += 1
-                    base = better if fit is base else base
-                    fit = better
-                    continue
-                chosen = replace(chosen, fit=settled, gain=gain(settled, fit))
-                if chosen.gain <= LEAST_GAIN or not (_sure(settled, measure) and _shared_by_many(settled, fit)):
-                    chosen = None
-                else:
-                    posterior = measure
-            step = replace(step, trials=tuple(trials), chosen=chosen)
+            trials = try_shortlist(refitter, fit, screening, lambda _: None)
+            ranked = finalists(refitter, fit, trials, seed)
+            ranked = at_rest(refitter, fit, ranked, seed) if ranked else []
+            chosen, better = None, None
+            for trial in ranked[:_SECOND_CHANCES]:
+                grown, measure = measured(refitter, trial.fit, seed)
+                better = _without_last(refitter, fit, grown) if repeats < _REPEATS else None
+                if better is not None:
+                    break
+                grown_gain = whole_gain(grown, fit)
+                if grown_gain > LEAST_GAIN and _sure(grown, measure) and _shared_by_many(grown, fit):
+                    chosen, posterior = replace(trial, fit=grown, gain=grown_gain), measure
+                    break
+            if better is not None:  # it was not physics that was missing but convergence
+                repeats += 1
+                base = better if fit is base else base
+                fit = better
+                continue
+            step = replace(step, trials=(*trials, *ranked), chosen=chosen)
         steps.append(step)
         if step.chosen is None:
             break
@@ -188,51 +185,6 @@ def _shared_by_many(grown: Refit, fit: Refit) -> bool:
     if difference.size < _FEWEST or grown.model.additions[-1].effect.pooling == "some":
         return True
     return bool(difference.sum() > 2 * np.sqrt(difference.size) * difference.std(ddof=1))
-
-
-def freed(refitter: Refitter, fit: Refit, trial: Trial) -> Trial:
-    """The trial with shapes that differ between people, if that is worth its parameters."""
-    effect = trial.effect
-    shapes = [c for c in effect.coefficients[1:] if c.link != "linear"]
-    if trial.pooling != "varying" or not shapes:
-        return trial
-    model = with_pooling(trial.fit.model, len(trial.fit.model.additions) - 1, "free")
-    grown = refitter.fit(model, *extended_start(trial.fit, model), 30)
-    candidate = replace(trial, pooling="free", fit=grown, gain=gain(grown, fit))
-    return candidate if candidate.gain > trial.gain + LEAST_GAIN else trial
-
-
-def with_pooling(model: Model, addition: int, pooling: str, dispersions: Sequence[float] = ()) -> Model:
-    """The model with one addition pooled in another way; dispersions of its coefficient and shapes, if given."""
-    additions = list(model.additions)
-    changed = replace(additions[addition], pooling=pooling)
-    if dispersions:
-        changed = replace(changed, dispersion=dispersions[0], shape_dispersions=tuple(dispersions[1:]))
-    additions[addition] = changed
-    return rebuilt(model, additions, list(range(len(additions))))
-
-
-def rebuilt(model: Model, additions: Sequence[Addition], kept: Sequence[int]) -> Model:
-    """A model with other additions; `kept` says which of the old ones each was, for the centres of its shapes."""
-    starts = starts_of(model)
-    return build(model.network, additions, model.scales, [starts[k] for k in kept])
-
-
-def measured(refitter: Refitter, fit: Refit, seed: int) -> tuple[Refit, CoefficientPosterior]:
-    """The fit with dispersions at their posterior medians, and the joint posterior of the additions."""
-    posterior = coefficient_posterior(fit, seed)
-    for _ in range(2):
-        if all(a.pooling == "shared" for a in fit.model.additions):
-            break
-        model = fit.model
-        for i, addition in enumerate(model.additions):
-            if addition.pooling != "shared":
-                columns = [c - model.n_elements for c in model.columns(i)]
-                middle = np.clip(np.median(posterior.relative_dispersion[:, columns], axis=0), 0.03, 1.5)
-                model = with_pooling(model, i, addition.pooling, middle.tolist())
-        fit = refitter.fit(model, *extended_start(fit, model))
-        posterior = coefficient_posterior(fit, seed)
-    return fit, posterior
 
 
 def _backward(refitter: Refitter, base: Refit, fit: Refit) -> Refit:

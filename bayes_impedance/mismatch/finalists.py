@@ -1,0 +1,173 @@
+"""The last round: the best explanations, each with the freedom that it needs, compared on equal terms.
+
+The first refits hold a coefficient's dispersion at a typical value, let shapes differ between people or not, and begin
+wherever the model without them has ended. That is enough to see which explanations are in question, but not to choose
+between them: the one that happens to have the right dispersion would win. Here
+
+- shapes may differ between people where that is worth its parameters,
+- dispersions go to their posterior medians,
+- everybody is given the chance to leave a local optimum, at the same effect's other places too, and
+- a coefficient that is absent in some people is not punished for not being normal
+  (:mod:`bayes_impedance.mismatch.members`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from bayes_impedance.mismatch.coefficients import CoefficientPosterior, coefficient_posterior
+from bayes_impedance.mismatch.confirm import LEAST_GAIN, Trial, extended_start, gain, is_physical, starts_of
+from bayes_impedance.mismatch.effects import registered
+from bayes_impedance.mismatch.members import members
+from bayes_impedance.mismatch.model import Addition, Model, build
+from bayes_impedance.mismatch.refit import Refit, Refitter
+
+MOST = 4
+_SHARE = 0.6
+_CLOSE = 1.0
+_RIVAL = 10.0
+_ROUNDS = 40
+_DISPERSIONS = (0.03, 1.5)
+_FEWEST, _FEWEST_TO_VARY = 10, 3
+
+
+def finalists(refitter: Refitter, fit: Refit, trials: Sequence[Trial], seed: int) -> list[Trial]:
+    """The best trials, refitted on equal terms, the best first.
+
+    Parameters
+    ----------
+    refitter : Refitter
+    fit : Refit
+        Without them.
+    trials : sequence of Trial
+    seed : int
+    """
+    best: dict[tuple[str, str, str], Trial] = {}
+    for trial in trials:
+        key = trial.fit.model.additions[-1].key
+        if trial.physical and np.isfinite(trial.gain) and (key not in best or best[key].gain < trial.gain):
+            best[key] = trial
+    order = sorted(best.values(), key=lambda t: -t.gain)
+    if not order or order[0].gain <= LEAST_GAIN:
+        return []
+    close = [t for t in order if t.gain > _SHARE * order[0].gain]
+    some = [t for t in order if t.effect.pooling == "some" and t not in close[:MOST]]
+    grown = [ripened(refitter, fit, t, seed) for t in (*close[:MOST], *some[:1])]
+    grown = [t for t in grown if t.gain > LEAST_GAIN]
+    return in_order(grown) if grown else []
+
+
+def ripened(refitter: Refitter, fit: Refit, trial: Trial, seed: int) -> Trial:
+    """The trial with own shapes if they are worth it, and with its dispersions estimated."""
+    effect, last = trial.effect, len(trial.fit.model.additions) - 1
+    if effect.side == "rig" or len(refitter.data) < _FEWEST_TO_VARY:
+        return trial
+    best = trial
+    if trial.pooling != "shared":
+        best = _better(trial, _of(trial, _ripe(refitter, trial.fit, seed), fit))
+    if trial.pooling != "free" and any(c.link != "linear" for c in effect.coefficients[1:]):
+        model = with_pooling(trial.fit.model, last, "free")
+        grown = refitter.fit(model, *extended_start(trial.fit, model), 30)
+        free = _of(trial, _ripe(refitter, grown, seed), fit)
+        if free.physical and free.gain > best.gain + LEAST_GAIN:
+            return free
+    return best
+
+
+def _ripe(refitter: Refitter, grown: Refit, seed: int) -> Refit:
+    return with_measured_dispersions(refitter, grown, coefficient_posterior(grown, seed))
+
+
+def at_rest(refitter: Refitter, fit: Refit, ranked: Sequence[Trial], seed: int) -> list[Trial]:
+    """The best of the finalists with everybody at rest, and its close rivals too: the best first.
+
+    A person in a local optimum costs as much as a wrong explanation does. The same effect at another place begins where
+    the best one has ended, other effects look for better optima on their own.
+    """
+    leader = _of(ranked[0], refitter.settle(ranked[0].fit, seed), fit)
+    result = [leader]
+    for trial in ranked[1:]:
+        if trial.effect == leader.effect and trial.fit.u.shape == leader.fit.u.shape:
+            model = with_pooling(trial.fit.model, len(trial.fit.model.additions) - 1, leader.pooling)
+            population = extended_start(leader.fit, leader.fit.model)[1]
+            again = _of(trial, refitter.fit(model, leader.fit.u, population, _ROUNDS), fit)
+            result.append(_better(trial, again))
+        elif trial.gain > leader.gain - _RIVAL or trial.gain > ranked[0].gain - _RIVAL:
+            result.append(_better(trial, _of(trial, refitter.settle(trial.fit, seed, tries=2, rounds=1), fit)))
+        else:
+            result.append(trial)
+    result = in_order(result)
+    if result[0] is not leader:
+        result[0] = _better(result[0], _of(result[0], refitter.settle(result[0].fit, seed, tries=3, rounds=2), fit))
+    return result
+
+
+def in_order(trials: Sequence[Trial]) -> list[Trial]:
+    """Best first; of equally good ones the one that stands first in the catalogue: the simpler, and the rig's."""
+    rank = {effect: i for i, effect in enumerate(registered())}
+    top = max(t.gain for t in trials)
+    return sorted(
+        trials,
+        key=lambda t: (0, rank.get(t.effect, len(rank)), -t.gain) if t.gain > top - _CLOSE else (1, 0, -t.gain),
+    )
+
+
+def _of(trial: Trial, grown: Refit, fit: Refit) -> Trial:
+    pooling = grown.model.additions[-1].pooling
+    return replace(trial, pooling=pooling, fit=grown, gain=whole_gain(grown, fit), physical=is_physical(grown))
+
+
+def _better(old: Trial, new: Trial) -> Trial:
+    return new if new.physical and new.gain > old.gain else old
+
+
+def whole_gain(grown: Refit, fit: Refit) -> float:
+    """Gain of evidence, with what it gains that some people have nothing of the last addition."""
+    total = gain(grown, fit)
+    last = len(grown.model.additions) - 1
+    addition = grown.model.additions[last]
+    if addition.pooling == "shared" or not addition.effect.operation or len(grown.data) < _FEWEST:
+        return total
+    who = members(grown, last)
+    return total + max(who.gain - 0.5 * float(np.log(len(grown.u))), 0.0) * who.only_some
+
+
+def with_pooling(model: Model, addition: int, pooling: str, dispersions: Sequence[float] = ()) -> Model:
+    """The model with one addition pooled in another way; dispersions of its coefficient and shapes, if given."""
+    additions = list(model.additions)
+    changed = replace(additions[addition], pooling=pooling)
+    if dispersions:
+        changed = replace(changed, dispersion=dispersions[0], shape_dispersions=tuple(dispersions[1:]))
+    additions[addition] = changed
+    return rebuilt(model, additions, list(range(len(additions))))
+
+
+def rebuilt(model: Model, additions: Sequence[Addition], kept: Sequence[int]) -> Model:
+    """A model with other additions; `kept` says which of the old ones each was, for the centres of its shapes."""
+    starts = starts_of(model)
+    return build(model.network, additions, model.scales, [starts[k] for k in kept])
+
+
+def with_measured_dispersions(refitter: Refitter, fit: Refit, posterior: CoefficientPosterior) -> Refit:
+    """The fit with the dispersions of what varies at their posterior medians."""
+    model = fit.model
+    for i, addition in enumerate(model.additions):
+        if addition.pooling != "shared":
+            columns = [c - model.n_elements for c in model.columns(i)]
+            middle = np.clip(np.median(posterior.relative_dispersion[:, columns], axis=0), *_DISPERSIONS)
+            model = with_pooling(model, i, addition.pooling, middle.tolist())
+    return refitter.fit(model, *extended_start(fit, model))
+
+
+def measured(refitter: Refitter, fit: Refit, seed: int) -> tuple[Refit, CoefficientPosterior]:
+    """The fit with dispersions at their posterior medians, and the joint posterior of the additions."""
+    posterior = coefficient_posterior(fit, seed)
+    for _ in range(2):
+        if all(a.pooling == "shared" for a in fit.model.additions):
+            break
+        fit = with_measured_dispersions(refitter, fit, posterior)
+        posterior = coefficient_posterior(fit, seed)
+    return fit, posterior
