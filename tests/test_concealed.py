@@ -286,23 +286,24 @@ def test_what_elements_can_imitate_is_invisible() -> None:
     total, outside = visibility.visibility(case, sd)
     assert total > 5
     assert np.sum(outside**2) == pytest.approx(total**2 / 30)
-    imitated = replace(case, concealed=1.0001 * case.without)  # a gain error scales all elements
-    everything = 0.0001 / 0.01 * np.sqrt(30 * 61)
-    assert visibility.visibility(imitated, sd)[0] < 1e-6 * everything
+    for gain in (1.0001, 1.3):  # a gain error scales all elements, however large it is
+        imitated = replace(case, concealed=gain * case.without)
+        everything = (gain - 1) / 0.01 * np.sqrt(30 * 61)
+        assert visibility.visibility(imitated, sd)[0] < 1e-3 * everything
 
 
 def test_visibility_is_the_mean_of_the_best_test() -> None:
-    case = cases.prepare("rig.delay", None, 0.3, 3, **SMALL)
-    sd = 0.01 * np.abs(case.without)
+    case = cases.prepare("rig.delay", None, 0.02, 3, **SMALL)  # so little that curves are straight
+    sd = 1e-3 * np.abs(case.without)
     total, _ = visibility.visibility(case, sd)
     change, basis = _white(case, sd, case.concealed - case.without)
     free = change - np.einsum("ijfp,ijgp,ijg->ijf", basis, basis, change)
-    assert np.sqrt(np.sum(free**2)) == pytest.approx(total, rel=1e-6)
+    assert np.sqrt(np.sum(free**2)) == pytest.approx(total, rel=0.03)
     # The score, sum g.r / sqrt(sum g.g), in 500 experiments.
     rng = np.random.default_rng(1)
     recorded = (change + rng.normal(size=change.shape) for _ in range(500))
     score = np.array([np.sum(free * r) for r in recorded]) / np.sqrt(np.sum(free**2))
-    assert score.mean() == pytest.approx(total, abs=4 / np.sqrt(500))
+    assert score.mean() == pytest.approx(total, abs=4 / np.sqrt(500) + 0.03 * total)
     assert score.std() == pytest.approx(1, abs=4 / np.sqrt(2 * 500))
 
 

@@ -15,8 +15,15 @@ from bayes_impedance.mismatch.catalogue import STRUCTURES
 from bayes_impedance.mismatch.correlations import CorrelationTest, correlation_test
 from bayes_impedance.mismatch.equations import sums
 from bayes_impedance.mismatch.refit import Refit
+from bayes_impedance.mismatch.structure_gain import gain_of_covariate, gain_of_drift
 from bayes_impedance.mismatch.subgroups import Subgroup, find_subgroup
-from bayes_impedance.mismatch.trends import RepetitionLikelihoods, Trend, find_covariates, find_drift
+from bayes_impedance.mismatch.trends import (
+    RepetitionLikelihoods,
+    Trend,
+    find_covariates,
+    find_drift,
+    regressors_of,
+)
 from bayes_impedance.recordings import Recordings
 
 ALPHA = 0.003
@@ -72,12 +79,15 @@ def structure_entries(
         remarks += [f"Covariates: {text}" for text in (found.reason, *found.remarks) if text]
         for name in dict.fromkeys(t.covariate for t in found.trends if t.p_corrected < ALPHA):
             rows = [t for t in found.trends if t.covariate == name and t.p_corrected < ALPHA]
-            entries.append(_entry("body.covariate", rows, "slope", name))
+            regressor = regressors_of({name: values[name]}, [])[name][0]
+            gain = gain_of_covariate(people, regressor, [t.element for t in rows], seed)
+            entries.append(_entry("body.covariate", rows, "slope", name, gain))
     if any(len(s.repetitions) > 1 for s in recordings.subjects):
-        drift = find_drift(repetition_likelihoods(fit))
-        rows = [t for t in drift.trends if t.p_corrected < ALPHA]
+        repetitions = repetition_likelihoods(fit)
+        rows = [t for t in find_drift(repetitions).trends if t.p_corrected < ALPHA]
         if rows:
-            entries.append(_entry("body.drift", rows, "trend", None))
+            gain = gain_of_drift(repetitions, [t.element for t in rows], seed)
+            entries.append(_entry("body.drift", rows, "trend", None, gain))
     e = fit.model.n_elements
     group = find_subgroup(people, fit.population.mu[:e], fit.population.covariance[:e, :e], seed)
     if group.p_corrected < ALPHA:
@@ -103,6 +113,7 @@ def _subgroup_entry(group: Subgroup, elements: tuple[str, ...]) -> dict[str, Any
     }
     entry = _structure("body.subgroup", group.element or elements[strongest], parameters)
     entry["subjects"] = np.flatnonzero(group.membership > 0.5).tolist()
+    entry["elements"] = [entry["place"]]
     entry["evidence"] = _evidence(group.statistic, group.p_corrected, 0.5 * group.statistic - 2.0)
     return entry
 
@@ -146,7 +157,9 @@ def _structure(kind: str, place: str, parameters: dict[str, Any]) -> dict[str, A
     }
 
 
-def _entry(kind: str, rows: list[Trend], parameter: str, covariate: str | None) -> dict[str, Any]:
+def _entry(
+    kind: str, rows: list[Trend], parameter: str, covariate: str | None, gain: tuple[float, float]
+) -> dict[str, Any]:
     """Entry for elements that follow a covariate or the repetitions, the surest first."""
     unit = (
         "per repetition" if kind == "body.drift" else "" if rows[0].transform == "log" else f"per unit of {covariate}"
@@ -160,6 +173,10 @@ def _entry(kind: str, rows: list[Trend], parameter: str, covariate: str | None) 
         entry["name"] = f"{rows[0].element} follows {covariate}"
     entry["covariate"] = covariate
     entry["elements"] = [row.element for row in rows]
-    gain = float(sum(0.5 * row.statistic**2 - 1.0 for row in rows))
-    entry["evidence"] = _evidence(rows[0].statistic ** 2, rows[0].p_corrected, gain)
+    entry["evidence"] = {
+        "score": rows[0].statistic ** 2,
+        "p_value": rows[0].p_corrected,
+        "elpd_gain": gain[0],
+        "elpd_gain_se": gain[1],
+    }
     return entry

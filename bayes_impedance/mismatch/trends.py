@@ -185,7 +185,7 @@ def find_covariates(
     if not covariates:
         return Trends((), 0, reason="there are no covariates")
     remarks: list[str] = []
-    regressors = _regressors(covariates, remarks)
+    regressors = regressors_of(covariates, remarks)
     centre, null = centred_fit(likelihoods)
     kept = np.flatnonzero(null.determined)
     remarks += [f"{e} is not determined by the recordings" for e in _others(likelihoods.elements, kept)]
@@ -217,10 +217,20 @@ def find_drift(repetitions: RepetitionLikelihoods) -> Trends:
     Trends
         Slopes in log change per repetition.
     """
-    stacked, numbers = repetitions.stacked()
-    n, p = len(stacked), len(repetitions.elements)
+    n = len(repetitions.stacked()[0])
     if n < MINIMUM_PERSONS:
         return Trends((), 0, reason=f"{n} persons have repetitions, and at least {MINIMUM_PERSONS} are needed")
+    fit = fit_population(*drift_model(repetitions))
+    kept = np.flatnonzero(np.sqrt(np.diag(fit.variance)) < _LARGEST_SLOPE_SD)
+    remarks = tuple(f"{e} is not determined by the repetitions" for e in _others(repetitions.elements, kept))
+    found = _trends(fit, {int(e): repetitions.elements[e] for e in kept}, "repetition", "linear", 1.0)
+    return Trends(_corrected(found), len(found), (), "" if found else "no element is determined", remarks)
+
+
+def drift_model(repetitions: RepetitionLikelihoods) -> tuple[PersonLikelihoods, np.ndarray, AdditiveCovariance]:
+    """Likelihoods of persons with repetitions, the design of a slope for every element, and where variances begin."""
+    stacked, numbers = repetitions.stacked()
+    n, p = len(stacked), len(repetitions.elements)
     c = numbers - numbers.mean()
     unit = np.eye(p)[:, :, None] * np.eye(p)[:, None, :]
     rho = np.array([np.kron(np.eye(c.size), e) for e in unit])
@@ -228,11 +238,7 @@ def find_drift(repetitions: RepetitionLikelihoods) -> Trends:
     offsets = _OFFSET_SD**2 * np.kron(np.ones((c.size, c.size)), np.eye(p))
     variances = np.repeat([_START_RHO**2, _START_OMEGA**2], p)
     design = np.broadcast_to(np.kron(c[:, None], np.eye(p)), (n, c.size * p, p))
-    fit = fit_population(stacked, design, AdditiveCovariance(offsets, np.concatenate([rho, omega]), variances))
-    kept = np.flatnonzero(np.sqrt(np.diag(fit.variance)) < _LARGEST_SLOPE_SD)
-    remarks = tuple(f"{e} is not determined by the repetitions" for e in _others(repetitions.elements, kept))
-    found = _trends(fit, {int(e): repetitions.elements[e] for e in kept}, "repetition", "linear", 1.0)
-    return Trends(_corrected(found), len(found), (), "" if found else "no element is determined", remarks)
+    return stacked, design, AdditiveCovariance(offsets, np.concatenate([rho, omega]), variances)
 
 
 @dataclass(frozen=True)
@@ -266,7 +272,7 @@ class _Search:
         return _trends(fit, wanted, name, self.regressors[name][1], float(sd[-1]))
 
 
-def _regressors(covariates: Mapping[str, np.ndarray], remarks: list[str]) -> dict[str, tuple[np.ndarray, str]]:
+def regressors_of(covariates: Mapping[str, np.ndarray], remarks: list[str]) -> dict[str, tuple[np.ndarray, str]]:
     """Covariates as they enter the model, with the name of the transform; those that cannot are remarked upon."""
     found = {}
     for name, raw in covariates.items():

@@ -53,15 +53,32 @@ def change_of(after: Refit, residuals: Sequence[PersonResiduals]) -> tuple[str, 
         size = size + np.interp(np.log(grid), np.log(person.frequency_hz), own)
     share = parts[0] / max(parts.sum(), 1e-300)
     assert size is not None  # there is at least one person
+    bands = _half_of_peak(grid, np.sqrt(size))
+    return ("magnitude" if share > 0.8 else "phase" if share < 0.2 else "both"), bands
+
+
+def reach_of(fit: Refit, elements: Sequence[str], residuals: Sequence[PersonResiduals]) -> list[list[float]]:
+    """Where a change of some elements moves the recordings, over the noise, by half of the most that it does."""
+    columns = [fit.model.network.elements.index(e) for e in elements]
+    grid, size = residuals[0].frequency_hz, np.zeros(residuals[0].frequency_hz.size)
+    start = 0
+    for person in residuals:
+        rows = slice(start, start + len(person.white))
+        start = rows.stop
+        change = fit.model.kernel.derivative(fit.u[rows], person.frequency_hz)[1][:, columns] / person.sd[:, None]
+        own = np.sum(np.abs(change) ** 2, axis=(0, 1))
+        size = size + np.interp(np.log(grid), np.log(person.frequency_hz), own)
+    return _half_of_peak(grid, np.sqrt(size))
+
+
+def _half_of_peak(grid: np.ndarray, size: np.ndarray) -> list[list[float]]:
+    """Bands in which a smoothed size (F,) exceeds half of its largest value."""
     width = max(3, size.size // 40)
-    smooth = np.sqrt(np.convolve(size, np.ones(width) / width, mode="same"))
+    smooth = np.sqrt(np.convolve(size**2, np.ones(width) / width, mode="same"))
     inside = np.concatenate([[False], smooth > 0.5 * smooth.max(), [False]]).astype(int)
     edges = np.diff(inside)
-    bands = [
-        [float(grid[a]), float(grid[b - 1])]
-        for a, b in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True)
-    ]
-    return ("magnitude" if share > 0.8 else "phase" if share < 0.2 else "both"), bands
+    ends = zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True)
+    return [[float(grid[a]), float(grid[b - 1])] for a, b in ends]
 
 
 def where(
@@ -187,6 +204,8 @@ def make_verdict(recordings: Recordings, fitted: Fitted, evidence: Evidence, see
     if evidence.changed is not None:
         spot["part"], bands = change_of(evidence.changed, found.steps[0].residuals)
         spot["bands_hz"] = spot["bands_hz"] or bands
+    elif lead is not None and lead.get("elements"):
+        spot["bands_hz"] = reach_of(found.base, lead["elements"], found.steps[0].residuals)
     if lead is not None and lead["id"] == "rig.mains" and hum is not None:
         spot["bands_hz"] = [[f * (1 - hum.near), f * (1 + hum.near)] for f in hum.frequencies_hz]
     determined = fitted.determined
@@ -247,7 +266,15 @@ def _improvement(evidence: Evidence) -> dict[str, Any] | None:
     before, after = evidence.spoilt or evidence.before, evidence.after
     if after is not None:
         return improvement(before, after, evidence.gain)
-    return None if evidence.spoilt is None else improvement(before, evidence.before, None)
+    if evidence.spoilt is not None:
+        return improvement(before, evidence.before, None)
+    gains = [(e["evidence"]["elpd_gain"], e["evidence"]["elpd_gain_se"]) for e in evidence.structures]
+    if not gains:
+        return None
+    # What people have in common changes: everybody's own fit is what it was, and new people are predicted better.
+    total, se = sum(g for g, _ in gains), float(np.sqrt(sum(s**2 for _, s in gains)))
+    same = improvement(before, before, None)
+    return same | {"elpd_gain": total, "elpd_gain_se": se, "held_out": "5 subject folds (a subgroup: none)"}
 
 
 def _limits_of_few(recordings: Recordings) -> list[str]:
