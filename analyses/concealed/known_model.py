@@ -1,0 +1,57 @@
+"""How much of a known effect is in recordings of which a model is known already: measured before and after it is added.
+
+The physics found in the recordings as they were stays in the model, the effect is put beside it at the port, and all
+is refitted to the recordings without and with the addition. What is still not described biases both estimates alike
+and leaves their difference.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+
+from bayes_impedance.mismatch import catalogue  # noqa: F401  (fills the register)
+from bayes_impedance.mismatch.coefficients import coefficient_posterior, reported
+from bayes_impedance.mismatch.confirm import extended_start, starts_of
+from bayes_impedance.mismatch.effects import registered
+from bayes_impedance.mismatch.model import Addition, build
+from bayes_impedance.mismatch.network_fit import fit_network
+from bayes_impedance.mismatch.search import search
+from bayes_impedance.recordings import Recordings
+
+Estimate = tuple[float, float, float]
+_FRESH = 60
+
+
+def without_and_with(before: Recordings, after: Recordings, effect_id: str, seed: int = 1) -> tuple[Estimate, Estimate]:
+    """Estimates of an effect at the port, each as 5 %, 50 % and 95 % of its posterior, by one model for both.
+
+    Parameters
+    ----------
+    before, after : Recordings
+        The same people, without and with the addition.
+    effect_id : str
+        Of an effect that acts at the port.
+    seed : int
+    """
+    with ThreadPoolExecutor(1) as executor:
+        fitted = fit_network(before, None, seed, executor, lambda *_: None)
+        found = search(fitted.refitter, fitted.fit, before.names, registered(), seed, executor, lambda *_: None).final
+        effect = next(e for e in registered() if e.id == effect_id)
+        known = found.model
+        kept = [i for i, a in enumerate(known.additions) if (a.effect.id, a.place) != (effect_id, "port")]
+        starts = [starts_of(known)[i] for i in kept]
+        additions = (*(known.additions[i] for i in kept), Addition(effect, "port", "shared"))
+        shape = {coefficient.name: 0.0 for coefficient in effect.coefficients}
+        model = build(known.network, additions, known.scales, [*starts, shape])
+        estimates = []
+        for refitter in (fitted.refitter, fit_network(after, None, seed, executor, lambda *_: None).refitter):
+            start, population = extended_start(found, model)
+            fit = refitter.settle(refitter.fit(model, start, population, _FRESH), seed)
+            fit = replace(fit, model=model)
+            centre = np.asarray(fit.u[:, : model.n_elements].mean(axis=0))
+            row = reported(model, len(additions) - 1, coefficient_posterior(fit, seed), centre)[0]
+            estimates.append((float(row.q05), float(row.median), float(row.q95)))
+    return estimates[0], estimates[1]
