@@ -101,6 +101,7 @@ def physics_entry(
         "name": effect.name,
         "place": item.place,
         "side": side,
+        "side_decided": side is not None and verdict_on_side(dispersion) == side,
         "pooling": effect.pooling if effect.pooling == "some" else "shared" if item.pooling == "shared" else "varying",
         "subjects": people,
         "parameters": parameters,

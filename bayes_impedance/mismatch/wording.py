@@ -60,8 +60,8 @@ def _clause(entry: Mapping[str, Any]) -> str:
         size += f"{number(row['q05'], row['unit'])} to {number(row['q95'], row['unit'])})"
     side = {"rig": ", a matter of the rig", "body": ", a matter of the body"}.get(entry["side"] or "", "")
     others = {a["id"].split(".")[0] for a in entry.get("aliases", []) if not a["separated"]}
-    if others - {entry["side"]}:
-        side = ""  # what it cannot be told from belongs to the other side
+    if not entry.get("side_decided", True) or others - {entry["side"]}:
+        side = ""  # people may differ or not, or what it cannot be told from belongs to the other side
     if entry["id"] == "body.covariate":
         return f"that {entry['name']}{size}"
     at = "" if entry["place"] == "port" and entry["side"] == "rig" else f" at {_place(entry['place'])}"
