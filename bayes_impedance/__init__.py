@@ -10,6 +10,7 @@ The public names, in the order of a session::
     predictive = predict(fit)
     save_result(make_result(fit, predictive, fit.seconds), "out")
     diagnose(recordings).verdict["summary"]        # what the network leaves out
+    population_of(load_result("out")).draw(1000, seed=1)   # users to design against
 
 Names are imported when they are first used, so that ``import bayes_impedance`` costs nothing.
 """
@@ -22,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from bayes_impedance.check import check_recordings, describe
     from bayes_impedance.classical import compare_methods, identify, map_to_network, vector_fit
+    from bayes_impedance.design import PHANTOM, Device, Section, Users, design_answer, population_of, read_device
     from bayes_impedance.errors import InputError
     from bayes_impedance.kernel import Kernel
     from bayes_impedance.mismatch import Diagnosis, diagnose
@@ -40,6 +42,13 @@ _MODULES = {
     "identify": "classical",
     "map_to_network": "classical",
     "vector_fit": "classical",
+    "PHANTOM": "design",
+    "Device": "design",
+    "Section": "design",
+    "Users": "design",
+    "design_answer": "design",
+    "population_of": "design",
+    "read_device": "design",
     "InputError": "errors",
     "Kernel": "kernel",
     "PAPER_NETWORK": "network",
@@ -70,6 +79,8 @@ _MODULES = {
 __all__ = [
     "FINGERTIP",
     "PAPER_NETWORK",
+    "PHANTOM",
+    "Device",
     "Diagnosis",
     "Element",
     "FitSettings",
@@ -80,11 +91,14 @@ __all__ = [
     "Predictive",
     "Recordings",
     "Result",
+    "Section",
     "Subject",
+    "Users",
     "VirtualPopulation",
     "check_recordings",
     "compare_methods",
     "describe",
+    "design_answer",
     "diagnose",
     "fit_population",
     "identify",
@@ -92,7 +106,9 @@ __all__ = [
     "make_result",
     "map_to_network",
     "parse",
+    "population_of",
     "predict",
+    "read_device",
     "read_recordings",
     "save_result",
     "simulate_recordings",

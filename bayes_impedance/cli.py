@@ -82,6 +82,10 @@ def _parser() -> argparse.ArgumentParser:
     report.add_argument("--dataset", type=Path, help="the recordings, to list what is odd about them")
     report.set_defaults(job=_report)
 
+    export = commands.add_parser("export", help="design inputs from a finished fit: users, transfer, SPICE, stability")
+    _export_arguments(export)
+    export.set_defaults(job=_export)
+
     simulate = commands.add_parser("simulate", help="virtual recordings with known truth")
     simulate.add_argument("-o", "--out", type=Path, required=True, help="folder for the new dataset")
     simulate.add_argument("--population", type=Path, help="summary.json of a fit or truth.json (default: fingertips)")
@@ -125,6 +129,32 @@ def _diagnose_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--subject", action="append", default=[], metavar="NAME", help="use only this one; repeatable")
     parser.add_argument("--seed", type=_seed, default=1, help="default: 1; the same seed gives the same verdict")
     parser.add_argument("--quick", action="store_true", help="without held-out frequencies and without proposals")
+    parser.add_argument("--workers", type=_count, default=2, metavar="N", help="threads (default: 2)")
+
+
+def _export_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("result", type=Path, metavar="RESULT", help="folder that 'run' or 'fit' has written")
+    parser.add_argument("-o", "--out", type=Path, default=Path("design"), help="folder for the files (default: design)")
+    parser.add_argument(
+        "--what",
+        action="append",
+        choices=("users", "transfer", "spice", "stability"),
+        help="repeatable (default: all of them)",
+    )
+    parser.add_argument("--users", type=_count, default=1000, metavar="N", help="virtual users (default: 1000)")
+    parser.add_argument("--spanning", type=_count, default=8, metavar="N", help="users who span the 95 %% region")
+    parser.add_argument("--one-touch", action="store_true", help="users as in one touch, not as the mean of many")
+    parser.add_argument(
+        "--assume", action="append", default=[], metavar="NAME=VALUE", help="of an element not determined; repeatable"
+    )
+    parser.add_argument("--device", type=Path, metavar="TOML", help="device to be held (default: a PHANTOM 1.0)")
+    parser.add_argument(
+        "--damping", type=float, default=0.0, metavar="B", help="of the virtual wall, N s/m (default: 0)"
+    )
+    parser.add_argument("--share", type=float, default=0.99, help="of users who must be stable (default: 0.99)")
+    parser.add_argument("--grid", type=_count, default=40, metavar="N", help="gains on each axis (default: 40)")
+    parser.add_argument("--no-pictures", dest="pictures", action="store_false", help="tables only")
+    parser.add_argument("--seed", type=_seed, default=1, help="default: 1; the same seed gives the same users")
     parser.add_argument("--workers", type=_count, default=2, metavar="N", help="threads (default: 2)")
 
 
@@ -236,6 +266,32 @@ def _report(options: argparse.Namespace) -> int:
     with _Bars() as bars:
         result = report_result(options.out, bars, options.dataset)
     return _finish(result, f"report: {options.out / 'report.html'}")
+
+
+def _export(options: argparse.Namespace) -> int:
+    from bayes_impedance.export import PRODUCTS, ExportOptions, assumed, export_result
+
+    chosen = ExportOptions(
+        tuple(options.what or PRODUCTS),
+        options.users,
+        options.seed,
+        options.spanning,
+        options.one_touch,
+        assumed(options.assume),
+        options.device,
+        options.damping,
+        options.share,
+        options.grid,
+        options.pictures,
+        options.workers,
+    )
+    with _Bars() as bars:
+        files, answer = export_result(options.result, options.out, chosen, bars)
+    for file in files:
+        _tell(str(file))
+    if answer is not None:
+        _tell(f"\n{answer}")
+    return DONE
 
 
 def _check(options: argparse.Namespace) -> int:

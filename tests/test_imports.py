@@ -46,9 +46,11 @@ ORDER = (
     "classical",
     "simulate",
     "mismatch",
+    "design",
     "plots",
     "report",
     "jobs",
+    "export",
     "cli",
 )
 

@@ -1,0 +1,178 @@
+"""From a population and a device to what a designer wants to read: one table, one sentence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bayes_impedance.design.device import Device
+from bayes_impedance.design.sampled_loop import largest_stiffness
+from bayes_impedance.design.stability import (
+    Limit,
+    Reason,
+    StabilityMap,
+    limit_of,
+    loop_of,
+    reason,
+    stability_map,
+)
+from bayes_impedance.design.transparency import Transparency, transparency
+from bayes_impedance.design.users import Population, Users
+from bayes_impedance.starts import Progress
+
+_GRID_LOW = 0.02
+_DAMPINGS = 400
+_LARGEST = 1e4
+_HIGHEST = 1e7
+
+
+@dataclass(frozen=True)
+class DesignAnswer:
+    """What a population means for a device.
+
+    Attributes
+    ----------
+    map : StabilityMap
+    limit : Limit
+        At the chosen virtual damping.
+    reason : Reason
+        What makes the worst user the worst.
+    transparency : Transparency or None
+        At half of the limit; None if there is no limit above zero.
+    """
+
+    map: StabilityMap
+    limit: Limit
+    reason: Reason
+    transparency: Transparency | None
+
+    @property
+    def sentence(self) -> str:
+        """The answer in words."""
+        limit, worst = self.limit, self.map.users.names[self.limit.worst]
+        at = f"at virtual damping B = {limit.damping:g} N s/m"
+        share = f"{100 * limit.share:g} % of users"
+        if not limit.stiffness > 0:
+            return f"{self.map.device.name}: {at} it is not stable for {share} at any stiffness."
+        main = self.reason.elements[0]
+        more = "more" if self.reason.change[0] > 0 else "less"
+        return (
+            f"{self.map.device.name}: {at} it is stable for {share} up to K = {three(limit.stiffness)} N/m "
+            f"(90 % interval {three(limit.low)} to {three(limit.high)}), limited by an oscillation at "
+            f"{limit.each_hz[limit.worst]:.0f} Hz in users with {more} {main}; with the worst of {len(limit.each)}, "
+            f"{worst}, up to {three(limit.each[limit.worst])} N/m. The mean user alone would have promised "
+            f"{three(limit.mean_user)} N/m, the classical bound {three(limit.classical)} N/m."
+        )
+
+    def described(self) -> dict[str, Any]:
+        """For JSON."""
+        limit, m = self.limit, self.map
+        worst = m.users.of(limit.worst)
+        return {
+            "schema": 1,
+            "answer": self.sentence,
+            "device": m.device.described(),
+            "damping": limit.damping,
+            "share": limit.share,
+            "stiffness_limit": {"unit": "N/m", "value": limit.stiffness, "q05": limit.low, "q95": limit.high},
+            "mean_user_limit": limit.mean_user,
+            "classical_limit": limit.classical,
+            "share_stable_at_mean_user_limit": float(np.mean(limit.each >= limit.mean_user)),
+            "worst_user": {
+                "name": m.users.names[limit.worst],
+                "limit": float(limit.each[limit.worst]),
+                "oscillation_hz": _finite(limit.each_hz[limit.worst]),
+                "elements": worst,
+                "units": m.users.units,
+                "because": [
+                    {"element": e, "relative_to_centre": float(np.exp(c)), "part_of_log_limit": float(x)}
+                    for e, c, x in zip(self.reason.elements, self.reason.change, self.reason.part, strict=True)
+                ],
+                "log_limit_relative_to_centre": self.reason.difference,
+            },
+            "users": len(m.users),
+            "effective_users": m.effective_users,
+        }
+
+
+def design_answer(
+    population: Population,
+    users: Users,
+    device: Device,
+    *,
+    damping: float = 0.0,
+    share: float = 0.99,
+    grid: int = 40,
+    seed: int = 1,
+    workers: int = 2,
+    progress: Progress | None = None,
+) -> DesignAnswer:
+    """Everything about a device in a population's hands.
+
+    Parameters
+    ----------
+    population : Population
+    users : Users
+        Drawn from it.
+    device : Device
+    damping : float
+        Virtual damping B in N s/m of the limit.
+    share : float
+        Of users with whom it must be stable.
+    grid : int
+        Gains on each axis of the map, which spans what is stable with the population's centre.
+    seed : int
+    workers : int
+        Threads.
+    progress : callable, optional
+    """
+    limit = limit_of(population, users, device, damping, share=share, highest=_HIGHEST, seed=seed)
+    stiffness, dampings = gains(population, device, grid, limit.stiffness / 2)
+    found = stability_map(population, users, device, stiffness, dampings, seed=seed, workers=workers, progress=progress)
+    why = reason(population, users, limit.worst, device, damping, _HIGHEST)
+    felt = None
+    if limit.stiffness > 0:
+        frequency = np.geomspace(1.0, 0.49 / device.period_s, 120)
+        felt = transparency(users, device, limit.stiffness / 2, damping, frequency)
+    return DesignAnswer(found, limit, why, felt)
+
+
+def gains(population: Population, device: Device, grid: int, lowest: float) -> tuple[np.ndarray, np.ndarray]:
+    """Gains that span what is stable with the population's centre.
+
+    Parameters
+    ----------
+    population : Population
+    device : Device
+    grid : int
+        Number on each axis.
+    lowest : float
+        Stiffness in N/m that must be in the picture, if it is above zero.
+
+    Returns
+    -------
+    stiffness : ndarray, shape (grid,)
+        In N/m, logarithmic.
+    damping : ndarray, shape (grid,)
+        In N s/m, quadratic: denser where there is little.
+    """
+    centre = loop_of(device, population.median_user())
+    scan = np.concatenate([[0.0], np.geomspace(1e-4, _LARGEST, _DAMPINGS)])
+    soft = centre.inside(np.full((1, scan.size), 1.0), scan[None])[0]
+    widest = float(scan[int(np.argmin(soft)) - 1]) if not soft.all() else float(scan[-1])
+    damping = 1.03 * max(widest, 1e-3) * np.linspace(0.0, 1.0, grid) ** 2
+    limits = [largest_stiffness(centre, float(b), _HIGHEST)[0][0] for b in damping]
+    highest = max(1.2 * max(limits), 1.0)
+    low = min(lowest, limits[0] / 2) if lowest > 0 else _GRID_LOW * highest
+    return np.geomspace(max(low, 1e-4 * highest), highest, grid), damping
+
+
+def three(value: float) -> str:
+    """Three significant digits, without a power of ten where it can be avoided."""
+    return f"{float(f'{value:.3g}'):g}"
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
