@@ -19,6 +19,7 @@ from bayes_impedance.mismatch.diagnosis import Diagnosis, ParameterDifference
 from bayes_impedance.mismatch.effects import Effect, registered
 from bayes_impedance.mismatch.entries import aliases, physics_entry
 from bayes_impedance.mismatch.held_out import held_out, people_gain
+from bayes_impedance.mismatch.hum_skirts import find_skirts
 from bayes_impedance.mismatch.inversion import missing_one_ports
 from bayes_impedance.mismatch.locate import locate
 from bayes_impedance.mismatch.mains import find_mains
@@ -119,11 +120,11 @@ def _diagnose(
     seed, executor, progress = job.seed, job.executor, job.progress
     with clock.measure("fit"):
         fitted = fit_network(recordings, network, seed, executor, progress)
-        hum = find_mains(person_residuals(fitted.fit, recordings.names), _MAINS_ALPHA)
+        with_hum = person_residuals(fitted.fit, recordings.names)
+        hum = find_mains(with_hum, _MAINS_ALPHA) or find_skirts(with_hum, _MAINS_ALPHA)
         clean, spoilt = recordings, None
         if hum is not None:
-            residuals_before = person_residuals(fitted.fit, recordings.names)
-            spoilt = snapshot("with hum", recordings, fitted.fit, residuals_before, seed)
+            spoilt = snapshot("with hum", recordings, fitted.fit, with_hum, seed)
             clean = without_hum(recordings, hum)
             fitted = fit_network(clean, network, seed, executor, progress)
     base = fitted.fit

@@ -25,6 +25,8 @@ from bayes_impedance.recordings import Recordings
 
 SCHEMA = 1
 
+_LINE_WIDTH = 0.01
+
 FEW_PEOPLE = 3
 """With fewer people nobody can tell rig from body."""
 
@@ -207,7 +209,8 @@ def make_verdict(recordings: Recordings, fitted: Fitted, evidence: Evidence, see
     elif lead is not None and lead.get("elements"):
         spot["bands_hz"] = reach_of(found.base, lead["elements"], found.steps[0].residuals)
     if lead is not None and lead["id"] == "rig.mains" and hum is not None:
-        spot["bands_hz"] = [[f * (1 - hum.near), f * (1 + hum.near)] for f in hum.frequencies_hz]
+        near = max(hum.near, _LINE_WIDTH)
+        spot["bands_hz"] = _merged([[f * (1 - near), f * (1 + near)] for f in hum.frequencies_hz])
     determined = fitted.determined
     notes = [*fitted.remarks, *evidence.remarks, *_limits_of_few(recordings)]
     verdict: dict[str, Any] = {
