@@ -53,10 +53,9 @@ def test_hum_is_found_with_its_line_and_size(line: float, periods: float) -> Non
         # Each part of the hum has half of its power; the nearest point is not quite on the line.
         nearest = float(pattern(FREQUENCY, line, periods, 1.0).max())
         covered.append(hum.q05 <= 0.06 * np.sqrt(nearest / 2) <= hum.q95)
-        # A median person's unit is 15 % uncertain beside the interval.
-        assert hum.amplitude == pytest.approx(0.06 * np.sqrt(nearest / 2), rel=0.35)
+        assert hum.amplitude == pytest.approx(0.06 * np.sqrt(nearest / 2), rel=0.3)
         assert affected_points(FREQUENCY, hum).sum() < 0.3 * FREQUENCY.size
-    assert sum(covered) >= 3
+    assert sum(covered) >= 4
 
 
 def test_noise_that_is_merely_uneven_is_no_hum() -> None:

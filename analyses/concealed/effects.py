@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from cases import COVARIATE, Case, followers, prepare, stream
 from forms import EFFECTS, NOTHING, PARAMETERS, VERDICT_ID, equivalents, same_places
+from nearest import bands
 from people import ELEMENTS, NETWORK, Conditions, record
 from visibility import visibility
 
@@ -106,9 +107,9 @@ def _truth(case: Case, sd: np.ndarray, names: tuple[str, ...]) -> dict[str, Any]
             name: {"value": float(value), "unit": unit}
             for name, (value, unit) in equivalents(case.id, case.values).items()
         },
-        "bands_hz": _bands(case.frequency_hz, np.sqrt(np.mean(relative**2, axis=(0, 1)))) if missing else [],
+        "bands_hz": bands(case.frequency_hz, np.sqrt(np.mean(relative**2, axis=(0, 1)))) if missing else [],
         "visible": visible,
-        "visible_bands_hz": _bands(case.frequency_hz, outside) if missing else [],
+        "visible_bands_hz": bands(case.frequency_hz, outside) if missing else [],
         "subjects": "all" if case.members.all() else [n for n, m in zip(names, case.members, strict=True) if m],
         "covariate": COVARIATE if case.id == "body.covariate" else None,
         "network": NETWORK,
@@ -124,12 +125,3 @@ def _truth(case: Case, sd: np.ndarray, names: tuple[str, ...]) -> dict[str, Any]
         },
         "conditions": asdict(case.conditions) | {"repositioning": list(case.conditions.repositioning)},
     }
-
-
-def _bands(frequency_hz: np.ndarray, size: np.ndarray) -> list[list[float]]:
-    """Intervals in which the size (F,) exceeds half of its maximum; each point reaches halfway to its neighbours."""
-    middle = np.sqrt(frequency_hz[1:] * frequency_hz[:-1])
-    edges = np.concatenate([frequency_hz[:1], middle, frequency_hz[-1:]])
-    inside = np.concatenate([[False], size > 0.5 * size.max(), [False]]).astype(int)
-    starts, ends = np.flatnonzero(np.diff(inside) == 1), np.flatnonzero(np.diff(inside) == -1)
-    return [[float(edges[a]), float(edges[b])] for a, b in zip(starts, ends, strict=True)]

@@ -18,9 +18,10 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from forms import EFFECTS, Effect
+from nearest import outside, tangent_basis, white
 from people import impedance
 from scoring import VISIBLE
-from visible_in_world import imitated, outside, tangent_basis, white
+from visible_in_world import imitated
 from world.experiment import Experiment
 
 SAME_SHARE = 0.97
@@ -92,7 +93,7 @@ def left_over(experiment: Experiment, claimed: Sequence[tuple[str, str]]) -> tup
         Standard errors by which the rest could stand out at most.
     """
     x, rest = imitated(experiment, experiment.clean)
-    basis, _ = tangent_basis(experiment, x)
+    basis, _ = tangent_basis(x, experiment.plan.frequency_hz, experiment.sd)
     total = float(np.sum(rest**2))
     if total == 0.0:
         return 0.0, 0.0

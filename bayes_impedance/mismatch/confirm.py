@@ -13,7 +13,7 @@ superfluous is taken out.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -272,17 +272,11 @@ def own_shapes(refitter: Refitter, fit: Refit, screening: Screening, k: int, rou
     return Trial(chosen, "free", grown, gain(grown, fit), is_physical(grown))
 
 
-Watch = Callable[[str], None]
-
-
-def try_shortlist(
-    refitter: Refitter, fit: Refit, screening: Screening, watch: Watch, n: int = SHORTLIST
-) -> list[Trial]:
+def try_shortlist(refitter: Refitter, fit: Refit, screening: Screening) -> list[Trial]:
     """Refit the shortlist, and the best of it at the places that the list had no room for."""
     trials: list[Trial] = []
-    for k in shortlist(screening, n):
+    for k in shortlist(screening):
         candidate = screening.candidates[k]
-        watch(f"{candidate.effect.id} at {candidate.place}")
         poolings = poolings_for(candidate, len(refitter.data))
         trials += try_candidate(refitter, fit, candidate, float(screening.size[k]), poolings, _FIRST_ROUNDS)
         if "varying" in poolings and has_shapes(candidate.effect) and screening.log_p_spread[k] < _CLEARLY_VARIES:
@@ -296,7 +290,6 @@ def try_shortlist(
         other = screening.candidates[k]
         tried = {(t.candidate.place, t.pooling) for t in trials if t.effect == leader.effect}
         if other.effect == leader.effect and (other.place, leader.pooling) not in tried:
-            watch(f"{other.effect.id} at {other.place}")
             if leader.pooling == "free":
                 trials.append(own_shapes(refitter, fit, screening, k))
             else:

@@ -90,12 +90,11 @@ def at_rest(refitter: Refitter, fit: Refit, ranked: Sequence[Trial], seed: int) 
     leader = _of(ranked[0], refitter.settle(ranked[0].fit, seed), fit)
     result = [leader]
     for trial in ranked[1:]:
-        if trial.effect == leader.effect and trial.fit.u.shape == leader.fit.u.shape:
+        if trial.effect == leader.effect:
             model = with_pooling(trial.fit.model, len(trial.fit.model.additions) - 1, leader.pooling)
-            population = extended_start(leader.fit, leader.fit.model)[1]
-            again = _of(trial, refitter.fit(model, leader.fit.u, population, _ROUNDS), fit)
+            again = _of(trial, refitter.fit(model, leader.fit.u, leader.fit.population, _ROUNDS), fit)
             result.append(_better(trial, again))
-        elif trial.gain > leader.gain - _RIVAL or trial.gain > ranked[0].gain - _RIVAL:
+        elif trial.gain > ranked[0].gain - _RIVAL:  # the leader's before it was at rest
             result.append(_better(trial, _of(trial, refitter.settle(trial.fit, seed, tries=2, rounds=1), fit)))
         else:
             result.append(trial)

@@ -27,7 +27,7 @@ from bayes_impedance.mismatch.mains import HARMONICS, LINES_HZ, Hum
 from bayes_impedance.mismatch.neighbourhood import projected
 from bayes_impedance.mismatch.residuals import PersonResiduals
 
-PERIODS = (3.0, 5.0, 8.0, 12.0, 20.0)
+PERIODS = (3.0, 5.0, 7.0, 10.0, 14.0, 20.0)
 _DECAYS = (0.0, 1.0)
 _AMPLITUDES = np.geomspace(0.03, 3000.0, 36)
 _FIRST_HZ = np.geomspace(33.0, 90.0, 101)
@@ -57,11 +57,11 @@ def find_skirts(residuals: Sequence[PersonResiduals], alpha: float = 0.01) -> Hu
     grid = residuals[0].frequency_hz
     if any(not np.array_equal(person.frequency_hz, grid) for person in residuals):
         return None
-    square, freedom, unit = _scatter(residuals)
+    square, freedom, felt = _scatter(residuals)
     near = (grid > _REACH[0] * LINES_HZ[0]) & (grid < _REACH[1] * LINES_HZ[-1])
     if near.sum() < _FEWEST_POINTS or freedom.min() < _FEWEST_FREEDOM or not grid[0] < LINES_HZ[0] < grid[-1] / 2:
         return None
-    grid, square, freedom = grid[near], square[near], freedom[near]
+    grid, square, freedom, felt = grid[near], square[near], freedom[near], felt[near]
     y = np.log(square) - digamma(freedom / 2) + np.log(freedom / 2)
     weight = 1 / polygamma(1, freedom / 2)
     design = _spline(np.log(grid))
@@ -74,14 +74,12 @@ def find_skirts(residuals: Sequence[PersonResiduals], alpha: float = 0.01) -> Hu
 
     without = float(misfit(y))
     best: tuple[float, float, float, float, np.ndarray] | None = None
-    curves: dict[float, float] = {}
     for first in (*_FIRST_HZ, *LINES_HZ):
         for periods in PERIODS:
             for decay in _DECAYS:
                 p = pattern(grid, first, periods, decay)
                 found = misfit(y - np.log1p(_AMPLITUDES[:, None] * p))
                 k = int(np.argmin(found))
-                curves[first] = min(curves.get(first, np.inf), float(found[k]))
                 if best is None or found[k] < best[0]:
                     best = float(found[k]), float(first), float(_AMPLITUDES[k]), periods, p
     assert best is not None  # there is something to try
@@ -94,7 +92,7 @@ def find_skirts(residuals: Sequence[PersonResiduals], alpha: float = 0.01) -> Hu
     p_value = min(float(norm.sf(np.sqrt(max(without - least, 0.0) / rough))) * tried, 1.0)
     if abs(first / line - 1) > _OF_MAINS or p_value > alpha:
         return None
-    return _hum(residuals, near, line, periods, amplitude, p, y, misfit, rough, unit, p_value)
+    return _hum(grid, felt, line, periods, amplitude, p, y, misfit, rough, p_value)
 
 
 def pattern(frequency_hz: np.ndarray, first_hz: float, periods: float, decay: float) -> np.ndarray:
@@ -104,26 +102,28 @@ def pattern(frequency_hz: np.ndarray, first_hz: float, periods: float, decay: fl
     return np.asarray(np.sum(harmonics ** (-2 * decay) * window, axis=0))
 
 
-def _scatter(residuals: Sequence[PersonResiduals]) -> tuple[np.ndarray, np.ndarray, float]:
-    """Mean square of relative contrasts between repetitions and its freedom, both (F,), and the unit of the former.
+def _scatter(residuals: Sequence[PersonResiduals]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Mean square of contrasts between repetitions, its freedom, and what a unit of variance adds to it, all (F,).
 
-    Everybody has the same weight: the unit is the median person's mean square.
+    Contrasts are relative to the impedance and to the person's own mean square, so that everybody has the same weight.
     """
-    total = np.zeros(residuals[0].frequency_hz.size)
-    freedom = np.zeros_like(total)
-    own = []
+    size = residuals[0].frequency_hz.size
+    total, freedom, felt = np.zeros(size), np.zeros(size), np.zeros(size)
     for person in residuals:
         if len(person.white) < 2:
             continue
         value, left = projected(person)
-        value = value * person.sd / np.abs(person.model)
+        magnitude = np.abs(person.model)
+        value = value * person.sd / magnitude
         contrast = value - value.mean(axis=0)
         n = (1 - 1 / len(value)) * left.sum(axis=(0, 1))
         energy = np.sum(np.abs(contrast) ** 2, axis=0)
-        own.append(energy.sum() / n.sum())
-        total += energy / own[-1]
+        own = energy.sum() / n.sum()
+        total += energy / own
         freedom += n
-    return total / np.maximum(freedom, 1e-12), freedom, float(np.median(own)) if own else 0.0
+        felt += n / own * np.mean(magnitude**-2.0, axis=0)
+    known = np.maximum(freedom, 1e-12)
+    return total / known, freedom, felt / known
 
 
 def _spline(log_f: np.ndarray) -> np.ndarray:
@@ -136,8 +136,8 @@ def _spline(log_f: np.ndarray) -> np.ndarray:
 
 
 def _hum(
-    residuals: Sequence[PersonResiduals],
-    near: np.ndarray,
+    grid: np.ndarray,
+    felt: np.ndarray,
     line: float,
     periods: float,
     amplitude: float,
@@ -145,21 +145,18 @@ def _hum(
     y: np.ndarray,
     misfit: Callable[[np.ndarray], np.ndarray],
     rough: float,
-    unit: float,
     p_value: float,
 ) -> Hum:
     """Amplitude at the strongest point in the impedance's unit, from the profile of a."""
-    grid = residuals[0].frequency_hz[near]
     fine = np.geomspace(amplitude / 10, amplitude * 10, 401)
     found = misfit(y - np.log1p(fine[:, None] * p))
     inside = fine[found < found.min() + 2.706 * rough]
     values = np.array([fine[int(np.argmin(found))], inside[0], inside[-1]])
     strongest = int(np.argmax(p * (np.abs(grid / line - 1) < 0.5)))
-    # The scatter there is B (1 + a p): of it the part a p / (1 + a p) is hum.
-    magnitude = np.median([np.abs(person.model[:, near][:, strongest]).mean() for person in residuals])
     own = np.abs(grid / grid[strongest] - 1) < 0.2
     background = float(np.exp(np.mean(y[own] - np.log1p(values[0] * p[own]))))
-    rms = magnitude * np.sqrt(unit * background * values * p[strongest])
+    # The scatter there is B (1 + a p), of which B a p is hum.
+    rms = np.sqrt(background * values * p[strongest] / felt[strongest])
     spoilt = grid[values[0] * p > _AFFECTED]
     harmonics = [h for h in range(1, HARMONICS + 1) if np.any(np.abs(spoilt / (h * line) - 1) < 0.5 / periods)]
     kept = [f for f in spoilt.tolist() if min(abs(f / (h * line) - 1) for h in harmonics or [1]) <= 1 / periods]

@@ -127,7 +127,7 @@ def search(
         screening = screen(fit, residuals, effects, seed, executor)
         step = Step(fit, residuals, screening, (), None)
         if number < most and step.log_p < np.log(ALPHA):
-            trials = try_shortlist(refitter, fit, screening, lambda _: None)
+            trials = try_shortlist(refitter, fit, screening)
             ranked = finalists(refitter, fit, trials, seed)
             ranked = at_rest(refitter, fit, ranked, seed) if ranked else []
             chosen, better = None, None

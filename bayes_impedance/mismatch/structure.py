@@ -134,9 +134,9 @@ def _row(unit: str, median: float, q05: float, q95: float) -> dict[str, Any]:
     return {"unit": unit, "median": float(median), "q05": float(q05), "q95": float(q95), "dispersion": 0.0}
 
 
-def _evidence(score: float, p_value: float, gain: float) -> dict[str, Any]:
-    """Evidence of a likelihood ratio; the gain is net of the number of parameters (Akaike), not held out."""
-    se = float(np.sqrt(2 * max(gain, 0.5)))
+def _evidence(score: float, p_value: float, gain: float, se: float | None = None) -> dict[str, Any]:
+    """Evidence; a gain without a standard error is a likelihood ratio net of its parameters (Akaike), not held out."""
+    se = float(np.sqrt(2 * max(gain, 0.5))) if se is None else se
     return {"score": float(score), "p_value": float(p_value), "elpd_gain": float(gain), "elpd_gain_se": se}
 
 
@@ -173,10 +173,5 @@ def _entry(
         entry["name"] = f"{rows[0].element} follows {covariate}"
     entry["covariate"] = covariate
     entry["elements"] = [row.element for row in rows]
-    entry["evidence"] = {
-        "score": rows[0].statistic ** 2,
-        "p_value": rows[0].p_corrected,
-        "elpd_gain": gain[0],
-        "elpd_gain_se": gain[1],
-    }
+    entry["evidence"] = _evidence(rows[0].statistic ** 2, rows[0].p_corrected, *gain)
     return entry

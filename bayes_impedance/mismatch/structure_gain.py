@@ -17,6 +17,8 @@ from bayes_impedance.mismatch.restricted import Covariance, FullCovariance, cent
 from bayes_impedance.mismatch.trends import RepetitionLikelihoods, drift_model
 
 FOLDS = 5
+HELD_OUT = ("body.covariate", "body.drift")
+"""Effects whose gain is computed here; of other structures only a likelihood ratio is known."""
 
 
 def gain_of_covariate(

@@ -217,7 +217,7 @@ def find_drift(repetitions: RepetitionLikelihoods) -> Trends:
     Trends
         Slopes in log change per repetition.
     """
-    n = len(repetitions.stacked()[0])
+    n = sum(len(order) > 1 for order in repetitions.order)
     if n < MINIMUM_PERSONS:
         return Trends((), 0, reason=f"{n} persons have repetitions, and at least {MINIMUM_PERSONS} are needed")
     fit = fit_population(*drift_model(repetitions))

@@ -19,6 +19,7 @@ from bayes_impedance.mismatch.ranking import detection_limits
 from bayes_impedance.mismatch.refit import Refit
 from bayes_impedance.mismatch.residuals import PersonResiduals
 from bayes_impedance.mismatch.search import Found
+from bayes_impedance.mismatch.structure_gain import FOLDS, HELD_OUT
 from bayes_impedance.mismatch.unknown import Realised
 from bayes_impedance.mismatch.wording import sentence
 from bayes_impedance.recordings import Recordings
@@ -277,7 +278,9 @@ def _improvement(evidence: Evidence) -> dict[str, Any] | None:
     # What people have in common changes: everybody's own fit is what it was, and new people are predicted better.
     total, se = sum(g for g, _ in gains), float(np.sqrt(sum(s**2 for _, s in gains)))
     same = improvement(before, before, None)
-    return same | {"elpd_gain": total, "elpd_gain_se": se, "held_out": "5 subject folds (a subgroup: none)"}
+    ratios = [e["id"] for e in evidence.structures if e["id"] not in HELD_OUT]
+    held_out = f"{FOLDS} subject folds" + (f"; a likelihood ratio for {' and '.join(ratios)}" if ratios else "")
+    return same | {"elpd_gain": total, "elpd_gain_se": se, "held_out": held_out}
 
 
 def _limits_of_few(recordings: Recordings) -> list[str]:

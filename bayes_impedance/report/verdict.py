@@ -141,7 +141,8 @@ def _effect(entry: Mapping[str, Any], number: int, diagnosis: Diagnosis) -> Effe
         story=str(entry.get("story") or ""),
         formula=str(entry.get("formula") or entry.get("network") or ""),
         place=str(entry.get("place") or ""),
-        side=SIDES.get(entry.get("side") or "", entry.get("side") or "not decided"),
+        side=SIDES.get(entry.get("side") or "", entry.get("side") or "not decided")
+        + ("" if entry.get("side_decided", True) or not entry.get("side") else ", not certainly"),
         why=why_side(entry, diagnosis),
         pooling=POOLING.get(entry.get("pooling") or "", entry.get("pooling") or ""),
         parameters=[_parameter(key, value) for key, value in (entry.get("parameters") or {}).items()],

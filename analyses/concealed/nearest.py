@@ -1,0 +1,106 @@
+r"""The curves of the network that come nearest to given ones: what the elements cannot imitate is left over.
+
+For curves z' of recordings with noise sigma and their best elements,
+
+.. math:: d = \left(z' - Z(\hat x)\right)/\sigma, \qquad \hat x = \arg\min_x \sum_f |d|^2,
+
+the sum of the squares of d is the noncentrality of the best chi-square test there is when the elements x of each
+recording are free and the shape of the effect is known; its root is the number of standard errors by which it stands
+out. The first order alone, a projection on the tangent, sees far too much of a strong effect at the skin, which moves
+its elements by half of their size.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from people import ELEMENTS, impedance
+
+_STEP = 1e-5
+_ROUNDS = 25
+
+
+def white(values: np.ndarray, sd: np.ndarray) -> np.ndarray:
+    """Real parts, then imaginary parts along the last axis, over the noise."""
+    return np.concatenate([values.real / sd, values.imag / sd], axis=-1)
+
+
+def tangent(log_elements: np.ndarray, frequency_hz: np.ndarray, sd: np.ndarray) -> np.ndarray:
+    """Derivative of the white curves by the log elements (N, J, P), by central differences: shape (N, J, 2 F, P)."""
+    columns = [
+        white(
+            (impedance(log_elements + step, frequency_hz) - impedance(log_elements - step, frequency_hz)) / (2 * _STEP),
+            sd,
+        )
+        for step in _STEP * np.eye(len(ELEMENTS))
+    ]
+    return np.stack(columns, axis=-1)
+
+
+def tangent_basis(log_elements: np.ndarray, frequency_hz: np.ndarray, sd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What the elements can do to the white curves, as an orthonormal basis, and the error of each element.
+
+    Returns
+    -------
+    basis : ndarray, shape (N, J, 2 F, P)
+    variance : ndarray, shape (N, J, P)
+        Of one estimate of each log element from one recording.
+    """
+    basis, r = np.linalg.qr(tangent(log_elements, frequency_hz, sd))
+    return basis, np.sum(np.linalg.inv(r) ** 2, axis=-1)
+
+
+def outside(values: np.ndarray, basis: np.ndarray) -> np.ndarray:
+    """What the elements cannot absorb of white curves (N, J, 2 F), to first order."""
+    return np.asarray(values - np.einsum("ijfp,ijp->ijf", basis, np.einsum("ijfp,ijf->ijp", basis, values)))
+
+
+def nearest(
+    log_elements: np.ndarray, z: np.ndarray, frequency_hz: np.ndarray, sd: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The network fitted to curves without noise, by Levenberg and Marquardt from the elements that are given.
+
+    Parameters
+    ----------
+    log_elements : ndarray, shape (N, J, P)
+    z : ndarray, complex, shape (N, J, F)
+    frequency_hz : ndarray, shape (F,)
+    sd : ndarray, shape (N, J, F)
+        Noise of real and of imaginary part.
+
+    Returns
+    -------
+    log_elements : ndarray, shape (N, J, P)
+    rest : ndarray, shape (N, J, 2 F)
+        What is left over the noise, real parts first.
+    """
+    x, damping = log_elements, np.full(log_elements.shape[:2], 1e-3)
+    rest = white(z - impedance(x, frequency_hz), sd)
+    for _ in range(_ROUNDS):
+        a = tangent(x, frequency_hz, sd)
+        normal, right = np.swapaxes(a, -1, -2) @ a, np.einsum("ijfp,ijf->ijp", a, rest)
+        diagonal = np.einsum("ijpp->ijp", normal)[..., None, :] * np.eye(x.shape[-1])
+        step = np.linalg.solve(normal + damping[..., None, None] * diagonal, right[..., None])[..., 0]
+        trial = x + np.clip(step, -1.0, 1.0)
+        new = white(z - impedance(trial, frequency_hz), sd)
+        better = np.sum(new**2, axis=-1) < np.sum(rest**2, axis=-1)
+        gained = float(np.sum((rest**2 - new**2)[better]))
+        x, rest = np.where(better[..., None], trial, x), np.where(better[..., None], new, rest)
+        damping = np.where(better, damping / 10, damping * 10)
+        if better.mean() > 0.5 and gained < 1e-4 * float(np.sum(rest**2)) + 1e-3:
+            break
+    return x, rest
+
+
+def size(rest: np.ndarray, members: np.ndarray) -> np.ndarray:
+    """Rms over the recordings (N, J, 2 F) of the people who are members (N,), for each frequency (F,)."""
+    n = rest.shape[-1] // 2
+    return np.asarray(np.sqrt(np.mean((rest[..., :n] ** 2 + rest[..., n:] ** 2)[members], axis=(0, 1))))
+
+
+def bands(frequency_hz: np.ndarray, strength: np.ndarray) -> list[list[float]]:
+    """Intervals in which the strength (F,) exceeds half of its maximum; a point reaches halfway to its neighbours."""
+    middle = np.sqrt(frequency_hz[1:] * frequency_hz[:-1])
+    edges = np.concatenate([frequency_hz[:1], middle, frequency_hz[-1:]])
+    inside = np.concatenate([[False], strength > 0.5 * strength.max(), [False]]).astype(int)
+    starts, ends = np.flatnonzero(np.diff(inside) == 1), np.flatnonzero(np.diff(inside) == -1)
+    return [[float(edges[a]), float(edges[b])] for a, b in zip(starts, ends, strict=True)]
