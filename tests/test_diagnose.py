@@ -11,6 +11,7 @@ import pytest
 from bayes_impedance.cli import main
 from bayes_impedance.mismatch import diagnose
 from bayes_impedance.mismatch.diagnosis import Diagnosis
+from bayes_impedance.mismatch.effects import registered
 from bayes_impedance.recordings import Recordings, Subject, read_recordings, write_recordings
 from bayes_impedance.simulate import FINGERTIP, simulate_recordings
 
@@ -160,6 +161,20 @@ def test_physics_outside_of_the_candidates_is_unknown_and_realised_by_a_passive_
     assert "unknown" in [entry["id"] for entry in verdict["physics"]]
     assert verdict["unexplained"]["id"] == "unknown"
     assert verdict["network"][1] != verdict["network"][0]
+    assert verdict["improvement"]["elpd_gain"] > 2 * verdict["improvement"]["elpd_gain_se"]
+
+
+def test_names_that_only_together_come_near_are_no_names() -> None:
+    def diffusion(s: np.ndarray, z: np.ndarray) -> np.ndarray:
+        root = np.sqrt(s * 0.02)
+        return z + 60.0 * np.tanh(root) / root  # neither a power law nor a relaxation, but a sum of them comes near
+
+    candidates = [effect for effect in registered() if effect.id in ("body.relaxation", "body.springpot")]
+    verdict = diagnose(changed(people(16, 12), diffusion), effects=candidates, seed=1, quick=True).verdict
+    assert [entry["id"] for entry in verdict["physics"]] == ["unknown"]
+    assert "power-law tissue" in verdict["physics"][0]["formula"]
+    assert verdict["unexplained"] == verdict["physics"][0]
+    assert verdict["physics"][0]["evidence"]["elpd_gain"] > 0
     assert verdict["improvement"]["elpd_gain"] > 2 * verdict["improvement"]["elpd_gain_se"]
 
 

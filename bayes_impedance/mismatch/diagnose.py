@@ -24,6 +24,7 @@ from bayes_impedance.mismatch.inversion import missing_one_ports
 from bayes_impedance.mismatch.locate import locate
 from bayes_impedance.mismatch.mains import find_mains
 from bayes_impedance.mismatch.model import Model, build
+from bayes_impedance.mismatch.naming import names_that_hold
 from bayes_impedance.mismatch.network_fit import Fitted, fit_network, without_hum
 from bayes_impedance.mismatch.ranking import ranking
 from bayes_impedance.mismatch.refit import Refit
@@ -31,7 +32,7 @@ from bayes_impedance.mismatch.screen import person_residuals
 from bayes_impedance.mismatch.search import Found, search
 from bayes_impedance.mismatch.snapshot import snapshot
 from bayes_impedance.mismatch.structure import covariates_of, structure_entries
-from bayes_impedance.mismatch.unknown import Realised, realise
+from bayes_impedance.mismatch.unknown import realise
 from bayes_impedance.mismatch.verdict import FEW_PEOPLE, Evidence, make_verdict
 from bayes_impedance.network import Network
 from bayes_impedance.recordings import Recordings
@@ -39,7 +40,6 @@ from bayes_impedance.starts import Progress
 
 UNKNOWN_ALPHA = 1e-3
 _MAINS_ALPHA = 1e-3
-_NAMED_SHARE = 0.9
 
 
 @dataclass(frozen=True)
@@ -147,25 +147,21 @@ def _diagnose(
         progress("locating", 2, 2)
     unknown = None
     with clock.measure("unknown"):
-        if last.p_value < UNKNOWN_ALPHA or (found.steps[-1].log_p < np.log(UNKNOWN_ALPHA) and not _exhausted(found)):
+        # A search that ended because no more additions are allowed has not looked for what is left.
+        exhausted = found.steps[-1].chosen is not None
+        remains = last.p_value < UNKNOWN_ALPHA or (found.steps[-1].log_p < np.log(UNKNOWN_ALPHA) and not exhausted)
+        if remains:
             progress("unknown physics", 0, 1)
             ports = missing_one_ports(found.final, residuals)
             unknown = realise(fitted.refitter, found.final, residuals, ports, seed, executor)
-            if unknown is not None and _names_too_little(found, unknown):
-                residuals = found.steps[0].residuals
-                again = realise(fitted.refitter, found.base, residuals, one_ports, seed, executor)
-                if again is not None and again.trial.gain > float(
-                    np.sum(found.final.evidence) - np.sum(found.base.evidence)
-                ):
-                    unknown = again
-                    found = Found(found.base, found.base, found.steps[:1], None)
-            progress("unknown physics", 1, 1)
+        found, unknown = names_that_hold(fitted.refitter, found, unknown, remains, one_ports, seed, executor)
+        progress("unknown physics", 1, 1)
     final = unknown.trial.fit if unknown is not None else found.final
     with clock.measure("confirm"):
         progress("confirming", 0, 3)
         entries = _entries(fitted, found, job)
         progress("confirming", 1, 3)
-        structures, remarks = structure_entries(found.final, clean, job.diagonal, seed)
+        structures, remarks = structure_entries(final, clean, job.diagonal, seed)
         gain = None
         if final is not found.base:
             gain = held_out(fitted.refitter, found.base, final, seed, blocks=not job.quick)
@@ -198,17 +194,6 @@ def _diagnose(
         differences,
         clock.seconds,
     )
-
-
-def _exhausted(found: Found) -> bool:
-    """Whether the search ended because no more additions are allowed."""
-    return found.steps[-1].chosen is not None
-
-
-def _names_too_little(found: Found, unknown: Realised) -> bool:
-    """Whether the named effects explain too small a part of what can be explained: then they are wrong names."""
-    named = float(np.sum(found.final.evidence) - np.sum(found.base.evidence))
-    return unknown.trial.gain > (1 - _NAMED_SHARE) * (named + unknown.trial.gain)
 
 
 def _entries(fitted: Fitted, found: Found, job: _Job) -> list[dict[str, Any]]:

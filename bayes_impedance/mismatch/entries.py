@@ -197,9 +197,13 @@ def aliases(step: Step, quick: bool) -> list[dict[str, Any]]:
     return rows
 
 
-def unknown_entry(unknown: Realised) -> dict[str, Any]:
-    """Entry for physics without a name: the small network that stands in for it."""
-    addition = unknown.trial.fit.model.additions[-1]
+def unknown_entry(unknown: Realised, named: int) -> dict[str, Any]:
+    """Entry for physics without a name: what stands in for it, beyond the additions that have names."""
+    terms = unknown.trial.fit.model.additions[named:]
+    addition = terms[0]
+    formula = f"a small network {addition.effect.branch} {addition.effect.connection} the place"
+    if len(terms) > 1:
+        formula = "a sum of " + ", ".join(f"{t.effect.branch or t.effect.name} at {t.place}" for t in terms)
     return {
         "id": "unknown",
         "name": "physics outside of the catalogue",
@@ -214,10 +218,10 @@ def unknown_entry(unknown: Realised) -> dict[str, Any]:
             "elpd_gain_se": unknown.gain_se,
         },
         "aliases": [],
-        "network": addition.effect.branch,
+        "network": addition.effect.branch if len(terms) == 1 else "",
         "connection": addition.effect.connection,
-        "formula": f"a small network {addition.effect.branch} {addition.effect.connection} the place",
-        "story": addition.effect.story,
+        "formula": formula,
+        "story": "Something is missing that is not in the catalogue. A network that fits stands in for it.",
     }
 
 

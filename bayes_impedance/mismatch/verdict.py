@@ -186,7 +186,7 @@ def make_verdict(recordings: Recordings, fitted: Fitted, evidence: Evidence, see
     physics = list(evidence.entries)
     unexplained = None
     if unknown is not None:
-        unexplained = unknown_entry(unknown)
+        unexplained = unknown_entry(unknown, len(found.final.model.additions))
         physics.append(unexplained)
     physics += evidence.structures
     if hum is not None:
