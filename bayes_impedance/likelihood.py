@@ -206,6 +206,39 @@ def _log_likelihoods(
     return result
 
 
+@compiled
+def _log_likelihood_gradients(
+    program: Program,
+    theta: np.ndarray,
+    deviations: np.ndarray,
+    omega: np.ndarray,
+    z: np.ndarray,
+    weight: np.ndarray,
+    count: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    n_nodes, n_elements = program.node_parent.size, theta.shape[1]
+    sums = np.empty((n_nodes, 2, omega.size))
+    outputs = np.empty((n_nodes, 2, omega.size))
+    adjoints = np.empty((n_nodes, 2, omega.size))
+    derivative = np.empty((n_elements, 2, omega.size))
+    values, gradients = np.empty(theta.shape[0]), np.zeros(theta.shape)
+    for i in range(theta.shape[0]):
+        chi = 0.0
+        for j in range(z.shape[0]):
+            forward(program, theta[i] + deviations[j], omega, sums, outputs)
+            backward(program, theta[i] + deviations[j], omega, sums, outputs, adjoints, derivative)
+            residual = outputs[n_nodes - 1]
+            for f in range(omega.size):
+                residual[0, f] -= z[j, 0, f]
+                residual[1, f] -= z[j, 1, f]
+            chi += _weighted_dot(residual, residual, weight[j])
+            for p in range(n_elements):
+                gradients[i, p] += _weighted_dot(derivative[p], residual, weight[j])
+        values[i] = -(SCALE_SHAPE + count) * np.log(SCALE_SHAPE + 0.5 * chi)
+        gradients[i] *= -(SCALE_SHAPE + count) / (SCALE_SHAPE + 0.5 * chi)
+    return values, gradients
+
+
 def repetition_equations(kernel: Kernel, likelihood: Likelihood, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Gradient J^T W r, shape (J, P), and information J^T W J, shape (J, P, P), of every repetition at theta (P,)."""
     d = likelihood
@@ -234,6 +267,14 @@ def log_likelihood(kernel: Kernel, likelihood: Likelihood, theta: np.ndarray) ->
     theta = np.ascontiguousarray(theta)
     values = _log_likelihoods(kernel.program, theta, d.deviations, d.omega, d.z, d.weight, d.count)
     return np.where(np.isfinite(values), values, -np.inf)
+
+
+def log_likelihood_gradient(kernel: Kernel, likelihood: Likelihood, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Log likelihood of log elements (S, P) as in :func:`log_likelihood`, (S,), and its gradient, (S, P)."""
+    d = likelihood
+    return _log_likelihood_gradients(  # type: ignore[no-any-return]
+        kernel.program, np.ascontiguousarray(theta), d.deviations, d.omega, d.z, d.weight, d.count
+    )
 
 
 @dataclass(frozen=True)

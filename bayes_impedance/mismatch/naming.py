@@ -4,11 +4,11 @@ A search among names puts anything smooth together from enough of them: by Foste
 sum of resonances or of relaxations. Three things give this away:
 
 - what the names leave is not small beside what they explain, and a small network without a name does more than they;
-- several terms of such a sum are found, and structure remains even so;
+- several relaxations or resonances are found, and structure remains even so;
 - two different names may stand for what is at the same place of the body: tissue that neither describes.
 
-Then the verdict says ``unknown``, and what was found stands in for it. Several springpots are no such sum: power laws
-in several places are one kind of tissue.
+Then the verdict says ``unknown``, and what was found stands in for it. That structure remains is not enough by itself:
+of real recordings precise enough no model is left standing, and the names that explain most of them are worth having.
 """
 
 from __future__ import annotations
@@ -27,8 +27,10 @@ from bayes_impedance.mismatch.refit import Refitter
 from bayes_impedance.mismatch.search import Found
 from bayes_impedance.mismatch.unknown import Realised, realise
 
-TERMS = (
-    "rig.resonance",
+SERIES_TERMS = ("rig.resonance", "body.relaxation", "body.resonator")
+"""Entries of which a sum can be any passive one-port."""
+
+ONE_PORTS = (
     "body.springpot",
     "body.hysteresis",
     "body.relaxation",
@@ -37,7 +39,7 @@ TERMS = (
     "body.line",
     "body.bypass",
 )
-"""Entries of which a sum can imitate any one-port."""
+"""Entries that say what the tissue at one place is made of."""
 
 _NAMED_SHARE = 0.9
 _FEWEST = 10
@@ -80,9 +82,8 @@ def names_that_hold(
         alone = realise(refitter, found.base, found.steps[0].residuals, one_ports, seed, executor)
         if alone is not None and alone.trial.gain > named:
             return _without_names(found), alone
-    terms = [addition for addition in own if addition.effect.id in TERMS]
-    a_sum = len(terms) > 1 and {addition.effect.id for addition in terms} != {"body.springpot"}
-    if a_sum and (remains or _two_names_at_one_place(found, terms)) and len(refitter.data) >= _FEWEST:
+    a_sum = remains and sum(addition.effect.id in SERIES_TERMS for addition in own) > 1
+    if (a_sum or _two_names_at_one_place(found, own)) and len(refitter.data) >= _FEWEST:
         trial = rest.trial if rest is not None else next(s.chosen for s in reversed(found.steps) if s.chosen)
         whole = rest.trial.fit if rest is not None else found.final
         total, se = people_gain(refitter, found.base, whole, seed)
@@ -90,8 +91,8 @@ def names_that_hold(
     return found, rest
 
 
-def _two_names_at_one_place(found: Found, terms: Sequence[Addition]) -> bool:
-    tissue = [(a.effect.id, _possible_places(found, a)) for a in terms if a.effect.side == "body"]
+def _two_names_at_one_place(found: Found, own: Sequence[Addition]) -> bool:
+    tissue = [(a.effect.id, _possible_places(found, a)) for a in own if a.effect.id in ONE_PORTS]
     return any(a != b and at & there for (a, at), (b, there) in combinations(tissue, 2))
 
 
