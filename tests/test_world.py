@@ -2,6 +2,7 @@
 
 import importlib
 import sys
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,9 @@ sys.path.insert(0, str(FOLDER))  # the scripts import each other by name, as whe
 tissue, rig, friction, kinds, experiment = (
     importlib.import_module(f"world.{name}") for name in ("tissue", "rig", "friction", "kinds", "experiment")
 )
-people, equivalence, visible = (importlib.import_module(name) for name in ("people", "equivalence", "visible_in_world"))
+people, equivalence, visible, nearest_entry = (
+    importlib.import_module(name) for name in ("people", "equivalence", "visible_in_world", "nearest_entry")
+)
 
 F = np.geomspace(5, 5000, 61)
 S = 2j * np.pi * F
@@ -236,3 +239,22 @@ def test_equivalence_tells_the_same_from_the_different() -> None:
     assert not equivalence.same(e, [])
     lowpass = experiment.conduct(_plan("rig.lowpass"))
     assert equivalence.same(lowpass, [("rig.delay", "port")])
+
+
+def test_true_values_are_those_in_the_terms_of_the_entry() -> None:
+    plan = _plan("rig.highpass")
+    kind = kinds.KINDS["rig.highpass"]
+
+    def corner(**changes: Any) -> tuple[float, float]:
+        e = experiment.conduct(replace(plan, **changes))
+        return nearest_entry.true_parameters(e, kind, 0)["corner_hz"][0], e.values[0]["size"]
+
+    # With the other channel's corner far below the band the world's filter is the entry's.
+    found, size = corner(rig=replace(plan.rig, highpass_hz=(1e-6, 1e-6)))
+    assert found == pytest.approx(size, rel=1e-3)
+    found, size = corner(rig=replace(plan.rig, highpass_hz=(1.0, 1.0)))
+    assert 0.5 * size < found < 0.99 * size
+    # A gain of the rig is part of what has an impedance's unit.
+    e = experiment.conduct(replace(_plan("rig.mass"), conditions=people.Conditions(gain_error=0.02)))
+    mass, unit = nearest_entry.true_parameters(e, kinds.KINDS["rig.mass"], 0)["mass"]
+    assert (mass, unit) == (pytest.approx(1.02 * e.values[0]["size"]), "kg")

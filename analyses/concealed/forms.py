@@ -143,7 +143,7 @@ def _line(s: np.ndarray, z: np.ndarray, p: Mapping[str, np.ndarray]) -> np.ndarr
 
 
 def _reflex(s: np.ndarray, z: np.ndarray, p: Mapping[str, np.ndarray]) -> np.ndarray:
-    lag = np.exp(-s * p["latency"]) / (1 + s / (2 * np.pi * REFLEX_CORNER_HZ))
+    lag = np.exp(-s * p["latency"]) / (1 + s / (2 * np.pi * p.get("corner", REFLEX_CORNER_HZ)))
     return z + p["stiffness"] * lag / s
 
 

@@ -12,8 +12,10 @@ its elements by half of their size.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
-from people import ELEMENTS, impedance
+from people import ELEMENTS, Change, impedance
 
 _STEP = 1e-5
 _ROUNDS = 25
@@ -24,16 +26,16 @@ def white(values: np.ndarray, sd: np.ndarray) -> np.ndarray:
     return np.concatenate([values.real / sd, values.imag / sd], axis=-1)
 
 
-def tangent(log_elements: np.ndarray, frequency_hz: np.ndarray, sd: np.ndarray) -> np.ndarray:
+def tangent(
+    log_elements: np.ndarray, frequency_hz: np.ndarray, sd: np.ndarray, changes: Mapping[str, Change] | None = None
+) -> np.ndarray:
     """Derivative of the white curves by the log elements (N, J, P), by central differences: shape (N, J, 2 F, P)."""
-    columns = [
-        white(
-            (impedance(log_elements + step, frequency_hz) - impedance(log_elements - step, frequency_hz)) / (2 * _STEP),
-            sd,
-        )
-        for step in _STEP * np.eye(len(ELEMENTS))
-    ]
-    return np.stack(columns, axis=-1)
+
+    def difference(step: np.ndarray) -> np.ndarray:
+        ahead, behind = (impedance(log_elements + h, frequency_hz, changes) for h in (step, -step))
+        return white((ahead - behind) / (2 * _STEP), sd)
+
+    return np.stack([difference(step) for step in _STEP * np.eye(len(ELEMENTS))], axis=-1)
 
 
 def tangent_basis(log_elements: np.ndarray, frequency_hz: np.ndarray, sd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -55,7 +57,11 @@ def outside(values: np.ndarray, basis: np.ndarray) -> np.ndarray:
 
 
 def nearest(
-    log_elements: np.ndarray, z: np.ndarray, frequency_hz: np.ndarray, sd: np.ndarray
+    log_elements: np.ndarray,
+    z: np.ndarray,
+    frequency_hz: np.ndarray,
+    sd: np.ndarray,
+    changes: Mapping[str, Change] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """The network fitted to curves without noise, by Levenberg and Marquardt from the elements that are given.
 
@@ -66,6 +72,8 @@ def nearest(
     frequency_hz : ndarray, shape (F,)
     sd : ndarray, shape (N, J, F)
         Noise of real and of imaginary part.
+    changes : mapping of str to Change, optional
+        What else happens at the network's places.
 
     Returns
     -------
@@ -74,14 +82,14 @@ def nearest(
         What is left over the noise, real parts first.
     """
     x, damping = log_elements, np.full(log_elements.shape[:2], 1e-3)
-    rest = white(z - impedance(x, frequency_hz), sd)
+    rest = white(z - impedance(x, frequency_hz, changes), sd)
     for _ in range(_ROUNDS):
-        a = tangent(x, frequency_hz, sd)
+        a = tangent(x, frequency_hz, sd, changes)
         normal, right = np.swapaxes(a, -1, -2) @ a, np.einsum("ijfp,ijf->ijp", a, rest)
         diagonal = np.einsum("ijpp->ijp", normal)[..., None, :] * np.eye(x.shape[-1])
         step = np.linalg.solve(normal + damping[..., None, None] * diagonal, right[..., None])[..., 0]
         trial = x + np.clip(step, -1.0, 1.0)
-        new = white(z - impedance(trial, frequency_hz), sd)
+        new = white(z - impedance(trial, frequency_hz, changes), sd)
         better = np.sum(new**2, axis=-1) < np.sum(rest**2, axis=-1)
         gained = float(np.sum((rest**2 - new**2)[better]))
         x, rest = np.where(better[..., None], trial, x), np.where(better[..., None], new, rest)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from forms import same_places
 from nearest import bands, nearest, size, tangent_basis, white
+from nearest_entry import true_parameters
 from people import ELEMENTS, NETWORK, impedance
 from world.experiment import Experiment
 from world.kind import Kind
@@ -61,8 +62,7 @@ def _effect(experiment: Experiment, kind: Kind, k: int, variance: np.ndarray) ->
     _, rest = imitated(experiment, experiment.alone[k])
     members = experiment.fingers.members if kind.pooling == "some" else np.ones(plan.n_subjects, dtype=bool)
     names = [f"P{i + 1:03d}" for i in range(plan.n_subjects)]
-    own = kind.reported(experiment.values[k])
-    signed = {"change": -1.0}  # creep softens: the logarithm of the impedance falls
+    own = true_parameters(experiment, kind, k)
     place = str(kind.place)
     return {
         "id": kind.answers[0],
@@ -73,9 +73,9 @@ def _effect(experiment: Experiment, kind: Kind, k: int, variance: np.ndarray) ->
         "side": kind.side,
         "pooling": kind.pooling,
         "parameters": {
-            name: {"value": signed.get(name, 1.0) * value, "unit": unit, "signs": {"n3": -1, "r3": 1}}
+            name: {"value": value, "unit": unit, "signs": {"n3": -1, "r3": 1}}
             if name == "slope"
-            else {"value": signed.get(name, 1.0) * value, "unit": unit}
+            else {"value": value, "unit": unit}
             for name, (value, unit) in own.items()
         },
         "also": {},
