@@ -10,13 +10,14 @@ OUT ?= out/demo
 PYTHON ?= $(shell for p in python3 python3.11 python3.12 python3.13 python; do \
   if $$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then echo $$p; break; fi; done)
 
-.PHONY: demo test test-all lint format clean help
+.PHONY: demo test test-all bench lint format clean help
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make demo      estimate the shipped population of 71 virtual fingertips; the report goes to $(OUT)"
 	@echo "make test      run the tests, and a fixed part of the slow statistical checks"
 	@echo "make test-all  run every slow check too (about an hour)"
+	@echo "make bench     speed against peers, in one run (about 20 minutes; leave the machine alone)"
 	@echo "make lint      ruff and mypy"
 	@echo "make clean     remove what these commands made"
 
@@ -44,6 +45,10 @@ $(VENV)/.lint: $(BIN)/python pyproject.toml
 	$(call install,.[test$(comma)lint])
 	@touch $(VENV)/.run
 
+$(VENV)/.bench: $(BIN)/python pyproject.toml
+	$(call install,.[test$(comma)oracle$(comma)bench])
+	@touch $(VENV)/.run
+
 comma := ,
 
 demo: $(VENV)/.run
@@ -55,6 +60,9 @@ test: $(VENV)/.test
 
 test-all: $(VENV)/.test
 	$(BIN)/python -m pytest -n 2 --dist loadfile $(PYTEST_ARGS)
+
+bench: $(VENV)/.bench
+	$(BIN)/python benchmarks/run.py $(BENCH_ARGS)
 
 lint: $(VENV)/.lint
 	$(BIN)/ruff check .

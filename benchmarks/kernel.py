@@ -1,0 +1,86 @@
+"""One likelihood (eight elements, 401 frequencies) and its gradient, against peers and the arithmetic floor."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from floor import counted, throughput
+from peers import (
+    ELEMENTS,
+    NETWORK,
+    impedance_py,
+    jax_functions,
+    numpy_chi_square,
+    numpy_gradient,
+)
+from timing import ratio, seconds_of, spread
+
+from bayes_impedance.kernel import Kernel
+from bayes_impedance.likelihood import Likelihood, log_likelihood, log_likelihood_gradient
+from bayes_impedance.network import parse
+from bayes_impedance.simulate import FINGERTIP
+
+_POINTS, _SETS, _SMALL = 401, 256, 16
+
+
+def measure() -> dict[str, Any]:
+    """Seconds of one likelihood by each peer, ratios to ours, and the floor."""
+    kernel = Kernel(parse(NETWORK))
+    order = [ELEMENTS.index(name) for name in kernel.elements]
+    frequency = np.geomspace(5, 5000, _POINTS)
+    centre = np.log([FINGERTIP.central[name] for name in ELEMENTS])
+    theta = centre + np.random.default_rng(1).normal(0, 0.2, (_SETS, len(ELEMENTS)))
+    z = kernel.impedance(centre[order], frequency)
+    sd = 0.01 * np.abs(z)
+    likelihood = Likelihood.make(frequency, z[None], sd[None], np.zeros((1, len(ELEMENTS))))
+    omega, weight = likelihood.omega, sd**-2.0
+    own = np.ascontiguousarray(theta[:, order])
+    _require_equal(kernel, own, theta, frequency, z, weight)
+
+    work = {
+        "ours": lambda: log_likelihood(kernel, likelihood, own),
+        "numpy": lambda: [numpy_chi_square(theta[k : k + _SMALL], omega, z, weight) for k in range(0, _SETS, _SMALL)],
+        "numpy at once": lambda: numpy_chi_square(theta, omega, z, weight),
+        "impedance.py": impedance_py(theta[0], omega, z, weight),
+        "ours, gradient": lambda: log_likelihood_gradient(kernel, likelihood, own),
+        "numpy, gradient": lambda: [
+            numpy_gradient(theta[k : k + _SMALL], omega, z, weight) for k in range(0, _SETS, _SMALL)
+        ],
+    }
+    jax = jax_functions(omega, z, weight)
+    if jax is not None:
+        work["jax"] = lambda: jax[0](theta).block_until_ready()
+        work["jax, gradient"] = lambda: jax[1](theta)[1].block_until_ready()
+    seconds = seconds_of(work)
+    per_set = {name: values / (1 if name == "impedance.py" else _SETS) for name, values in seconds.items()}
+    plain, divisions = counted(parse(NETWORK))
+    per_second = throughput()
+    floor = _POINTS * (plain / per_second[0] + divisions / per_second[1])
+    return {
+        "seconds": {name: spread(values) for name, values in per_set.items()},
+        "times ours": {
+            name: ratio(values, per_set["ours, gradient" if name.endswith("gradient") else "ours"])
+            for name, values in per_set.items()
+            if not name.startswith("ours")
+        },
+        "floor": {
+            "seconds": floor,
+            "operations per frequency": [plain, divisions],
+            "operations per second": list(per_second),
+            "ours over floor": spread(per_set["ours"] / floor),
+        },
+        "points": _POINTS,
+        "sets per call": _SETS,
+    }
+
+
+def _require_equal(
+    kernel: Kernel, own: np.ndarray, theta: np.ndarray, frequency: np.ndarray, z: np.ndarray, weight: np.ndarray
+) -> None:
+    """All peers must compute the same, or times mean nothing."""
+    omega = 2 * np.pi * frequency
+    rest = kernel.impedance(own, frequency) - z
+    expected = np.sum(weight * np.abs(rest) ** 2, axis=1)
+    np.testing.assert_allclose(numpy_chi_square(theta, omega, z, weight), expected, rtol=1e-9)
+    np.testing.assert_allclose(impedance_py(theta[3], omega, z, weight)(), expected[3], rtol=1e-9)

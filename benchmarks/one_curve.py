@@ -1,0 +1,132 @@
+"""One person's curve fitted by three programs: how often the global optimum is found, and how long it takes.
+
+All get the mean curve of each person of `data/fingertip_71`, the same weights (1 % of the magnitude) and no hint: they
+begin where each element's impedance meets the data's magnitude in mid-band. lmfit (Levenberg-Marquardt on log elements)
+and ours may also begin at other places drawn around it, impedance.py is used as its documentation does, once and in
+elements themselves. The optimum counts as found if chi-square is within 1 % + 1 of the lowest that anybody found.
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from peers import CIRCUIT, CIRCUIT_ORDER, ELEMENTS, NETWORK, numpy_parts
+from timing import spread
+
+from bayes_impedance.hierarchy import Prior
+from bayes_impedance.kernel import Kernel
+from bayes_impedance.likelihood import Likelihood
+from bayes_impedance.network import parse
+from bayes_impedance.recordings import read_recordings
+from bayes_impedance.starts import default_prior, search_modes, thinned_points
+from bayes_impedance.subject import find_mode
+
+DATASET = Path(__file__).resolve().parents[1] / "data" / "fingertip_71"
+_STARTS, _SPREAD, _NOISE = 97, 2.0, 0.01
+_LMFIT_STARTS = 20
+
+Fit = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+"""Frequency (F,), mean curve (F,) and starts (S, 8) in the order of :data:`ELEMENTS` to the log elements found."""
+
+
+def measure(impedance_py_people: int) -> dict[str, Any]:
+    """Success and seconds of each program; impedance.py, which takes long, on some people only."""
+    recordings = read_recordings(DATASET)
+    kernel = Kernel(parse(NETWORK))
+    order = [kernel.elements.index(name) for name in ELEMENTS]
+    prior = default_prior(kernel.elements, recordings)
+    draws = np.random.default_rng(1).normal(0, _SPREAD, (_STARTS - 1, len(ELEMENTS)))
+    starts = np.vstack([prior.centre, prior.centre + draws])[:, order]
+    programs: dict[str, Fit] = {
+        "ours": lambda f, z, s: _ours(kernel, prior, order, f, z, s),
+        "lmfit, one start": lambda f, z, s: _lmfit(f, z, s[:1]),
+        f"lmfit, {_LMFIT_STARTS} starts": lambda f, z, s: _lmfit(f, z, s[:_LMFIT_STARTS]),
+        "impedance.py": _impedance_py,
+    }
+    people = recordings.subjects
+    some = set(np.linspace(0, len(people) - 1, impedance_py_people).round().astype(int).tolist())
+    chi = {name: np.full(len(people), np.inf) for name in programs}
+    seconds: dict[str, list[float]] = {name: [] for name in programs}
+    _ours(kernel, prior, order, people[0].frequency_hz, people[0].mean, starts)  # compiling does not count
+    for i, person in enumerate(people):
+        for name, fit in programs.items():
+            if name == "impedance.py" and i not in some:
+                continue
+            started = time.perf_counter()
+            with warnings.catch_warnings(), np.errstate(all="ignore"):
+                warnings.simplefilter("ignore")
+                found = fit(person.frequency_hz, person.mean, starts)
+            seconds[name].append(time.perf_counter() - started)
+            chi[name][i] = _chi_square(found, person.frequency_hz, person.mean)
+    lowest = np.min(list(chi.values()), axis=0)
+    return {
+        name: {
+            "found": int(np.sum(chi[name] <= 1.01 * lowest + 1)),
+            "people": len(seconds[name]),
+            "seconds": spread(np.array(seconds[name])),
+            "times ours": float(np.median(seconds[name]) / np.median(seconds["ours"])),
+        }
+        for name in programs
+    }
+
+
+def _chi_square(theta: np.ndarray, frequency: np.ndarray, z: np.ndarray) -> float:
+    if not np.all(np.isfinite(theta)):
+        return np.inf
+    rest = (numpy_parts(theta[None], 2 * np.pi * frequency)[-1][0] - z) / (_NOISE * np.abs(z))
+    return float(np.sum(np.abs(rest) ** 2))
+
+
+def _ours(
+    kernel: Kernel, prior: Prior, order: list[int], frequency: np.ndarray, z: np.ndarray, starts: np.ndarray
+) -> np.ndarray:
+    own = np.empty_like(starts)
+    own[:, order] = starts
+
+    def data(points: np.ndarray | slice) -> Likelihood:
+        curve = z[None, points]
+        return Likelihood.make(frequency[points], curve, _NOISE * np.abs(curve), np.zeros((1, len(order))))
+
+    best = search_modes(kernel, data(thinned_points(frequency.size)), own, prior, 4)
+    precision = np.eye(len(order)) / prior.centre_sd**2
+    return find_mode(kernel, data(slice(None)), best, prior.centre, precision).theta[order]
+
+
+def _lmfit(frequency: np.ndarray, z: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    from lmfit import Parameters, minimize
+
+    omega, sd = 2 * np.pi * frequency, _NOISE * np.abs(z)
+
+    def residual(parameters: Any) -> np.ndarray:
+        theta = np.array([parameters[name].value for name in ELEMENTS])
+        rest = (numpy_parts(theta[None], omega)[-1][0] - z) / sd
+        return np.nan_to_num(np.concatenate([rest.real, rest.imag]), nan=1e6, posinf=1e6, neginf=-1e6)
+
+    best = None
+    for start in starts:
+        parameters = Parameters()
+        for name, value in zip(ELEMENTS, start, strict=True):
+            parameters.add(name, value=value, min=-40.0, max=20.0)
+        result = minimize(residual, parameters, method="leastsq")
+        if best is None or result.chisqr < best.chisqr:
+            best = result
+    assert best is not None  # there is a start
+    return np.array([best.params[name].value for name in ELEMENTS])
+
+
+def _impedance_py(frequency: np.ndarray, z: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    from impedance.models.circuits import CustomCircuit
+
+    values = dict(zip(ELEMENTS, np.exp(starts[0]), strict=True))
+    circuit = CustomCircuit(CIRCUIT, initial_guess=[values[name] for name in CIRCUIT_ORDER])
+    try:
+        circuit.fit(frequency, z, weight_by_modulus=True)
+    except (RuntimeError, ValueError):  # no convergence
+        return np.full(len(ELEMENTS), np.nan)
+    found = dict(zip(CIRCUIT_ORDER, np.abs(circuit.parameters_), strict=True))
+    return np.log([found[name] for name in ELEMENTS])

@@ -1,0 +1,81 @@
+"""Population posterior against NUTS, on the full joint posterior and on the marginal one: same data, same priors.
+
+The joint rival and its data are those of the tests (`tests/nuts_model.py`): 16 people, three repetitions, five
+elements; the marginal one is in `marginal_nuts.py`. What counts is effective samples per second of the worst population
+parameter. Against the joint posterior the seconds are those that a user waits for, compiling and adaptation included on
+both sides, and all that ours does before it samples; against the marginal one they are those of the sampling alone.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+
+def measure(seed: int) -> dict[str, Any]:
+    """Effective samples per second of all three, and how far their moments differ."""
+    from nuts_model import ELEMENTS, POPULATION, Comparison, Moments, compare, from_fit, run_nuts, virtual_recordings
+
+    from bayes_impedance.population import fit_population
+
+    recordings = virtual_recordings(seed)
+    fit_population(recordings, POPULATION.network, seed=seed)  # reads or fills the cache of compiled functions
+    started = time.perf_counter()
+    fit = fit_population(recordings, POPULATION.network, seed=seed)
+    seconds = time.perf_counter() - started
+    effective = float(fit.diagnostics.effective_min)
+    samples = from_fit(fit)
+
+    joint = run_nuts(fit, seed=seed)
+    against_joint = [c for c in compare(samples, joint) if not c.name.startswith("person")]
+    values, marginal_seconds, marginal_divergences = _marginal(recordings, fit.prior.centre, seed)
+    names = {"mu": "mu", "tau": "log tau", "rho": "log rho"}
+    against_marginal = [
+        Comparison(f"{name} {e}", Moments.of(samples.values[f"{name} {e}"]), Moments.of(values[key][..., i]))
+        for key, name in names.items()
+        for i, e in enumerate(ELEMENTS)
+    ]
+    ours = effective / seconds
+    ours_sampling = effective / fit.seconds["population"]
+    return {
+        "ours": {
+            "seconds": seconds,
+            "of sampling": fit.seconds["population"],
+            "effective": effective,
+            "per second": ours,
+            "per second of sampling": ours_sampling,
+            "problems": list(fit.diagnostics.problems),
+        },
+        "joint": _row(against_joint, joint.seconds, joint.divergences, ours),
+        "marginal": _row(against_marginal, marginal_seconds, marginal_divergences, ours_sampling),
+        "people": len(recordings.subjects),
+        "parameters": len(against_joint),
+    }
+
+
+def _marginal(recordings: Any, centre: np.ndarray, seed: int) -> tuple[dict[str, np.ndarray], float, int]:
+    from marginal_nuts import prepared, run_nuts_on
+    from nuts_model import POPULATION
+
+    return run_nuts_on(prepared(recordings, POPULATION.network, seed), centre, seed)
+
+
+def _row(table: list[Any], seconds: float, divergences: int, ours: float) -> dict[str, Any]:
+    effective = min(c.nuts.effective for c in table)
+    return {
+        "seconds": seconds,
+        "effective": effective,
+        "per second": effective / seconds,
+        "times as many by ours": ours / (effective / seconds),
+        "largest R-hat": max(c.nuts.rhat for c in table),
+        "divergences": divergences,
+        "largest difference of means, in standard deviations": max(abs(c.shift) for c in table),
+        "ratio of standard deviations": [min(c.spread for c in table), max(c.spread for c in table)],
+        "standard error of that ratio, at most": max(c.spread_error for c in table),
+    }

@@ -1,0 +1,124 @@
+"""All benchmarks in one run on one machine: ``make bench``, or ``python benchmarks/run.py --only kernel one_curve``.
+
+Every part runs in a process of its own. Results go to ``results.json`` (parts that are not run keep their last ones),
+the table into the README beside this script, the picture to ``benchmarks.png``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import subprocess
+import sys
+from collections.abc import Mapping
+from datetime import date
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from report import draw, table
+
+HERE = Path(__file__).resolve().parent
+PARTS = ("kernel", "one_curve", "population", "diagnosis", "end_to_end")
+_PACKAGES = ("bayes_impedance", "numpy", "scipy", "numba", "emcee", "jax", "numpyro", "impedance", "lmfit")
+_BUSY = 0.5
+
+
+def machine() -> dict[str, Any]:
+    """What the numbers belong to."""
+    names = [
+        line.split(":")[1].strip()
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        if line.startswith("model name")
+    ]
+    installed = {}
+    for package in _PACKAGES:
+        try:
+            installed[package] = version(package)
+        except PackageNotFoundError:
+            installed[package] = "not installed"
+    return {
+        "processor": names[0] if names else platform.processor(),
+        "cores": os.cpu_count(),
+        "system": platform.platform(terse=True),
+        "python": platform.python_version(),
+        "packages": installed,
+        "date": date.today().isoformat(),
+    }
+
+
+def one_part(name: str, options: argparse.Namespace) -> dict[str, Any]:
+    """Measure one part in this process."""
+    if name == "kernel":
+        import kernel
+
+        return kernel.measure()
+    if name == "one_curve":
+        import one_curve
+
+        return one_curve.measure(options.impedance_people)
+    if name == "population":
+        import population
+
+        return population.measure(options.seed)
+    if name == "diagnosis":
+        import diagnosis
+
+        return diagnosis.measure()
+    import end_to_end
+
+    return end_to_end.measure(options.rounds)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS), metavar="PART", help=", ".join(PARTS))
+    parser.add_argument("--seed", type=int, default=3, help="of the population")
+    parser.add_argument("--rounds", type=int, default=3, help="warm runs of each command")
+    parser.add_argument("--impedance-people", type=int, default=71, help="how many people impedance.py is to fit")
+    parser.add_argument("--part", choices=PARTS, help=argparse.SUPPRESS)
+    parser.add_argument("-o", "--out", type=Path, default=HERE)
+    options = parser.parse_args(arguments)
+    if options.part:
+        print("RESULT " + json.dumps(one_part(options.part, options)))
+        return
+    path = options.out / "results.json"
+    results: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    results["machine"] = machine()
+    for part in options.only:
+        load = os.getloadavg()[0]
+        print(
+            f"{part}: the machine's load is {load:.1f}" + (" (busy: ratios will scatter)" * (load > _BUSY)), flush=True
+        )
+        results[part] = _apart(part, options) | {"load before": load}
+        options.out.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    text = table(results)
+    print(text)
+    draw(results, options.out / "benchmarks.png")
+    if options.out == HERE:
+        _replace(HERE / "README.md", text)
+
+
+def _apart(part: str, options: argparse.Namespace) -> dict[str, Any]:
+    """One part in a process of its own, with one thread for linear algebra as the commands have."""
+    given = ["--seed", options.seed, "--rounds", options.rounds, "--impedance-people", options.impedance_people]
+    command = [sys.executable, str(HERE / "run.py"), "--part", part, *map(str, given)]
+    environment: Mapping[str, str] = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    lines = [line for line in done.stdout.splitlines() if line.startswith("RESULT ")]
+    if done.returncode != 0 or not lines:
+        raise SystemExit(f"{part} failed:\n{done.stderr[-3000:]}")
+    return dict(json.loads(lines[-1].removeprefix("RESULT ")))
+
+
+def _replace(path: Path, content: str) -> None:
+    start, end = "<!-- results:start -->", "<!-- results:end -->"
+    head, rest = path.read_text(encoding="utf-8").split(start)
+    path.write_text(f"{head}{start}\n{content.strip()}\n{end}{rest.split(end)[1]}", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
