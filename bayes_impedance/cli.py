@@ -5,11 +5,12 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayes_impedance.errors import InputError
+from bayes_impedance.progress import Bars
 
 if TYPE_CHECKING:
     from bayes_impedance.result import Result
@@ -115,6 +116,7 @@ def _fit_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quick", action="store_true", help="fewer draws: a first look")
     parser.add_argument("--resume", action="store_true", help="continue a fit that was interrupted")
     parser.add_argument("--workers", type=_count, default=2, metavar="N", help="threads (default: 2)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="Dask scheduler, whose workers fit people (extra: dask)")
 
 
 def _diagnose_arguments(parser: argparse.ArgumentParser) -> None:
@@ -188,7 +190,7 @@ class _Version(argparse.Action):
 def _run(options: argparse.Namespace) -> int:
     from bayes_impedance.jobs import run_dataset
 
-    with _Bars() as bars:
+    with Bars() as bars:
         result = run_dataset(options.dataset, options.out, _fit_options(options), options.resume, bars)
     return _finish(result, f"report: {options.out / 'report.html'}")
 
@@ -196,7 +198,7 @@ def _run(options: argparse.Namespace) -> int:
 def _fit(options: argparse.Namespace) -> int:
     from bayes_impedance.jobs import fit_dataset
 
-    with _Bars() as bars:
+    with Bars() as bars:
         result = fit_dataset(options.dataset, options.out, _fit_options(options), options.resume, bars)
     return _finish(result, f"summary: {options.out / 'summary.json'}")
 
@@ -204,7 +206,7 @@ def _fit(options: argparse.Namespace) -> int:
 def _compare(options: argparse.Namespace) -> int:
     from bayes_impedance.jobs import compare_dataset
 
-    with _Bars() as bars:
+    with Bars() as bars:
         comparison = compare_dataset(
             options.dataset, options.out, _fit_options(options), options.result, options.resume, bars
         )
@@ -241,7 +243,7 @@ def _diagnose(options: argparse.Namespace) -> int:
         quick=options.quick,
         workers=options.workers,
     )
-    with _Bars() as bars:
+    with Bars() as bars:
         diagnosis = diagnose_dataset(options.dataset, options.out, chosen, options.simulation, bars)
     verdict = diagnosis.verdict
     for remark in verdict["remarks"]:
@@ -263,7 +265,7 @@ def _diagnose(options: argparse.Namespace) -> int:
 def _report(options: argparse.Namespace) -> int:
     from bayes_impedance.jobs import report_result
 
-    with _Bars() as bars:
+    with Bars() as bars:
         result = report_result(options.out, bars, options.dataset)
     return _finish(result, f"report: {options.out / 'report.html'}")
 
@@ -285,7 +287,7 @@ def _export(options: argparse.Namespace) -> int:
         options.pictures,
         options.workers,
     )
-    with _Bars() as bars:
+    with Bars() as bars:
         files, answer = export_result(options.result, options.out, chosen, bars)
     for file in files:
         _tell(str(file))
@@ -338,6 +340,7 @@ def _fit_options(options: argparse.Namespace) -> Any:
         options.seed,
         options.quick,
         options.workers,
+        options.scheduler,
     )
 
 
@@ -385,34 +388,6 @@ def _is_range(value: object) -> bool:
 
 def _tell(text: str, stream: Any = None) -> None:
     (stream or sys.stdout).write(text + "\n")
-
-
-class _Bars:
-    """Progress bars on a terminal, one for each stage; nothing is drawn elsewhere."""
-
-    def __init__(self) -> None:
-        self.stage, self.bar = "", None  # type: tuple[str, Any]
-        self.make: Callable[..., Any] | None = None
-
-    def __enter__(self) -> _Bars:
-        return self
-
-    def __call__(self, stage: str, done: int, total: int) -> None:
-        if self.make is None:
-            from tqdm import tqdm
-
-            self.make = tqdm
-        if stage != self.stage or self.bar is None:
-            self.__exit__()
-            self.stage = stage
-            self.bar = self.make(total=total, desc=f"{stage:22}", disable=None, unit="", leave=True, file=sys.stderr)
-        self.bar.total = total
-        self.bar.update(done - self.bar.n)
-
-    def __exit__(self, *_: object) -> None:
-        if self.bar is not None:
-            self.bar.close()
-            self.bar = None
 
 
 if __name__ == "__main__":

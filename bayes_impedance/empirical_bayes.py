@@ -24,6 +24,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -32,6 +33,7 @@ from bayes_impedance.kernel import Kernel
 from bayes_impedance.likelihood import Likelihood, repetition_equations
 from bayes_impedance.marginal import Contrasts
 from bayes_impedance.noise import contrasts
+from bayes_impedance.persons import map_persons
 from bayes_impedance.starts import FirstFits, Progress
 from bayes_impedance.subject import Mode, find_mode
 
@@ -190,6 +192,41 @@ def _by_kind(elements: Sequence[str], theta: np.ndarray) -> np.ndarray:
     return np.asarray(theta[np.lexsort((theta, np.array([ord(e[0]) for e in elements])))])
 
 
+def _expect(
+    kernel: Kernel,
+    precision: np.ndarray,
+    rho: np.ndarray,
+    likelihood: Likelihood,
+    starts: np.ndarray,
+    mean: np.ndarray,
+) -> tuple[Mode, Likelihood, tuple[np.ndarray, np.ndarray]]:
+    """One person's mode, the likelihood with the deviations that belong to it, and the equations of the repetitions."""
+    mode = find_mode(kernel, likelihood, starts, mean, precision)
+    equations = repetition_equations(kernel, likelihood, mode.theta)
+    return mode, _realigned(likelihood, mode, equations, rho), equations
+
+
+def _realigned(
+    likelihood: Likelihood, mode: Mode, equations: tuple[np.ndarray, np.ndarray], rho: np.ndarray
+) -> Likelihood:
+    """Deviations at their conditional mode, by one Gauss-Newton step with a Lagrange multiplier for their sum."""
+    n_repetitions = likelihood.z.shape[0]
+    if n_repetitions == 1:
+        return likelihood
+    w = mode.scale**-2
+    gradient, information = equations
+    curvature = w * information + np.diag(1 / np.maximum(rho, 1e-3) ** 2)
+    inverse = np.linalg.inv(curvature)
+    pull = -w * gradient - likelihood.deviations / np.maximum(rho, 1e-3) ** 2
+    free = np.einsum("jpq,jq->jp", inverse, pull)
+    multiplier = -np.linalg.solve(inverse.sum(axis=0), (likelihood.deviations + free).sum(axis=0))
+    step = free + inverse @ multiplier
+    longest = np.abs(step).max()
+    if longest > 0.5:
+        step = step * (0.5 / longest)
+    return likelihood.moved(likelihood.deviations + step)
+
+
 class _State:
     """The estimate while it moves."""
 
@@ -229,15 +266,11 @@ class _State:
         precision = np.linalg.inv(self.covariance)
         means = self.means
 
-        def expect(i: int) -> tuple[Mode, Likelihood, tuple[np.ndarray, np.ndarray]]:
-            starts = self.theta[i : i + 1]
-            if extra_starts is not None:
-                starts = np.vstack([starts, means[i], extra_starts[i]])
-            mode = find_mode(self.kernel, self.likelihoods[i], starts, means[i], precision)
-            equations = repetition_equations(self.kernel, self.likelihoods[i], mode.theta)
-            return mode, self._realigned(self.likelihoods[i], mode, equations), equations
-
-        results = list(executor.map(expect, range(len(self.likelihoods))))
+        starts = self.theta[:, None]
+        if extra_starts is not None:
+            starts = np.concatenate([starts, means[:, None], extra_starts], axis=1)
+        expect = partial(_expect, self.kernel, precision, self.rho)
+        results = list(map_persons(executor, expect, self.likelihoods, starts, means))
         self.modes = [mode for mode, _, _ in results]
         # The equations belong to the deviations with which they were computed.
         self.before = self.likelihoods
@@ -252,24 +285,6 @@ class _State:
         stretch = np.abs(np.log(np.diag(self.covariance) / np.diag(old_covariance)))
         wobble = np.abs(self.rho - old_rho) / np.maximum(self.rho, 0.01)
         return float(max(np.max(shift), np.max(stretch), np.max(wobble)))
-
-    def _realigned(self, likelihood: Likelihood, mode: Mode, equations: tuple[np.ndarray, np.ndarray]) -> Likelihood:
-        """Deviations at their conditional mode, by one Gauss-Newton step with a Lagrange multiplier for their sum."""
-        n_repetitions = likelihood.z.shape[0]
-        if n_repetitions == 1:
-            return likelihood
-        w = mode.scale**-2
-        gradient, information = equations
-        curvature = w * information + np.diag(1 / np.maximum(self.rho, 1e-3) ** 2)
-        inverse = np.linalg.inv(curvature)
-        pull = -w * gradient - likelihood.deviations / np.maximum(self.rho, 1e-3) ** 2
-        free = np.einsum("jpq,jq->jp", inverse, pull)
-        multiplier = -np.linalg.solve(inverse.sum(axis=0), (likelihood.deviations + free).sum(axis=0))
-        step = free + inverse @ multiplier
-        longest = np.abs(step).max()
-        if longest > 0.5:
-            step = step * (0.5 / longest)
-        return likelihood.moved(likelihood.deviations + step)
 
     def contrasts(self) -> tuple[Contrasts, ...]:
         """Curvature and gradient of the contrasts at zero deviation, expanded where the deviations were."""

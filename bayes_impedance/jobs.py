@@ -51,6 +51,8 @@ class FitOptions:
         Fewer draws and shorter chains: for a first look.
     workers : int
         Threads; does not change the result.
+    scheduler : str or None
+        Address of a Dask scheduler whose workers do what is done person by person; does not change the result.
     """
 
     network: str | None = None
@@ -60,6 +62,7 @@ class FitOptions:
     seed: int = 1
     quick: bool = False
     workers: int = 2
+    scheduler: str | None = None
 
     def settings(self) -> FitSettings:
         """Settings of the fit."""
@@ -305,6 +308,7 @@ def _fit(dataset: Path, out: Path, options: FitOptions, resume: bool, progress: 
     recordings = _selected(read_recordings(dataset), options)
     reading = time.perf_counter() - started
 
+    from bayes_impedance.persons import executor_of
     from bayes_impedance.population import fit_population
     from bayes_impedance.predictive import predict
     from bayes_impedance.result import make_result, save_result
@@ -312,15 +316,17 @@ def _fit(dataset: Path, out: Path, options: FitOptions, resume: bool, progress: 
     settings = options.settings()
     checkpoint = _checkpoint(out, recordings, options, resume)
     try:
-        fit = fit_population(
-            recordings,
-            options.network,
-            settings=settings,
-            seed=options.seed,
-            workers=options.workers,
-            progress=progress,
-            checkpoint=checkpoint,
-        )
+        with executor_of(options.workers, options.scheduler) as executor:
+            fit = fit_population(
+                recordings,
+                options.network,
+                settings=settings,
+                seed=options.seed,
+                workers=options.workers,
+                progress=progress,
+                checkpoint=checkpoint,
+                executor=executor,
+            )
     except InputError:  # there is nothing to resume
         shutil.rmtree(checkpoint)
         if not any(out.iterdir()):
@@ -347,7 +353,7 @@ def _checkpoint(out: Path, recordings: Recordings, options: FitOptions, resume: 
     identity = {
         "version": version("bayes_impedance"),
         "data_sha256": recordings.sha256,
-        **{k: v for k, v in asdict(options).items() if k != "workers"},
+        **{k: v for k, v in asdict(options).items() if k not in ("workers", "scheduler")},
     }
     text = json.dumps(identity, indent=2, default=list) + "\n"
     file = folder / "fit.json"

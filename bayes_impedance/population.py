@@ -17,8 +17,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from concurrent.futures import Executor
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -33,6 +33,7 @@ from bayes_impedance.kernel import Kernel
 from bayes_impedance.likelihood import Likelihood, find_ridge, marginal_log_likelihood
 from bayes_impedance.marginal import Marginal
 from bayes_impedance.network import Network, parse
+from bayes_impedance.persons import executor_of
 from bayes_impedance.posterior import Posterior
 from bayes_impedance.recordings import Recordings
 from bayes_impedance.sampling import QUICK, SamplerSettings, sample
@@ -140,6 +141,7 @@ def fit_population(
     workers: int = 2,
     progress: Progress = lambda *_: None,
     checkpoint: Path | None = None,
+    executor: Executor | None = None,
 ) -> PopulationFit:
     """Estimate the elements of a population from its recordings.
 
@@ -158,6 +160,9 @@ def fit_population(
         Called with stage, done, total.
     checkpoint : Path, optional
         Folder where the chains are kept as they grow; an interrupted fit with the same arguments continues from there.
+    executor : Executor, optional
+        Does what is done person by person: processes, a cluster's workers, whatever has the standard interface. Threads
+        of this process if not given; the result is the same.
 
     Returns
     -------
@@ -183,7 +188,8 @@ def fit_population(
     clock = _Clock()
     one = len(recordings.subjects) == 1
     # The linear algebra library must not start threads of its own inside ours.
-    with threadpool_limits(1), ThreadPoolExecutor(workers) as executor:
+    own = executor_of(workers) if executor is None else nullcontext(executor)
+    with threadpool_limits(1), own as executor:
         with clock.measure("modes"):
             first = first_fits(kernel, recordings, prior, seeds[0], executor, progress)
             likelihoods = initial_likelihoods(recordings, first, len(kernel.elements))

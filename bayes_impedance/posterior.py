@@ -8,6 +8,7 @@ so that the others are averaged over it, but no coordinate has it and no number 
 from __future__ import annotations
 
 from concurrent.futures import Executor
+from functools import partial
 
 import numpy as np
 
@@ -17,10 +18,12 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.hierarchy import Coordinates, Prior
 from bayes_impedance.kernel import Kernel
 from bayes_impedance.laplace import normal_approximation
-from bayes_impedance.likelihood import find_ridge
+from bayes_impedance.likelihood import Likelihood, find_ridge
 from bayes_impedance.marginal import Marginal
+from bayes_impedance.persons import map_persons
 from bayes_impedance.sampling import SamplerSettings, sample
 from bayes_impedance.starts import Progress
+from bayes_impedance.subject import Mode
 
 _VARIANCE_WANTED = 0.25
 _MORE_DRAWS = (1, 4, 8)
@@ -186,18 +189,28 @@ class Posterior:
         n = self.repetitions.size
         children = seed.spawn(n)
 
-        def one(i: int) -> Draws:
-            reference = Reference(means[i], covariance)
-            likelihood, mode = self.point.likelihoods[i], self.point.modes[i]
-            # The ridge holds rho at the estimate; the contrasts carry the likelihood of other values.
-            ridge = find_ridge(self.kernel, likelihood, mode.theta, mode.scale, self.point.between_repetitions)
-            return draw(self.kernel, likelihood, mode, ridge, reference, n_draws, children[i])
-
+        one = partial(_draws_of, self.kernel, self.point.between_repetitions, covariance, n_draws)
         self.draws = []
-        for i, draws in enumerate(executor.map(one, range(n))):
+        drawn = map_persons(executor, one, self.point.likelihoods, self.point.modes, means, children)
+        for i, draws in enumerate(drawn):
             self.draws.append(draws)
             progress("draws", i + 1, n)
         return Marginal(self.draws, means, covariance, self.repetitions, self.covariates, self.point.contrasts)
+
+
+def _draws_of(
+    kernel: Kernel,
+    rho: np.ndarray,
+    covariance: np.ndarray,
+    n_draws: int,
+    likelihood: Likelihood,
+    mode: Mode,
+    mean: np.ndarray,
+    seed: np.random.SeedSequence,
+) -> Draws:
+    # The ridge holds rho at the estimate; the contrasts carry the likelihood of other values.
+    ridge = find_ridge(kernel, likelihood, mode.theta, mode.scale, rho)
+    return draw(kernel, likelihood, mode, ridge, Reference(mean, covariance), n_draws, seed)
 
 
 def _positive(matrix: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -26,6 +27,7 @@ from bayes_impedance.noise import (
     scatter_of_repetitions,
     scatter_of_roughness,
 )
+from bayes_impedance.persons import map_persons
 from bayes_impedance.recordings import Recordings, Subject
 from bayes_impedance.subject import all_modes, find_mode
 
@@ -106,16 +108,11 @@ def first_fits(
     spread = np.random.default_rng(seed).normal(0, _START_SPREAD, (n_starts, n_elements))
     random_starts = np.vstack([np.zeros(n_elements), spread]) + prior.centre
 
-    def search(person: int) -> np.ndarray:
-        return search_modes(kernel, thinned[person], random_starts, prior, _KEPT)
-
-    candidates = np.vstack(list(_watched(executor.map(search, searched), "searching", len(searched), progress)))
-
-    def try_all(person: int) -> tuple[np.ndarray, np.ndarray]:
-        ends, objectives, _ = all_modes(kernel, thinned[person], candidates, prior.centre, precision, 40)
-        return ends, objectives
-
-    tried = list(_watched(executor.map(try_all, range(len(subjects))), "first fits", len(subjects), progress))
+    search = partial(search_modes, kernel, starts=random_starts, prior=prior, n=_KEPT)
+    found = map_persons(executor, search, [thinned[i] for i in searched])
+    candidates = np.vstack(list(_watched(found, "searching", len(searched), progress)))
+    try_all = partial(_try_all, kernel, candidates, prior.centre, precision)
+    tried = list(_watched(map_persons(executor, try_all, thinned), "first fits", len(subjects), progress))
     ends, objectives = np.array([t[0] for t in tried]), np.array([t[1] for t in tried])
     regret = objectives - objectives.min(axis=1, keepdims=True)
     common = int(np.argmin(np.minimum(regret, 50).sum(axis=0)))  # capped: one odd person must not decide
@@ -123,16 +120,29 @@ def first_fits(
     start = ends[np.arange(len(subjects)), own]
     alternatives = np.array([best_distinct(e, o, _KEPT) for e, o in zip(ends, objectives, strict=True)])
 
-    def provisional(person: int) -> np.ndarray:
-        likelihood = _averaged(subjects[person], n_elements, slice(None))
-        return find_mode(kernel, likelihood, start[person : person + 1], prior.centre, precision).theta
-
-    theta = np.array(list(_watched(executor.map(provisional, range(len(subjects))), "noise", len(subjects), progress)))
+    provisional = partial(_provisional, kernel, prior.centre, precision)
+    theta = np.array(
+        list(_watched(map_persons(executor, provisional, subjects, start), "noise", len(subjects), progress))
+    )
     model = None
     if any(subject.noise_sd is None for subject in subjects):
         model = _noise(kernel, [s for s in subjects if s.noise_sd is None], theta)
     noise = tuple(_noise_of(subject, model) for subject in subjects)
     return FirstFits(theta, alternatives, _common_solutions(ends, regret), noise, model)
+
+
+def _try_all(
+    kernel: Kernel, candidates: np.ndarray, centre: np.ndarray, precision: np.ndarray, likelihood: Likelihood
+) -> tuple[np.ndarray, np.ndarray]:
+    ends, objectives, _ = all_modes(kernel, likelihood, candidates, centre, precision, 40)
+    return ends, objectives
+
+
+def _provisional(
+    kernel: Kernel, centre: np.ndarray, precision: np.ndarray, subject: Subject, start: np.ndarray
+) -> np.ndarray:
+    likelihood = _averaged(subject, centre.size, slice(None))
+    return find_mode(kernel, likelihood, start[None], centre, precision).theta
 
 
 def search_modes(kernel: Kernel, likelihood: Likelihood, starts: np.ndarray, prior: Prior, n: int) -> np.ndarray:

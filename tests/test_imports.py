@@ -32,6 +32,7 @@ ORDER = (
     "hierarchy",
     "draws",
     "marginal",
+    "persons",
     "starts",
     "empirical_bayes",
     "arviz_adapter",
@@ -51,6 +52,7 @@ ORDER = (
     "report",
     "jobs",
     "export",
+    "progress",
     "cli",
 )
 
