@@ -23,12 +23,13 @@ import numpy as np
 from bayes_impedance.dataset import Recordings, Subject
 from bayes_impedance.errors import InputError
 from bayes_impedance.metadata import SIGNS, Metadata, parse_metadata
+from bayes_impedance.parquet import SUFFIX, parquet_as_csv
 from bayes_impedance.recording_table import CARTESIAN, RecordingTable, parse_recordings
 from bayes_impedance.tables import CovariateTable, IntArray, parse_covariates, read_bytes
 
 __all__ = ["Recordings", "Subject", "read_recordings", "write_recordings"]
 
-RECORDINGS_FILES = ("recordings.csv", "recordings.csv.gz")
+RECORDINGS_FILES = ("recordings.csv", "recordings.csv.gz", "recordings.parquet")
 SUBJECTS_FILE = "subjects.csv"
 METADATA_FILE = "dataset.toml"
 #: Fewer frequencies than this make no curve.
@@ -45,8 +46,9 @@ def read_recordings(path: str | os.PathLike[str]) -> Recordings:
     Parameters
     ----------
     path : path
-        Folder of a dataset, or one CSV file (plain or gzip). A file named recordings.csv or recordings.csv.gz stands
-        for its folder, because its unit and sign are declared beside it.
+        Folder of a dataset, or one CSV file (plain or gzip) or Parquet table (a file or a folder of partitions). One
+        that is named recordings.csv, .csv.gz or .parquet stands for its folder, because its unit and sign are
+        declared beside it.
 
     Returns
     -------
@@ -61,9 +63,10 @@ def read_recordings(path: str | os.PathLike[str]) -> Recordings:
     given = Path(path)
     if not given.exists():
         raise InputError(f"{given}: there is no such file or folder; check the path")
-    folder = given if given.is_dir() else given.parent if given.name in RECORDINGS_FILES else None
+    is_dataset = given.is_dir() and given.suffix != SUFFIX
+    folder = given if is_dataset else given.parent if given.name in RECORDINGS_FILES else None
     file = _recordings_file(folder) if folder is not None else given
-    data = read_bytes(file)
+    data = parquet_as_csv(file) if file.suffix == SUFFIX else read_bytes(file)
     digest = hashlib.sha256(data)
     table = parse_recordings(data, str(file))
     metadata = Metadata(title=(folder.resolve().name if folder else given.name.split(".")[0]) or "recordings")
@@ -95,13 +98,15 @@ def read_recordings(path: str | os.PathLike[str]) -> Recordings:
 
 def _recordings_file(folder: Path) -> Path:
     """Return the recordings of a folder, of which there must be one."""
-    found = [folder / name for name in RECORDINGS_FILES if (folder / name).is_file()]
+    found = [folder / name for name in RECORDINGS_FILES if (folder / name).exists()]
     if not found:
         raise InputError(
-            f"{folder}: the folder has no {' or '.join(RECORDINGS_FILES)}; put the recordings there or name a CSV file"
+            f"{folder}: the folder has no {', '.join(RECORDINGS_FILES[:-1])} or {RECORDINGS_FILES[-1]}; put the recordings there or name a CSV file"
         )
     if len(found) > 1:
-        raise InputError(f"{folder}: the folder has both {' and '.join(RECORDINGS_FILES)}; delete the wrong one")
+        raise InputError(
+            f"{folder}: the folder has both {' and '.join(file.name for file in found)}; delete the wrong one"
+        )
     return found[0]
 
 

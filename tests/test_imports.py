@@ -19,6 +19,7 @@ ORDER = (
     "operations",
     "kernel",
     "tables",
+    "parquet",
     "recording_table",
     "metadata",
     "dataset",

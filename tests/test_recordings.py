@@ -462,7 +462,10 @@ def test_missing_path(tmp_path: Path) -> None:
 
 
 def test_folder_without_recordings(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"has no recordings\.csv or recordings\.csv\.gz; put the recordings there"):
+    with pytest.raises(
+        InputError,
+        match=r"has no recordings\.csv, recordings\.csv\.gz or recordings\.parquet; put the recordings there",
+    ):
         read_recordings(tmp_path)
 
 

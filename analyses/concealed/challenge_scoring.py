@@ -76,6 +76,7 @@ def score_case(verdict: Mapping[str, Any], truth: Mapping[str, Any], experiment:
     if experiment is not None and known:
         row["explained"], row["left"] = left_over(experiment, known)
         row["same"] = same_in_band(experiment, known)
+    row["side_open"] = first.get("side") is None or not first.get("side_decided", True)
     if truth["group"] == "outside":
         says_unknown = any(p["id"] == "unknown" for p in physics)
         gain = row["elpd_gain"] if row["elpd_gain"] is not None else -np.inf
@@ -131,6 +132,7 @@ def summary(rows: Sequence[Row]) -> dict[str, tuple[int, int]]:
         "right name, alias set, or the same in the band": count(seen, lambda r: r["named_or_same"]),
         "right name first": count(seen, lambda r: r["first"]),
         "right side, of those detected": count(claimed, lambda r: bool(r["side"])),
+        "... or the verdict says that it does not know": count(claimed, lambda r: bool(r["side"]) or r["side_open"]),
         "right place, of those detected": count(claimed, lambda r: r["place"]),
         "band meets that of the change": count(claimed, lambda r: r["band"]),
         "band meets that of its visible part": count(claimed, lambda r: r["visible_band"]),

@@ -7,19 +7,23 @@ scanned) and without what the elements can imitate,
 .. math:: \text{shared: } \frac{(\sum_{ij} g\cdot d)^2}{\sum_{ij} g\cdot g}, \qquad
           \text{varying: } \sum_{ij} \frac{(g\cdot d)^2}{g\cdot g}
 
-of :math:`\lambda = \sum|d|^2` is explained. What is left counts as nothing if it stands out by less than six standard
-errors, which nobody could see, and is less than what is explained; or if it is below 3 % of :math:`\lambda`, which a
-projection to first order cannot resolve: of strong effects it leaves as much under their own name.
+of :math:`\lambda = \sum|d|^2` is explained. Where the claimed entries may differ between people, they are then fitted
+to every recording's curve together with the elements, shapes and all: to first order a strong relaxation whose corner
+differs from person to person would not be the same as itself. What is left counts as nothing if it stands out by less
+than six standard errors, which nobody could see, and is less than what is explained; or if it is below 3 % of
+:math:`\lambda`, which a projection to first order cannot resolve: of strong effects it leaves as much under their own
+name.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from forms import EFFECTS, Effect
-from nearest import outside, tangent_basis, white
-from people import impedance
+from nearest import fitted, outside, tangent_basis, white
+from people import Change, impedance
 from scoring import VISIBLE
 from visible_in_world import imitated
 from world.experiment import Experiment
@@ -32,11 +36,14 @@ _SHAPES: Mapping[str, Mapping[str, Sequence[float]]] = {
     "body.reflex": {"latency": (0.025, 0.029, 0.034, 0.04, 0.051, 0.06)},
     "rig.resonance": {"frequency": tuple(np.geomspace(10, 8000, 40)), "ratio": (0.05, 0.15, 0.5)},
 }
+_FITTED = ("body.springpot", "body.relaxation", "body.resonator", "body.mass", "body.line", "body.bypass")
 _CORNERS = tuple(np.geomspace(2, 20000, 25))
 
 
-def directions(experiment: Experiment, x: np.ndarray, effect_id: str, place: str) -> Iterator[np.ndarray]:
-    """Complex changes (N, J, F) of a finger x (N, J, P) by a little of an entry, one for each of its shapes."""
+def directions(
+    experiment: Experiment, x: np.ndarray, effect_id: str, place: str
+) -> Iterator[tuple[Mapping[str, float], np.ndarray]]:
+    """A little of an entry, and its complex change (N, J, F) of a finger x (N, J, P), for each of its shapes."""
     f = experiment.plan.frequency_hz
     names = {"body.drift": "body.drift.sweep"}
     effect = EFFECTS.get(names.get(effect_id, effect_id))
@@ -49,7 +56,7 @@ def directions(experiment: Experiment, x: np.ndarray, effect_id: str, place: str
             assert effect.form is not None
             return effect.form(s, z, {k: np.asarray(v) for k, v in values.items()})
 
-        yield impedance(x, f, {place: change}) - base
+        yield values, impedance(x, f, {place: change}) - base
 
 
 def _values(effect: Effect, effect_id: str, place: str) -> Iterator[dict[str, float]]:
@@ -97,23 +104,74 @@ def left_over(experiment: Experiment, claimed: Sequence[tuple[str, str]]) -> tup
     total = float(np.sum(rest**2))
     if total == 0.0:
         return 0.0, 0.0
+    found: list[_Size] = []
     for effect_id, place in claimed:
-        best, explained = 0.0, np.zeros_like(rest)
+        best, explained, size = 0.0, np.zeros_like(rest), None
         shared = EFFECTS[effect_id].pooling == "shared" if effect_id in EFFECTS else False
         try:
             candidates = list(directions(experiment, x, effect_id, place))
         except ValueError:  # a place that the hand-written network does not name
             candidates = []
-        for change in candidates:
+        for values, change in candidates:
             g = outside(white(change, experiment.sd), basis)
             cross, own = np.sum(g * rest, axis=-1), np.sum(g**2, axis=-1)
-            size = np.full_like(own, cross.sum() / own.sum()) if shared else cross / own
-            gain = float(np.sum(2 * size * cross - size**2 * own))
+            sizes = np.full_like(own, cross.sum() / own.sum()) if shared else cross / own
+            gain = float(np.sum(2 * sizes * cross - sizes**2 * own))
             if gain > best:
-                best, explained = gain, size[..., None] * g
+                best, explained = gain, sizes[..., None] * g
+                size = _Size(effect_id, place, values, float(np.median(sizes)))
         rest = rest - explained
+        if size is not None:
+            found.append(size)
     left = float(np.sum(rest**2))
+    if len(found) == len(claimed) and all(s.may_vary for s in found):
+        left = min(left, float(np.sum(_fitted_together(experiment, x, found) ** 2)))
     return 1 - left / total, float(np.sqrt(left))
+
+
+@dataclass(frozen=True)
+class _Size:
+    """A claimed entry with its best shape, and how many times its small size the change is, to first order."""
+
+    effect_id: str
+    place: str
+    values: Mapping[str, float]
+    times: float
+
+    @property
+    def may_vary(self) -> bool:
+        """Whether it is an entry whose parameters differ between people, all of them positive numbers."""
+        return self.effect_id in _FITTED and self.times > 0
+
+
+def _fitted_together(experiment: Experiment, x: np.ndarray, found: Sequence[_Size]) -> np.ndarray:
+    """What is left (N, J, 2 F) if elements and parameters of the claimed entries are free for every recording."""
+    f, p = experiment.plan.frequency_hz, x.shape[-1]
+    effects = [EFFECTS[s.effect_id] for s in found]
+    starts = [e.values(s.values, s.times) for e, s in zip(effects, found, strict=True)]
+    names = [[n for n, v in start.items() if v > 0] for start in starts]
+
+    def curve(unknown: np.ndarray) -> np.ndarray:
+        changes: dict[str, Change] = {}
+        column = p
+        for s, effect, own in zip(found, effects, names, strict=True):
+            values = {n: np.exp(unknown[..., column + i, None]) for i, n in enumerate(own)}
+            column += len(own)
+            changes[s.place] = _chained(changes.get(s.place), effect, values)
+        return impedance(unknown[..., :p], f, changes)
+
+    logs = np.log([start[n] for start, own in zip(starts, names, strict=True) for n in own])
+    start = np.concatenate([x, np.broadcast_to(logs, (*x.shape[:-1], logs.size))], axis=-1)
+    target = experiment.clean - experiment.without + impedance(experiment.fingers.log_elements, f)
+    return fitted(curve, start, target, experiment.sd)[1]
+
+
+def _chained(first: Change | None, effect: Effect, values: Mapping[str, np.ndarray]) -> Change:
+    def change(s: np.ndarray, z: np.ndarray) -> np.ndarray:
+        assert effect.form is not None  # of all in _FITTED
+        return effect.form(s, z if first is None else first(s, z), values)
+
+    return change
 
 
 def same(experiment: Experiment, claimed: Sequence[tuple[str, str]]) -> bool:

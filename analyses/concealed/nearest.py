@@ -12,10 +12,13 @@ its elements by half of their size.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
-from people import ELEMENTS, Change, impedance
+from people import Change, impedance
+
+Curve = Callable[[np.ndarray], np.ndarray]
+"""Unknowns (N, J, Q) to curves (N, J, F)."""
 
 _STEP = 1e-5
 _ROUNDS = 25
@@ -26,16 +29,10 @@ def white(values: np.ndarray, sd: np.ndarray) -> np.ndarray:
     return np.concatenate([values.real / sd, values.imag / sd], axis=-1)
 
 
-def tangent(
-    log_elements: np.ndarray, frequency_hz: np.ndarray, sd: np.ndarray, changes: Mapping[str, Change] | None = None
-) -> np.ndarray:
-    """Derivative of the white curves by the log elements (N, J, P), by central differences: shape (N, J, 2 F, P)."""
-
-    def difference(step: np.ndarray) -> np.ndarray:
-        ahead, behind = (impedance(log_elements + h, frequency_hz, changes) for h in (step, -step))
-        return white((ahead - behind) / (2 * _STEP), sd)
-
-    return np.stack([difference(step) for step in _STEP * np.eye(len(ELEMENTS))], axis=-1)
+def tangent(curve: Curve, x: np.ndarray, sd: np.ndarray) -> np.ndarray:
+    """Derivative of white curves by their unknowns (N, J, Q), by central differences: shape (N, J, 2 F, Q)."""
+    steps = _STEP * np.eye(x.shape[-1])
+    return np.stack([white((curve(x + step) - curve(x - step)) / (2 * _STEP), sd) for step in steps], axis=-1)
 
 
 def tangent_basis(log_elements: np.ndarray, frequency_hz: np.ndarray, sd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -47,7 +44,7 @@ def tangent_basis(log_elements: np.ndarray, frequency_hz: np.ndarray, sd: np.nda
     variance : ndarray, shape (N, J, P)
         Of one estimate of each log element from one recording.
     """
-    basis, r = np.linalg.qr(tangent(log_elements, frequency_hz, sd))
+    basis, r = np.linalg.qr(tangent(lambda x: impedance(x, frequency_hz), log_elements, sd))
     return basis, np.sum(np.linalg.inv(r) ** 2, axis=-1)
 
 
@@ -63,7 +60,7 @@ def nearest(
     sd: np.ndarray,
     changes: Mapping[str, Change] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The network fitted to curves without noise, by Levenberg and Marquardt from the elements that are given.
+    """The network fitted to curves without noise, from the elements that are given.
 
     Parameters
     ----------
@@ -81,15 +78,20 @@ def nearest(
     rest : ndarray, shape (N, J, 2 F)
         What is left over the noise, real parts first.
     """
-    x, damping = log_elements, np.full(log_elements.shape[:2], 1e-3)
-    rest = white(z - impedance(x, frequency_hz, changes), sd)
+    return fitted(lambda x: impedance(x, frequency_hz, changes), log_elements, z, sd)
+
+
+def fitted(curve: Curve, start: np.ndarray, z: np.ndarray, sd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unknowns (N, J, Q) of curves nearest to z (N, J, F), by Levenberg and Marquardt, and what is left (N, J, 2 F)."""
+    x, damping = start, np.full(start.shape[:2], 1e-3)
+    rest = white(z - curve(x), sd)
     for _ in range(_ROUNDS):
-        a = tangent(x, frequency_hz, sd, changes)
+        a = tangent(curve, x, sd)
         normal, right = np.swapaxes(a, -1, -2) @ a, np.einsum("ijfp,ijf->ijp", a, rest)
         diagonal = np.einsum("ijpp->ijp", normal)[..., None, :] * np.eye(x.shape[-1])
         step = np.linalg.solve(normal + damping[..., None, None] * diagonal, right[..., None])[..., 0]
         trial = x + np.clip(step, -1.0, 1.0)
-        new = white(z - impedance(trial, frequency_hz, changes), sd)
+        new = white(z - curve(trial), sd)
         better = np.sum(new**2, axis=-1) < np.sum(rest**2, axis=-1)
         gained = float(np.sum((rest**2 - new**2)[better]))
         x, rest = np.where(better[..., None], trial, x), np.where(better[..., None], new, rest)

@@ -5,8 +5,9 @@ Run from the repository's root::
     python analyses/concealed/run.py --cases 60 --seed 1 --jobs 2 -o analyses/concealed/results/challenge
 
 Each diagnosis appends a line to ``verdicts.jsonl`` as it ends and is not done again, so the run may be interrupted.
-``--score`` scores what is on file. The table goes to ``challenge.md`` and, for 60 cases or more, between its markers
-into CHALLENGE.md; the picture to ``confusion.png``. ``--small`` is for a trial: 10 people, 61 frequencies.
+``--score`` scores what is on file; ``--with`` counts the rows of other challenges' folders too. The table goes to
+``challenge.md`` and, for 60 cases or more, between its markers into CHALLENGE.md; the picture to ``confusion.png``.
+``--small`` is for a trial: 10 people, 61 frequencies.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import argparse
 import json
 from pathlib import Path
 
-from challenge import Sizes, blind, draw, matched, plan_from, prepare, sealed_answers, to_diagnose
+from challenge import SEAL, SEALED, Sizes, blind, draw, matched, plan_from, prepare, sealed_answers, to_diagnose
 from challenge_scoring import draw_confusion, markdown, scored
 from runs import read_lines, replace_between, run_cases
 from world.experiment import conduct
@@ -31,6 +32,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--jobs", type=int, default=2, help="processes; 0 works in this one")
     parser.add_argument("--small", action="store_true", help="10 people and 61 frequencies in every case")
     parser.add_argument("--score", action="store_true", help="diagnose nothing: score what is on file")
+    parser.add_argument("--with", dest="others", nargs="+", type=Path, default=[], help="folders of other challenges")
     parser.add_argument("-o", "--out", type=Path, default=HERE / "results" / "challenge")
     options = parser.parse_args(arguments)
     out = options.out.resolve()
@@ -44,13 +46,23 @@ def main(arguments: list[str] | None = None) -> None:
     pairs = matched(answers, read_lines(out / FILE))
     rows = scored(pairs, lambda plan: conduct(plan_from(plan)))
     (out / "rows.json").write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
-    text = markdown(rows, len(pairs) - len(rows), len(answers) - len(pairs))
+    runs = [_named(out)] + [_named(other) for other in options.others]
+    for other in options.others:
+        rows += json.loads((other / "rows.json").read_text(encoding="utf-8"))
+    text = markdown(rows, len(pairs) - sum("error" not in r for _, r in pairs), len(answers) - len(pairs))
     (out / "challenge.md").write_text(text + "\n", encoding="utf-8")
     print(text)
     if rows:
         draw_confusion(rows, out / "confusion.png")
     if len(rows) >= 60 and not options.small:
-        replace_between(HERE / "CHALLENGE.md", "challenge", f"Seed {options.seed}, {len(rows)} cases.\n\n{text}")
+        head = f"{len(rows)} cases: {'; '.join(runs)}."
+        replace_between(HERE / "CHALLENGE.md", "challenge", f"{head}\n\n{text}")
+
+
+def _named(folder: Path) -> str:
+    """Seed and seal of a challenge."""
+    seed = json.loads((folder / SEALED).read_text(encoding="utf-8"))["seed"]
+    return f"seed {seed}, sealed as `{(folder / SEAL).read_text(encoding='utf-8').strip()}`"
 
 
 if __name__ == "__main__":
