@@ -101,7 +101,8 @@ def _recordings_file(folder: Path) -> Path:
     found = [folder / name for name in RECORDINGS_FILES if (folder / name).exists()]
     if not found:
         raise InputError(
-            f"{folder}: the folder has no {', '.join(RECORDINGS_FILES[:-1])} or {RECORDINGS_FILES[-1]}; put the recordings there or name a CSV file"
+            f"{folder}: the folder has no {', '.join(RECORDINGS_FILES[:-1])} or {RECORDINGS_FILES[-1]}; "
+            "put the recordings there or name a CSV file"
         )
     if len(found) > 1:
         raise InputError(
