@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ from bayes_impedance.mismatch.hum_skirts import find_skirts
 from bayes_impedance.mismatch.inversion import missing_one_ports
 from bayes_impedance.mismatch.locate import locate
 from bayes_impedance.mismatch.mains import find_mains
-from bayes_impedance.mismatch.model import Model, build
+from bayes_impedance.mismatch.model import build
 from bayes_impedance.mismatch.naming import names_that_hold
 from bayes_impedance.mismatch.network_fit import Fitted, fit_network, without_hum
 from bayes_impedance.mismatch.ranking import ranking
@@ -130,7 +130,7 @@ def _diagnose(
     base = fitted.fit
     if claimed is not None and claimed.final.model.additions:
         with clock.measure("fit"):
-            base = _like(fitted, claimed.final.model)
+            base = _like(fitted, claimed.final, job.seed)
     with clock.measure("search"):
         found = search(fitted.refitter, base, recordings.names, job.effects, seed, executor, progress)
     with clock.measure("locate"):
@@ -154,7 +154,7 @@ def _diagnose(
             progress("unknown physics", 0, 1)
             ports = missing_one_ports(found.final, residuals)
             unknown = realise(fitted.refitter, found.final, residuals, ports, seed, executor)
-        found, unknown = names_that_hold(fitted.refitter, found, unknown, remains, one_ports, seed, executor)
+        found, unknown = names_that_hold(fitted.refitter, found, unknown, remains, residuals, one_ports, seed, executor)
         progress("unknown physics", 1, 1)
     final = unknown.trial.fit if unknown is not None else found.final
     with clock.measure("confirm"):
@@ -226,12 +226,27 @@ def _diagnosed_simulation(
         return search(fitted.refitter, fitted.fit, simulation.names, job.effects, job.seed, job.executor, job.progress)
 
 
-def _like(fitted: Fitted, claimed: Model) -> Refit:
-    """The recordings' fit with the physics that the simulation has."""
+def _like(fitted: Fitted, claimed: Refit, seed: int) -> Refit:
+    """The recordings' fit with the physics that the simulation has, begun where the simulation's people are.
+
+    Each person's elements begin at the person's own fit without that physics, or at the simulation's centre: the better
+    end counts, because a strong addition may have moved the elements far.
+    """
     own = fitted.fit.model
-    model = build(own.network, claimed.additions, own.scales, starts_of(claimed))
-    fit = fitted.refitter.fit(model, *extended_start(fitted.fit, model), 80)
-    return fitted.refitter.settle(fit, 1)
+    model = build(own.network, claimed.model.additions, own.scales, starts_of(claimed.model))
+    u, population = extended_start(fitted.fit, model)
+    u[:, model.n_elements :] = claimed.u[:, model.n_elements :].mean(axis=0)
+    varying = np.flatnonzero(~model.shared) >= model.n_elements
+    mu, covariance, rho = population.mu.copy(), population.covariance.copy(), population.rho.copy()
+    mu[varying], rho[varying] = claimed.population.mu[varying], claimed.population.rho[varying]
+    covariance[np.ix_(varying, varying)] = claimed.population.covariance[np.ix_(varying, varying)]
+    centre = u.copy()
+    centre[:, : model.n_elements] = claimed.u[:, : model.n_elements].mean(axis=0)
+    ends = [
+        fitted.refitter.fit(model, u, replace(population, mu=mu, covariance=covariance, rho=rho), 80),
+        fitted.refitter.fit(model, centre, claimed.population, 80),
+    ]
+    return fitted.refitter.settle(max(ends, key=lambda fit: float(fit.evidence.sum())), seed)
 
 
 class _Clock:

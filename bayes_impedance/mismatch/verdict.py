@@ -14,6 +14,7 @@ from bayes_impedance.mismatch.entries import hum_entry, joint, unknown_entry
 from bayes_impedance.mismatch.held_out import HeldOut
 from bayes_impedance.mismatch.locate import Location
 from bayes_impedance.mismatch.mains import Hum
+from bayes_impedance.mismatch.naming import felt
 from bayes_impedance.mismatch.network_fit import Fitted
 from bayes_impedance.mismatch.ranking import detection_limits
 from bayes_impedance.mismatch.refit import Refit
@@ -63,15 +64,7 @@ def change_of(after: Refit, residuals: Sequence[PersonResiduals]) -> tuple[str, 
 def reach_of(fit: Refit, elements: Sequence[str], residuals: Sequence[PersonResiduals]) -> list[list[float]]:
     """Where a change of some elements moves the recordings, over the noise, by half of the most that it does."""
     columns = [fit.model.network.elements.index(e) for e in elements]
-    grid, size = residuals[0].frequency_hz, np.zeros(residuals[0].frequency_hz.size)
-    start = 0
-    for person in residuals:
-        rows = slice(start, start + len(person.white))
-        start = rows.stop
-        change = fit.model.kernel.derivative(fit.u[rows], person.frequency_hz)[1][:, columns] / person.sd[:, None]
-        own = np.sum(np.abs(change) ** 2, axis=(0, 1))
-        size = size + np.interp(np.log(grid), np.log(person.frequency_hz), own)
-    return _half_of_peak(grid, np.sqrt(size))
+    return _half_of_peak(*felt(fit, columns, residuals))
 
 
 def _half_of_peak(grid: np.ndarray, size: np.ndarray) -> list[list[float]]:
