@@ -88,7 +88,9 @@ def fitted(curve: Curve, start: np.ndarray, z: np.ndarray, sd: np.ndarray) -> tu
     for _ in range(_ROUNDS):
         a = tangent(curve, x, sd)
         normal, right = np.swapaxes(a, -1, -2) @ a, np.einsum("ijfp,ijf->ijp", a, rest)
-        diagonal = np.einsum("ijpp->ijp", normal)[..., None, :] * np.eye(x.shape[-1])
+        own = np.einsum("ijpp->ijp", normal)
+        own = np.maximum(own, 1e-12 * own.max(axis=-1, keepdims=True))  # an unknown may be without any effect here
+        diagonal = own[..., None, :] * np.eye(x.shape[-1])
         step = np.linalg.solve(normal + damping[..., None, None] * diagonal, right[..., None])[..., 0]
         trial = x + np.clip(step, -1.0, 1.0)
         new = white(z - curve(trial), sd)

@@ -142,6 +142,8 @@ def claimed_change(entry: Mapping[str, Any], s: np.ndarray, z: np.ndarray) -> np
             return z + p["damping"]
         case "rig.stiffness":
             return np.asarray(z + p["stiffness"] / s)
+        case "rig.resonance" | "body.resonator":
+            return z + 1 / (1 / (s * p["mass"]) + 1 / (p["damping"] + 1 / (s * p["compliance"])))
         case "rig.series_compliance":
             return np.asarray(1 / (1 / z + s * p["compliance"]))
     return z
