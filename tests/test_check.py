@@ -412,7 +412,7 @@ def test_describe() -> None:
     }
 
 
-@pytest.mark.skipif("BAYES_IMPEDANCE_REAL_DATA" not in os.environ, reason="BAYES_IMPEDANCE_REAL_DATA is not set")
+@pytest.mark.skipif(not os.environ.get("BAYES_IMPEDANCE_REAL_DATA"), reason="BAYES_IMPEDANCE_REAL_DATA is not set")
 @pytest.mark.parametrize(
     ("name", "notes"), [("battery_130", ["one_repetition"]), ("fuel_cell_1", ["one_subject", "one_repetition"])]
 )

@@ -666,7 +666,7 @@ def test_large_dataset_is_read_quickly(tmp_path: Path) -> None:
     assert_same(data, again)
 
 
-@pytest.mark.skipif("BAYES_IMPEDANCE_REAL_DATA" not in os.environ, reason="BAYES_IMPEDANCE_REAL_DATA is not set")
+@pytest.mark.skipif(not os.environ.get("BAYES_IMPEDANCE_REAL_DATA"), reason="BAYES_IMPEDANCE_REAL_DATA is not set")
 @pytest.mark.parametrize(("name", "subjects", "points"), [("battery_130", 130, 57), ("fuel_cell_1", 1, 66)])
 def test_real_data(tmp_path: Path, name: str, subjects: int, points: int) -> None:
     data = read_recordings(Path(os.environ["BAYES_IMPEDANCE_REAL_DATA"]) / name)
