@@ -29,13 +29,14 @@ from bayes_impedance.subject import find_mode
 DATASET = Path(__file__).resolve().parents[1] / "data" / "fingertip_71"
 _STARTS, _SPREAD, _NOISE = 769, 2.0, 0.01
 _LMFIT_STARTS = 20
+_SLOW = (f"lmfit, {_LMFIT_STARTS} starts", "impedance.py")
 
 Fit = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 """Frequency (F,), mean curve (F,) and starts (S, 8) in the order of :data:`ELEMENTS` to the log elements found."""
 
 
-def measure(impedance_py_people: int) -> dict[str, Any]:
-    """Success and seconds of each program; impedance.py, which takes long, on some people only."""
+def measure(people_of_slow: int) -> dict[str, Any]:
+    """Success and seconds of each program; those that take seconds for a curve on some people only."""
     recordings = read_recordings(DATASET)
     kernel = Kernel(parse(NETWORK))
     order = [kernel.elements.index(name) for name in ELEMENTS]
@@ -49,13 +50,13 @@ def measure(impedance_py_people: int) -> dict[str, Any]:
         "impedance.py": _impedance_py,
     }
     people = recordings.subjects
-    some = set(np.linspace(0, len(people) - 1, impedance_py_people).round().astype(int).tolist())
+    some = set(np.linspace(0, len(people) - 1, people_of_slow).round().astype(int).tolist())
     chi = {name: np.full(len(people), np.inf) for name in programs}
     seconds: dict[str, list[float]] = {name: [] for name in programs}
     _ours(kernel, prior, order, people[0].frequency_hz, people[0].mean, starts)  # compiling does not count
     for i, person in enumerate(people):
         for name, fit in programs.items():
-            if name == "impedance.py" and i not in some:
+            if name in _SLOW and i not in some:
                 continue
             started = time.perf_counter()
             with warnings.catch_warnings(), np.errstate(all="ignore"):

@@ -58,7 +58,7 @@ def one_part(name: str, options: argparse.Namespace) -> dict[str, Any]:
     if name == "one_curve":
         import one_curve
 
-        return one_curve.measure(options.impedance_people)
+        return one_curve.measure(options.slow_people)
     if name == "population":
         import population
 
@@ -77,7 +77,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS), metavar="PART", help=", ".join(PARTS))
     parser.add_argument("--seed", type=int, default=3, help="of the population")
     parser.add_argument("--rounds", type=int, default=3, help="warm runs of each command")
-    parser.add_argument("--impedance-people", type=int, default=24, help="how many people impedance.py is to fit")
+    parser.add_argument("--slow-people", type=int, default=12, help="how many people the slow programs are to fit")
     parser.add_argument("--part", choices=PARTS, help=argparse.SUPPRESS)
     parser.add_argument("-o", "--out", type=Path, default=HERE)
     options = parser.parse_args(arguments)
@@ -104,7 +104,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 def _apart(part: str, options: argparse.Namespace) -> dict[str, Any]:
     """One part in a process of its own, with one thread for linear algebra as the commands have."""
-    given = ["--seed", options.seed, "--rounds", options.rounds, "--impedance-people", options.impedance_people]
+    given = ["--seed", options.seed, "--rounds", options.rounds, "--slow-people", options.slow_people]
     command = [sys.executable, str(HERE / "run.py"), "--part", part, *map(str, given)]
     environment: Mapping[str, str] = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
