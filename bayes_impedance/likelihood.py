@@ -216,26 +216,11 @@ def _log_likelihood_gradients(
     weight: np.ndarray,
     count: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    n_nodes, n_elements = program.node_parent.size, theta.shape[1]
-    sums = np.empty((n_nodes, 2, omega.size))
-    outputs = np.empty((n_nodes, 2, omega.size))
-    adjoints = np.empty((n_nodes, 2, omega.size))
-    derivative = np.empty((n_elements, 2, omega.size))
-    values, gradients = np.empty(theta.shape[0]), np.zeros(theta.shape)
+    values, gradients = np.empty(theta.shape[0]), np.empty(theta.shape)
     for i in range(theta.shape[0]):
-        chi = 0.0
-        for j in range(z.shape[0]):
-            forward(program, theta[i] + deviations[j], omega, sums, outputs)
-            backward(program, theta[i] + deviations[j], omega, sums, outputs, adjoints, derivative)
-            residual = outputs[n_nodes - 1]
-            for f in range(omega.size):
-                residual[0, f] -= z[j, 0, f]
-                residual[1, f] -= z[j, 1, f]
-            chi += _weighted_dot(residual, residual, weight[j])
-            for p in range(n_elements):
-                gradients[i, p] += _weighted_dot(derivative[p], residual, weight[j])
+        chi, gradient, _ = all_repetitions(program, theta[i], deviations, omega, z, weight)
         values[i] = -(SCALE_SHAPE + count) * np.log(SCALE_SHAPE + 0.5 * chi)
-        gradients[i] *= -(SCALE_SHAPE + count) / (SCALE_SHAPE + 0.5 * chi)
+        gradients[i] = -(SCALE_SHAPE + count) / (SCALE_SHAPE + 0.5 * chi) * gradient
     return values, gradients
 
 
