@@ -1,8 +1,8 @@
 r"""What is true of an entry of the catalogue where the world's physics is richer than its formula.
 
-The difference of two high-passes is no high-pass, a muscle that activates in two steps no single one, and creep that
-slows down follows no power of the period. Of such an entry those values are true with which it comes nearest to the
-curves as they are without noise,
+The difference of two high-passes is no high-pass, adhesive under a cap no compliance alone, a muscle that activates in
+two steps no single one, and creep that slows down follows no power of the period. Of such an entry those values are
+true with which it comes nearest to the curves as they are without noise,
 
 .. math:: \hat v = \arg\min_v \sum_{ij} \min_x \left|\frac{z'_{ij} - Z_v(x)}{\sigma_{ij}}\right|^2,
 
@@ -28,6 +28,7 @@ _GAIN_POWER = {"kg": 1, "N s/m": 1, "N/m": 1, "N s^a/m": 1, "m/N": -1}
 _START = {
     "rig.highpass": lambda v: {"corner": v["size"]},
     "rig.lowpass": lambda v: {"corner": 1 / (2 * np.pi * v["size"])},
+    "rig.series_compliance": lambda v: {"compliance": v["size"]},
     "body.drift.sweep": lambda v: {"change": -v["change"], "law": 1.0},
     "body.reflex": lambda v: {"stiffness": v["stiffness"], "latency": v["latency"], "corner": 8.0},
 }
@@ -83,6 +84,8 @@ def _named(entry: str, v: Mapping[str, float]) -> dict[str, tuple[float, str]]:
             return {"corner_hz": (v["corner"], "Hz")}
         case "rig.lowpass":
             return {"time_constant": (1 / (2 * np.pi * v["corner"]), "s")}
+        case "rig.series_compliance":
+            return {"compliance": (v["compliance"], "m/N")}
         case "body.drift.sweep":
             return {"change": (v["change"], "1"), "time_law": (v["law"], "1")}
         case _:

@@ -21,6 +21,7 @@ from bayes_impedance.mismatch.model import Addition, Model
 from bayes_impedance.mismatch.refit import Refit, Refitter
 from bayes_impedance.mismatch.residuals import PersonResiduals
 from bayes_impedance.mismatch.screen import Screening, person_residuals, screen
+from bayes_impedance.mismatch.surface import from_evidence
 
 MOST_ADDITIONS = 4
 _PEOPLE_PER_ADDITION = 8
@@ -154,6 +155,8 @@ def search(
     final = _backward(refitter, base, fit)
     if final is not fit and final.model.additions:
         final, posterior = measured(refitter, final, seed)
+    if final.model.additions and posterior is not None:
+        posterior = from_evidence(refitter, final, posterior, seed)
     progress("looking for what is missing", most + 1, most + 1)
     return Found(base, final, tuple(steps), posterior if final.model.additions else None)
 
