@@ -8,7 +8,8 @@ import numpy as np
 
 from bayes_impedance.empirical_bayes import Estimate
 from bayes_impedance.hierarchy import PopulationParameters
-from bayes_impedance.marginal import Marginal
+from bayes_impedance.kept_draws import KeptDraws
+from bayes_impedance.posterior import noise_within
 from bayes_impedance.recordings import Recordings
 from bayes_impedance.sampling import Chains
 
@@ -41,7 +42,8 @@ class Diagnostics:
         Of the worst population coordinate.
     ensembles, steps, walkers : int
     log_likelihood_variance : float
-        Monte-Carlo variance of the population's log likelihood, summed over persons; mean over the posterior.
+        Monte-Carlo variance of the population's log likelihood, summed over persons, as far as it differs between
+        populations of the posterior (:func:`~bayes_impedance.posterior.noise_within`); mean over the posterior.
     pareto_k, effective_draws : ndarray, shape (N,)
         Tail of each person's importance weights, and the number of draws they are worth, under the posterior's centre.
     unconverged : tuple of str
@@ -117,7 +119,7 @@ def diagnose(
     recordings: Recordings,
     point: Estimate,
     chains: Chains,
-    marginal: Marginal | None,
+    marginal: KeptDraws | None,
     parameters: PopulationParameters,
     redrawn: int,
 ) -> Diagnostics:
@@ -125,12 +127,9 @@ def diagnose(
     n = len(recordings.subjects)
     tail, effective, noise = np.zeros(n), np.full(n, float(chains.log_probability.size)), 0.0
     if marginal is not None:
-        from bayes_impedance.arviz_adapter import pareto_k
-
         some = parameters[np.linspace(0, parameters.mu.shape[0] - 1, 16).astype(int)]
-        tail = pareto_k(marginal.log_weights(some[:1])[0])
-        effective = marginal.terms(some, effective=True)[1].min(axis=0)
-        noise = float(np.mean(marginal.variance(some)))
+        tail, effective = marginal.pareto_k(some), marginal.effective(some)
+        noise = noise_within(float(np.mean(marginal.variance(some))), n, chains.coordinates.shape[-1])
     return Diagnostics(
         float(chains.rhat.max()),
         float(chains.effective.min()),

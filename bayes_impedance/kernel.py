@@ -146,9 +146,20 @@ compiled: Any = njit(cache=True, nogil=True, error_model="numpy")
 
 
 @compiled
+def workspace(program: Program, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Scratch for :func:`forward`: sums (N + 1, 2, F), whose last row holds 1/omega and 0, and outputs (N, 2, F)."""
+    n_nodes = program.node_parent.size
+    sums, outputs = np.empty((n_nodes + 1, 2, omega.size)), np.empty((n_nodes, 2, omega.size))
+    for f in range(omega.size):
+        sums[n_nodes, 0, f], sums[n_nodes, 1, f] = 1.0 / omega[f], 0.0
+    return sums, outputs
+
+
+@compiled
 def forward(program: Program, theta: np.ndarray, omega: np.ndarray, sums: np.ndarray, outputs: np.ndarray) -> None:
-    """One parameter set: fill the nodes' sums and outputs, arrays of shape (N, 2, F); the last output is z."""
+    """One parameter set: fill the nodes' sums and outputs, arrays of :func:`workspace`; the last output is z."""
     n_nodes, n_frequencies = program.node_parent.size, omega.size
+    reciprocal, nothing = sums[n_nodes, 0], sums[n_nodes, 1]
     for node in range(n_nodes):
         inertial, resistive, elastic = 0.0, 0.0, 0.0
         for t in range(program.term_node.size):
@@ -161,12 +172,35 @@ def forward(program: Program, theta: np.ndarray, omega: np.ndarray, sums: np.nda
                 else:
                     elastic += c
         real, imag = sums[node, 0], sums[node, 1]
+        out_real, out_imag = outputs[node, 0], outputs[node, 1]
+        first, second, children = 0, 0, 0
+        for child in range(node):
+            if program.node_parent[child] == node:
+                first, second, children = child, first, children + 1
+        inverted = program.node_invert[node] == 1 and program.node_code[node] == 0
+        if inverted and children <= 2:  # what most nodes are, in one pass over the frequencies
+            one_real, one_imag = nothing, nothing
+            two_real, two_imag = nothing, nothing
+            if children > 0:
+                one_real, one_imag = outputs[first, 0], outputs[first, 1]
+            if children > 1:
+                two_real, two_imag = outputs[second, 0], outputs[second, 1]
+            for f in range(n_frequencies):
+                x = resistive + one_real[f] + two_real[f]
+                y = inertial * omega[f] - elastic * reciprocal[f] + one_imag[f] + two_imag[f]
+                scale = 1.0 / (x * x + y * y)
+                out_real[f] = x * scale
+                out_imag[f] = -y * scale
+            continue
         for f in range(n_frequencies):
             real[f] = resistive
-            imag[f] = inertial * omega[f] - elastic / omega[f]
-    for node in range(n_nodes):
-        real, imag = sums[node, 0], sums[node, 1]
-        out_real, out_imag = outputs[node, 0], outputs[node, 1]
+            imag[f] = inertial * omega[f] - elastic * reciprocal[f]
+        for child in range(node):
+            if program.node_parent[child] == node:
+                child_real, child_imag = outputs[child, 0], outputs[child, 1]
+                for f in range(n_frequencies):
+                    real[f] += child_real[f]
+                    imag[f] += child_imag[f]
         if program.node_code[node] > 0:
             u, c = _parameters(program, node, theta), program.node_constant[node]
             for f in range(n_frequencies):
@@ -176,7 +210,7 @@ def forward(program: Program, theta: np.ndarray, omega: np.ndarray, sums: np.nda
                     out = 1.0 / out
                 out_real[f] = out.real
                 out_imag[f] = out.imag
-        elif program.node_invert[node] == 1:
+        elif inverted:
             for f in range(n_frequencies):
                 scale = 1.0 / (real[f] * real[f] + imag[f] * imag[f])
                 out_real[f] = real[f] * scale
@@ -185,12 +219,6 @@ def forward(program: Program, theta: np.ndarray, omega: np.ndarray, sums: np.nda
             for f in range(n_frequencies):
                 out_real[f] = real[f]
                 out_imag[f] = imag[f]
-        parent = program.node_parent[node]
-        if parent >= 0:
-            parent_real, parent_imag = sums[parent, 0], sums[parent, 1]
-            for f in range(n_frequencies):
-                parent_real[f] += out_real[f]
-                parent_imag[f] += out_imag[f]
 
 
 @compiled
@@ -251,6 +279,7 @@ def backward(
                 bar = bar * t[1]
                 real[f] = bar.real
                 imag[f] = bar.imag
+    reciprocal = sums[n_nodes, 0]
     for t in range(program.term_node.size):
         element = program.term_element[t]
         exponent = program.term_exponent[t]
@@ -268,15 +297,14 @@ def backward(
                 d_imag[f] = c * omega[f] * real[f]
         else:
             for f in range(n_frequencies):
-                d_real[f] = c / omega[f] * imag[f]
-                d_imag[f] = -c / omega[f] * real[f]
+                d_real[f] = c * reciprocal[f] * imag[f]
+                d_imag[f] = -c * reciprocal[f] * real[f]
 
 
 @compiled
 def _impedance(program: Program, theta: np.ndarray, omega: np.ndarray) -> np.ndarray:
     n_nodes = program.node_parent.size
-    sums = np.empty((n_nodes, 2, omega.size))
-    outputs = np.empty((n_nodes, 2, omega.size))
+    sums, outputs = workspace(program, omega)
     z = np.empty((theta.shape[0], omega.size), dtype=np.complex128)
     for i in range(theta.shape[0]):
         forward(program, theta[i], omega, sums, outputs)
@@ -289,8 +317,7 @@ def _impedance(program: Program, theta: np.ndarray, omega: np.ndarray) -> np.nda
 def _derivative(program: Program, theta: np.ndarray, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     n_nodes = program.node_parent.size
     n_sets, n_elements = theta.shape
-    sums = np.empty((n_nodes, 2, omega.size))
-    outputs = np.empty((n_nodes, 2, omega.size))
+    sums, outputs = workspace(program, omega)
     adjoints = np.empty((n_nodes, 2, omega.size))
     one = np.empty((n_elements, 2, omega.size))
     z = np.empty((n_sets, omega.size), dtype=np.complex128)

@@ -35,7 +35,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from bayes_impedance.kernel import Kernel, Program, backward, compiled, forward
+from bayes_impedance.kernel import Kernel, Program, backward, compiled, forward, workspace
 
 SCALE_SHAPE = 2.0
 """alpha = beta of the inverse gamma prior of the squared noise scale: centred near one, a factor of two either way."""
@@ -146,8 +146,7 @@ def normal_equations(
     information : ndarray, shape (P, P)
     """
     n_nodes, n_elements = program.node_parent.size, theta.size
-    sums = np.empty((n_nodes, 2, omega.size))
-    outputs = np.empty((n_nodes, 2, omega.size))
+    sums, outputs = workspace(program, omega)
     adjoints = np.empty((n_nodes, 2, omega.size))
     derivative = np.empty((n_elements, 2, omega.size))
     forward(program, theta, omega, sums, outputs)
@@ -196,9 +195,7 @@ def _log_likelihoods(
     count: float,
 ) -> np.ndarray:
     """Log likelihood with the noise scale integrated out, up to a constant, for parameter sets (S, P): shape (S,)."""
-    n_nodes = program.node_parent.size
-    sums = np.empty((n_nodes, 2, omega.size))
-    outputs = np.empty((n_nodes, 2, omega.size))
+    sums, outputs = workspace(program, omega)
     result = np.empty(theta.shape[0])
     for i in range(theta.shape[0]):
         chi = chi_square(program, theta[i], deviations, omega, z, weight, sums, outputs)
@@ -353,11 +350,9 @@ def _marginal_log_likelihoods(
     z: np.ndarray,
     weight: np.ndarray,
 ) -> np.ndarray:
-    n_nodes = program.node_parent.size
     n_repetitions, n_elements = deviations.shape
     exponent = SCALE_SHAPE + n_repetitions * omega.size
-    sums = np.empty((n_nodes, 2, omega.size))
-    outputs = np.empty((n_nodes, 2, omega.size))
+    sums, outputs = workspace(program, omega)
     inverses = np.empty((n_repetitions, n_elements, n_elements))
     gradients = np.empty((n_repetitions, n_elements))
     result = np.empty(theta.shape[0])

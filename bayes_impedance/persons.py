@@ -4,6 +4,9 @@ Threads of this process, processes of this machine (``ProcessPoolExecutor``) and
 (``Client.get_executor()``) are all the same here: a function of a module is sent out with the data of some persons, and
 the results come back in the persons' order. So the result does not depend on who has worked, and a cluster that loses a
 worker repeats what was lost.
+
+What is large stays where it was computed (:func:`keep`): everybody's draws are asked for sums (:func:`ask`), and only
+the sums travel. A cluster makes again what a lost worker had kept, from what it had been made of.
 """
 
 from __future__ import annotations
@@ -23,6 +26,8 @@ _MOST_TASKS = 64
 """A task costs a cluster about a millisecond; sixty-four are enough to keep many workers busy to the end."""
 
 _RETRIES, _PATIENCE = 5, "15s"
+
+_MOST_PARTS, _SMALLEST_PART, _LARGEST_PART = 8, 64, 512
 
 
 @contextmanager
@@ -59,7 +64,39 @@ def executor_of(workers: int, scheduler: str | None = None) -> Iterator[Executor
             "or leave out --scheduler"
         ) from None
     with client:
-        yield client.get_executor(pure=False, retries=_RETRIES)
+        yield Cluster(client)
+
+
+class Cluster(Executor):
+    """A Dask cluster's workers as an executor, whose results may stay with the workers.
+
+    Parameters
+    ----------
+    client : distributed.Client
+    """
+
+    def __init__(self, client: Any) -> None:
+        self.client = client
+        self._tasks = client.get_executor(pure=False, retries=_RETRIES)
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Any:
+        """A task for some worker."""
+        return self._tasks.submit(fn, *args, **kwargs)
+
+    def keep(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """A task whose result stays with the worker that has done it."""
+        return self.client.submit(function, *arguments, pure=False, retries=_RETRIES)
+
+    def ask(self, kept: Sequence[Any], function: Callable[..., Result], *arguments: Any) -> list[Result]:
+        """Results of ``function(what is kept, *arguments)``, worked out where it is kept."""
+        asked = [self.client.submit(function, k, *arguments, pure=False, retries=_RETRIES) for k in kept]
+        return list(self.client.gather(asked))
+
+
+def parts_of(n: int) -> list[slice]:
+    """Persons in parts that are kept together; they depend on the number of persons alone, as sums over them do."""
+    size = int(np.clip(-(-n // _MOST_PARTS), _SMALLEST_PART, _LARGEST_PART))
+    return [slice(start, min(start + size, n)) for start in range(0, n, size)]
 
 
 def map_persons(

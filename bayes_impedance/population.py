@@ -6,7 +6,8 @@ The route, each step of which is a module:
 2. :mod:`~bayes_impedance.empirical_bayes`: a point estimate of the population, everybody's mode under it, and which
    elements the recordings determine;
 3. :mod:`~bayes_impedance.draws`: exact draws of everybody's elements under that estimate;
-4. :mod:`~bayes_impedance.marginal` and :mod:`~bayes_impedance.posterior`: with them, the density of any population;
+4. :mod:`~bayes_impedance.marginal`, :mod:`~bayes_impedance.kept_draws` and :mod:`~bayes_impedance.posterior`: with
+   them, the density of any population;
 5. :mod:`~bayes_impedance.sampling`: emcee over the population parameters (:mod:`~bayes_impedance.hierarchy`);
 6. everybody's own posterior, by resampling the draws with the weights each sampled population gives them.
 
@@ -25,22 +26,23 @@ from pathlib import Path
 import numpy as np
 
 from bayes_impedance.diagnostics import Diagnostics, diagnose
-from bayes_impedance.draws import Draws
 from bayes_impedance.empirical_bayes import Estimate, estimate
 from bayes_impedance.errors import InputError
 from bayes_impedance.hierarchy import PopulationParameters, Prior
 from bayes_impedance.kernel import Kernel
 from bayes_impedance.likelihood import Likelihood, find_ridge, marginal_log_likelihood
-from bayes_impedance.marginal import Marginal
 from bayes_impedance.network import Network, parse
 from bayes_impedance.persons import executor_of
 from bayes_impedance.posterior import Posterior
 from bayes_impedance.recordings import Recordings
-from bayes_impedance.sampling import QUICK, SamplerSettings, sample
+from bayes_impedance.sampling import QUICK, Chains, SamplerSettings, sample
 from bayes_impedance.starts import FirstFits, Progress, default_prior, first_fits
 
 IDENTIFIED_SD = 1.0
 """A central value is reported if its logarithm is known better than this in the end: within a factor e."""
+
+_MOST_NUMBERS, _FEWEST_SETS = 30_000_000, 100
+"""Numbers that describe persons in a result, a quarter of a gigabyte; sets of each ensemble that are kept at least."""
 
 
 @dataclass(frozen=True)
@@ -225,9 +227,10 @@ def fit_population(
                 checkpoint,
             )
         with clock.measure("persons"):
-            flat = chains.coordinates.reshape(-1, chains.coordinates.shape[-1])
+            kept = _kept_sets(chains, len(recordings.subjects) * len(kernel.elements))
+            flat = chains.coordinates[:, kept].reshape(-1, chains.coordinates.shape[-1])
             parameters = posterior.coordinates.unpack(flat)
-            person_draws, person_likelihood = _persons(posterior.draws, posterior.marginal, parameters, seeds[4])
+            person_draws, person_likelihood = posterior.marginal.persons(parameters, seeds[4])
             diagnostics = diagnose(recordings, point, chains, posterior.marginal, parameters, posterior.redrawn)
     shape = (settings.sampler.ensembles, -1, len(recordings.subjects))
     identified = point.determined & (parameters.mu.std(axis=0) < IDENTIFIED_SD)
@@ -240,7 +243,7 @@ def fit_population(
         seed,
         parameters,
         settings.sampler.ensembles,
-        chains.log_probability,
+        chains.log_probability[:, kept],
         person_draws.reshape(*shape, len(kernel.elements)),
         person_likelihood.reshape(*shape),
         tuple(d.deviations for d in point.likelihoods),
@@ -311,22 +314,11 @@ def _one_person(
     )
 
 
-def _persons(
-    draws: list[Draws], marginal: Marginal, parameters: PopulationParameters, seed: np.random.SeedSequence
-) -> tuple[np.ndarray, np.ndarray]:
-    """One draw of everybody's log elements for each population, (W, N, P), and everybody's likelihood, (W, N)."""
-    rng = np.random.default_rng(seed)
-    n_sets, n = parameters.mu.shape[0], len(draws)
-    theta = np.empty((n_sets, n, parameters.mu.shape[1]))
-    stacked = np.array([d.theta for d in draws])
-    for start in range(0, n_sets, 50):
-        log_weight = marginal.log_weights(parameters[slice(start, start + 50)])
-        weight = np.exp(log_weight - log_weight.max(axis=2, keepdims=True))
-        cumulative = np.cumsum(weight, axis=2)
-        level = rng.random((*cumulative.shape[:2], 1)) * cumulative[:, :, -1:]
-        chosen = np.minimum((cumulative < level).sum(axis=2), weight.shape[2] - 1)
-        theta[start : start + 50] = stacked[np.arange(n), chosen]
-    return theta, marginal.terms(parameters)[0]
+def _kept_sets(chains: Chains, numbers_each: int) -> np.ndarray:
+    """Which draws of each ensemble are kept: all, or as many as everybody's elements under them leave memory for."""
+    available = chains.coordinates.shape[1]
+    most = max(_MOST_NUMBERS // (numbers_each * chains.coordinates.shape[0]), _FEWEST_SETS)
+    return np.unique(np.linspace(0, available - 1, min(available, most)).astype(int))
 
 
 def too_few_for_correlations(n_persons: int, n_elements: int) -> bool:

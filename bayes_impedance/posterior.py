@@ -8,22 +8,18 @@ so that the others are averaged over it, but no coordinate has it and no number 
 from __future__ import annotations
 
 from concurrent.futures import Executor
-from functools import partial
 
 import numpy as np
 
-from bayes_impedance.draws import Draws, Reference, draw, widening
+from bayes_impedance.draws import widening
 from bayes_impedance.empirical_bayes import Estimate
 from bayes_impedance.errors import InputError
 from bayes_impedance.hierarchy import Coordinates, Prior
+from bayes_impedance.kept_draws import KeptDraws
 from bayes_impedance.kernel import Kernel
 from bayes_impedance.laplace import normal_approximation
-from bayes_impedance.likelihood import Likelihood, find_ridge
-from bayes_impedance.marginal import Marginal
-from bayes_impedance.persons import map_persons
 from bayes_impedance.sampling import SamplerSettings, sample
 from bayes_impedance.starts import Progress
-from bayes_impedance.subject import Mode
 
 _VARIANCE_WANTED = 0.25
 _MORE_DRAWS = (1, 4, 8)
@@ -53,10 +49,8 @@ class Posterior:
     ----------
     coordinates : Coordinates
         Of what is sampled.
-    draws : list of Draws
-        Everybody's, once they are made.
-    marginal : Marginal
-        The likelihood that rests on them.
+    marginal : KeptDraws
+        The likelihood that rests on everybody's draws, once they are made.
     mode, normal_covariance : ndarray, shape (D,) and (D, D)
         A normal approximation, where sampling may start.
     redrawn : int
@@ -100,7 +94,6 @@ class Posterior:
             raise InputError(
                 "the recordings determine no element of the network: check the unit, the frequencies and the network"
             )
-        self.draws: list[Draws] = []
 
     def log_probability(self, u: np.ndarray) -> np.ndarray:
         """Log posterior density of coordinates (W, D), up to a constant: shape (W,)."""
@@ -148,11 +141,13 @@ class Posterior:
         rounds = seed.spawn(len(_MORE_DRAWS))
         # Few persons leave the population uncertain, and their draws are cheap: the product of the two stays the same.
         few = 2 ** int(np.clip(np.round(np.log2(64 / self.repetitions.size)), 0, 3))
+        n_persons = self.repetitions.size
         for redrawn, child in enumerate(rounds):
             means = mu + self.covariates @ slopes.T
             n_draws = _MORE_DRAWS[redrawn] * self.n_draws * few
-            self.marginal = self._marginal(
-                means, covariance * widening(self.repetitions.size) ** 2, n_draws, child, executor, progress
+            wide = covariance * widening(n_persons) ** 2
+            self.marginal = KeptDraws.made(
+                self.kernel, self.point, means, wide, self.covariates, n_draws, child, executor, progress
             )
             self.redrawn = redrawn
             # The prior alone has a precision of one in most coordinates.
@@ -161,7 +156,10 @@ class Posterior:
             pilot = np.random.default_rng(child.spawn(1)[0]).normal(size=(64, mode.size))
             nearby = np.clip(mode + pilot @ np.linalg.cholesky(normal).T, -_LARGEST_COORDINATE, _LARGEST_COORDINATE)
             variance = self.marginal.variance(self.coordinates.unpack(nearby))
-            if np.mean(variance) < _VARIANCE_WANTED or redrawn == len(rounds) - 1:
+            if (
+                noise_within(float(np.mean(variance)), n_persons, mode.size) < _VARIANCE_WANTED
+                or redrawn == len(rounds) - 1
+            ):
                 return
             chains = sample(
                 self.log_probability,
@@ -177,40 +175,15 @@ class Posterior:
                 np.mean(there.between_repetitions**2, axis=0) / np.mean(self.repetitions)
             )
 
-    def _marginal(
-        self,
-        means: np.ndarray,
-        covariance: np.ndarray,
-        n_draws: int,
-        seed: np.random.SeedSequence,
-        executor: Executor,
-        progress: Progress,
-    ) -> Marginal:
-        n = self.repetitions.size
-        children = seed.spawn(n)
 
-        one = partial(_draws_of, self.kernel, self.point.between_repetitions, covariance, n_draws)
-        self.draws = []
-        drawn = map_persons(executor, one, self.point.likelihoods, self.point.modes, means, children)
-        for i, draws in enumerate(drawn):
-            self.draws.append(draws)
-            progress("draws", i + 1, n)
-        return Marginal(self.draws, means, covariance, self.repetitions, self.covariates, self.point.contrasts)
+def noise_within(variance: float, n_persons: int, n_coordinates: int) -> float:
+    """Monte-Carlo variance of log-likelihood differences inside the posterior.
 
-
-def _draws_of(
-    kernel: Kernel,
-    rho: np.ndarray,
-    covariance: np.ndarray,
-    n_draws: int,
-    likelihood: Likelihood,
-    mode: Mode,
-    mean: np.ndarray,
-    seed: np.random.SeedSequence,
-) -> Draws:
-    # The ridge holds rho at the estimate; the contrasts carry the likelihood of other values.
-    ridge = find_ridge(kernel, likelihood, mode.theta, mode.scale, rho)
-    return draw(kernel, likelihood, mode, ridge, Reference(mean, covariance), n_draws, seed)
+    The same draws serve every population, so what matters is how their error changes from one to another. It changes
+    where a population moves by its own spread; the posterior of N persons is narrower than that by the root of N, in
+    each of its D coordinates: V D/N of the variance V are left.
+    """
+    return variance * min(1.0, n_coordinates / n_persons)
 
 
 def _positive(matrix: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayes_impedance.kernel import Kernel, Program, compiled
+from bayes_impedance.kernel import Kernel, Program, compiled, workspace
 from bayes_impedance.likelihood import SCALE_SHAPE, Likelihood, all_repetitions, chi_square, log_likelihood
 
 __all__ = ["DECREMENT_LIMIT", "Likelihood", "Mode", "all_modes", "find_mode", "log_likelihood", "mode_at"]
@@ -118,9 +118,7 @@ def _minimise(
     max_iterations: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Levenberg-Marquardt from every start: end points (S, P), objectives (S,), decrements (S,)."""
-    n_nodes = program.node_parent.size
-    sums = np.empty((n_nodes, 2, omega.size))
-    outputs = np.empty((n_nodes, 2, omega.size))
+    sums, outputs = workspace(program, omega)
     ends = starts.copy()
     objectives = np.full(starts.shape[0], np.inf)
     decrements = np.full(starts.shape[0], np.inf)

@@ -37,6 +37,7 @@ ORDER = (
     "starts",
     "empirical_bayes",
     "arviz_adapter",
+    "kept_draws",
     "laplace",
     "sampling",
     "posterior",

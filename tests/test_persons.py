@@ -11,8 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bayes_impedance import kept_draws
 from bayes_impedance.cli import main
-from bayes_impedance.persons import map_persons
+from bayes_impedance.draws import Draws
+from bayes_impedance.hierarchy import PopulationParameters
+from bayes_impedance.kept_draws import KeptDraws
+from bayes_impedance.kernel import Kernel
+from bayes_impedance.marginal import Contrasts, Marginal
+from bayes_impedance.network import parse
+from bayes_impedance.persons import Cluster, map_persons, parts_of
 from bayes_impedance.population import FitSettings, PopulationFit, fit_population
 from bayes_impedance.recordings import Recordings
 from bayes_impedance.sampling import SamplerSettings
@@ -70,7 +77,11 @@ def test_processes_give_the_same(alone: PopulationFit) -> None:
         _require_same(alone, fit_population(people(), settings=SETTINGS, seed=2, executor=executor))
 
 
-def test_a_cluster_that_loses_a_worker_gives_the_same(alone: PopulationFit) -> None:
+@pytest.mark.parametrize(
+    ("kept", "stage"), [(False, "population estimate"), (True, "population estimate"), (True, "sampling")]
+)
+def test_a_cluster_that_loses_a_worker_gives_the_same(alone: PopulationFit, kept: bool, stage: str) -> None:
+    """As an executor like any other, and where draws stay with the workers: then a lost worker's are made again."""
     distributed = pytest.importorskip("distributed", reason="distributed is not installed (extra: dask)")
     killed: list[int] = []
     with warnings.catch_warnings():
@@ -82,15 +93,62 @@ def test_a_cluster_that_loses_a_worker_gives_the_same(alone: PopulationFit) -> N
             distributed.Client(cluster, set_as_default=False) as client,
         ):
 
-            def progress(stage: str, done: int, _total: int) -> None:
-                if stage == "population estimate" and done == 2 and not killed:
-                    killed.append(next(iter(client.run(os.getpid).values())))
+            def progress(current: str, done: int, _total: int) -> None:
+                if current == stage and done >= 2 and not killed:
+                    pids = client.run(os.getpid)
+                    holders = {w for who in client.who_has().values() for w in who} if kept else set()
+                    killed.append(next((pids[w] for w in pids if w in holders), next(iter(pids.values()))))
                     os.kill(killed[0], signal.SIGKILL)
 
-            executor = client.get_executor(pure=False, retries=5)
+            executor = Cluster(client) if kept else client.get_executor(pure=False, retries=5)
             fit = fit_population(people(), settings=SETTINGS, seed=2, executor=executor, progress=progress)
     assert killed
     _require_same(alone, fit)
+
+
+def test_sums_over_parts_are_those_over_all_persons() -> None:
+    """More persons than one part holds, with one, two and three repetitions: parts have the contrasts of their own."""
+    rng = np.random.default_rng(3)
+    n, k = 150, 64
+    repetitions = rng.integers(1, 4, n)
+    draws = [Draws(rng.normal(size=(k, 2)), rng.normal(size=k), np.full(k, -np.log(k))) for _ in range(n)]
+    means, covariates = rng.normal(size=(n, 2)), rng.normal(size=(n, 1))
+    contrasts = []
+    for j in (2, 3):
+        size, own = 2 * (j - 1), int(np.sum(repetitions == j))
+        root = rng.normal(size=(own, size, 2 * size))
+        information = np.moveaxis(root @ np.swapaxes(root, 1, 2), 0, -1)
+        contrasts.append(Contrasts(np.ascontiguousarray(information), rng.normal(size=(size, own))))
+    plan = kept_draws._Plan(Kernel(parse("m1|r1")), np.zeros(2), np.eye(2), k)
+    parts = [
+        kept_draws._part(
+            plan,
+            draws[rows],
+            means[rows],
+            repetitions[rows],
+            covariates[rows],
+            kept_draws._contrasts_of(contrasts, repetitions, rows),
+        )
+        for rows in parts_of(n)
+    ]
+    assert len(parts) > 2
+    sets = PopulationParameters(
+        rng.normal(size=(5, 2)),
+        rng.uniform(0.5, 1, (5, 2)),
+        np.tile(np.eye(2), (5, 1, 1)),
+        rng.uniform(0.05, 0.2, (5, 2)),
+        rng.normal(size=(5, 2, 1)),
+    )
+    whole = Marginal(draws, means, np.eye(2), repetitions, covariates, contrasts)
+    with ThreadPoolExecutor(1) as executor:
+        kept = KeptDraws(parts, executor, k)
+        np.testing.assert_allclose(kept(sets), whole(sets), rtol=1e-9)
+        np.testing.assert_allclose(kept.variance(sets), whole.variance(sets), rtol=1e-6)
+        np.testing.assert_allclose(kept.effective(sets), whole.terms(sets, effective=True)[1].min(axis=0), rtol=1e-6)
+        theta, log_likelihood = kept.persons(sets, np.random.SeedSequence(1))
+    np.testing.assert_allclose(log_likelihood, whole.terms(sets)[0], rtol=1e-9, atol=1e-9)
+    stacked = np.array([d.theta for d in draws])
+    assert np.all(np.any(np.all(theta[:, :, None] == stacked[None], axis=-1), axis=-1))
 
 
 def test_a_scheduler_that_does_not_answer_is_one_sentence(

@@ -126,6 +126,7 @@ def try_candidate(
     size: float,
     poolings: Sequence[str],
     rounds: int = 30,
+    begin: Refit | None = None,
 ) -> list[Trial]:
     """Refit the model with one candidate added.
 
@@ -138,10 +139,13 @@ def try_candidate(
     size : float
         One-step estimate of the coefficient: a branch cannot begin at nothing.
     poolings : sequence of str
+    rounds : int
+    begin : Refit, optional
+        Of the model without it: where the refits begin, if not at `fit`.
     """
     # The coefficient is linear: at zero the larger model is the smaller one, and the elements follow from there.
     model = extended(fit.model, candidate, "shared", size)
-    grown = refitter.fit(model, *extended_start(fit, model), rounds)
+    grown = refitter.fit(model, *extended_start(begin or fit, model), rounds)
     trials = [Trial(candidate, "shared", grown, gain(grown, fit), is_physical(grown))]
     for pooling in poolings:
         if pooling != "shared":
@@ -239,7 +243,9 @@ def has_shapes(effect: Effect) -> bool:
     return any(c.link != "linear" for c in effect.coefficients[1:])
 
 
-def own_shapes(refitter: Refitter, fit: Refit, screening: Screening, k: int, rounds: int = 30) -> Trial:
+def own_shapes(
+    refitter: Refitter, fit: Refit, screening: Screening, k: int, rounds: int = 30, begin: Refit | None = None
+) -> Trial:
     """Refit with shapes that differ between people, everybody beginning at the best of the own scores over the grid.
 
     A resonance that lies elsewhere in everybody is invisible to a search from a common start.
@@ -252,7 +258,7 @@ def own_shapes(refitter: Refitter, fit: Refit, screening: Screening, k: int, rou
     own = np.argmax(strength, axis=1)
     sure = strength.max(axis=1) > _SURE
     model = extended(fit.model, chosen, "free", float(screening.size[k]))
-    u, population = extended_start(fit, model)
+    u, population = extended_start(begin or fit, model)
     scales, columns = model.scales, model.columns(len(model.additions) - 1)
     mu = population.mu.copy()
     rows = np.arange(len(own))
@@ -272,15 +278,18 @@ def own_shapes(refitter: Refitter, fit: Refit, screening: Screening, k: int, rou
     return Trial(chosen, "free", grown, gain(grown, fit), is_physical(grown))
 
 
-def try_shortlist(refitter: Refitter, fit: Refit, screening: Screening) -> list[Trial]:
-    """Refit the shortlist, and the best of it at the places that the list had no room for."""
+def try_shortlist(refitter: Refitter, fit: Refit, screening: Screening, begin: Refit | None = None) -> list[Trial]:
+    """Refit the shortlist, and the best of it at the places that the list had no room for.
+
+    The refits begin at `fit`, or where they are told to.
+    """
     trials: list[Trial] = []
     for k in shortlist(screening):
         candidate = screening.candidates[k]
         poolings = poolings_for(candidate, len(refitter.data))
-        trials += try_candidate(refitter, fit, candidate, float(screening.size[k]), poolings, _FIRST_ROUNDS)
+        trials += try_candidate(refitter, fit, candidate, float(screening.size[k]), poolings, _FIRST_ROUNDS, begin)
         if "varying" in poolings and has_shapes(candidate.effect) and screening.log_p_spread[k] < _CLEARLY_VARIES:
-            trials.append(own_shapes(refitter, fit, screening, k, _FIRST_ROUNDS))
+            trials.append(own_shapes(refitter, fit, screening, k, _FIRST_ROUNDS, begin))
     trials = _continued(refitter, fit, trials)
     possible = [t for t in trials if t.physical and np.isfinite(t.gain)]
     if not possible:
@@ -291,10 +300,10 @@ def try_shortlist(refitter: Refitter, fit: Refit, screening: Screening) -> list[
         tried = {(t.candidate.place, t.pooling) for t in trials if t.effect == leader.effect}
         if other.effect == leader.effect and (other.place, leader.pooling) not in tried:
             if leader.pooling == "free":
-                trials.append(own_shapes(refitter, fit, screening, k))
+                trials.append(own_shapes(refitter, fit, screening, k, begin=begin))
             else:
                 size = float(screening.size[k])
-                trials.append(try_candidate(refitter, fit, other, size, (leader.pooling,))[-1])
+                trials.append(try_candidate(refitter, fit, other, size, (leader.pooling,), begin=begin)[-1])
     return trials
 
 

@@ -6,15 +6,12 @@ import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
-
-import numpy as np
 
 from bayes_impedance.metrics import on_grid
 from bayes_impedance.mismatch import catalogue  # noqa: F401  (fills the register of effects)
 from bayes_impedance.mismatch.claims import compare_populations
-from bayes_impedance.mismatch.confirm import extended_start, starts_of
 from bayes_impedance.mismatch.diagnosis import Diagnosis, ParameterDifference
 from bayes_impedance.mismatch.effects import Effect, registered
 from bayes_impedance.mismatch.entries import aliases, physics_entry
@@ -23,22 +20,20 @@ from bayes_impedance.mismatch.hum_skirts import find_skirts
 from bayes_impedance.mismatch.inversion import missing_one_ports
 from bayes_impedance.mismatch.locate import locate
 from bayes_impedance.mismatch.mains import find_mains
-from bayes_impedance.mismatch.model import build
 from bayes_impedance.mismatch.naming import names_that_hold
 from bayes_impedance.mismatch.network_fit import Fitted, fit_network, without_hum
 from bayes_impedance.mismatch.ranking import ranking
-from bayes_impedance.mismatch.refit import Refit
 from bayes_impedance.mismatch.screen import person_residuals
 from bayes_impedance.mismatch.search import Found, search
+from bayes_impedance.mismatch.simulated import Claim, claim_of
 from bayes_impedance.mismatch.snapshot import snapshot
 from bayes_impedance.mismatch.structure import covariates_of, structure_entries
-from bayes_impedance.mismatch.unknown import realise
+from bayes_impedance.mismatch.unknown import realise, structure_remains
 from bayes_impedance.mismatch.verdict import FEW_PEOPLE, Evidence, make_verdict
 from bayes_impedance.network import Network
 from bayes_impedance.recordings import Recordings
 from bayes_impedance.starts import Progress
 
-UNKNOWN_ALPHA = 1e-3
 _MAINS_ALPHA = 1e-3
 
 
@@ -106,18 +101,22 @@ def diagnose(
         job = _Job(candidates, diagonal, quick, seed, executor, progress)
         claimed = None
         if simulation is not None:
-            claimed = _diagnosed_simulation(simulation, network, job, clock)
+            with clock.measure("simulation"):
+                claimed = claim_of(simulation, network, candidates, seed, executor, progress)
         return _diagnose(recordings, network, claimed, job, clock)
 
 
 def _diagnose(
     recordings: Recordings,
     network: Network | str | None,
-    claimed: Found | None,
+    claimed: Claim | None,
     job: _Job,
     clock: _Clock,
 ) -> Diagnosis:
     seed, executor, progress = job.seed, job.executor, job.progress
+    given = recordings
+    if claimed is not None:
+        recordings = claimed.without_rest(recordings)
     with clock.measure("fit"):
         fitted = fit_network(recordings, network, seed, executor, progress)
         with_hum = person_residuals(fitted.fit, recordings.names)
@@ -127,12 +126,12 @@ def _diagnose(
             spoilt = snapshot("with hum", recordings, fitted.fit, with_hum, seed)
             clean = without_hum(recordings, hum)
             fitted = fit_network(clean, network, seed, executor, progress)
-    base = fitted.fit
-    if claimed is not None and claimed.final.model.additions:
+    base, begin = fitted.fit, None
+    if claimed is not None and (claimed.found.final.model.additions or claimed.rest):
         with clock.measure("fit"):
-            base = _like(fitted, claimed.final, job.seed)
+            base, begin = claimed.start(fitted, seed)
     with clock.measure("search"):
-        found = search(fitted.refitter, base, recordings.names, job.effects, seed, executor, progress)
+        found = search(fitted.refitter, base, recordings.names, job.effects, seed, executor, progress, begin)
     with clock.measure("locate"):
         progress("locating", 0, 2)
         covariates = covariates_of(recordings)
@@ -147,9 +146,7 @@ def _diagnose(
         progress("locating", 2, 2)
     unknown = None
     with clock.measure("unknown"):
-        # A search that ended because no more additions are allowed has not looked for what is left.
-        exhausted = found.steps[-1].chosen is not None
-        remains = last.p_value < UNKNOWN_ALPHA or (found.steps[-1].log_p < np.log(UNKNOWN_ALPHA) and not exhausted)
+        remains = structure_remains(found, last.p_value)
         if remains:
             progress("unknown physics", 0, 1)
             ports = missing_one_ports(found.final, residuals)
@@ -174,11 +171,15 @@ def _diagnose(
     changed = None if final is found.base else final
     if not final.settled and final is not found.base:
         remarks.append("The fit with what was found did not come to rest; its numbers are rough.")
+    if claimed is not None and claimed.rest:
+        remarks.append(
+            "The simulation itself holds structure that the network does not describe; it was taken off the recordings."
+        )
     evidence = Evidence(found, first, entries, structures, unknown, hum, gain, before, after, changed, remarks, spoilt)
-    verdict = make_verdict(recordings, fitted, evidence, seed)
+    verdict = make_verdict(given, fitted, evidence, seed)
     differences: tuple[ParameterDifference, ...] = ()
     if claimed is not None:
-        differences = compare_populations(claimed.final, final, recordings.unit)
+        differences = compare_populations(claimed.found.final, final, recordings.unit)
         verdict["parameters_differ"] = [asdict(d) for d in differences if d.p_value < 0.05]
     return Diagnosis(
         recordings.title,
@@ -212,41 +213,6 @@ def _entries(fitted: Fitted, found: Found, job: _Job) -> list[dict[str, Any]]:
             entry["aliases"] = aliases(step, job.quick)
         entries.append(entry)
     return entries
-
-
-def _diagnosed_simulation(
-    simulation: Recordings,
-    network: Network | str | None,
-    job: _Job,
-    clock: _Clock,
-) -> Found:
-    """What the simulation itself is made of: its population, and physics beyond the network that it has already."""
-    with clock.measure("simulation"):
-        fitted = fit_network(simulation, network, job.seed, job.executor, job.progress)
-        return search(fitted.refitter, fitted.fit, simulation.names, job.effects, job.seed, job.executor, job.progress)
-
-
-def _like(fitted: Fitted, claimed: Refit, seed: int) -> Refit:
-    """The recordings' fit with the physics that the simulation has, begun where the simulation's people are.
-
-    Each person's elements begin at the person's own fit without that physics, or at the simulation's centre: the better
-    end counts, because a strong addition may have moved the elements far.
-    """
-    own = fitted.fit.model
-    model = build(own.network, claimed.model.additions, own.scales, starts_of(claimed.model))
-    u, population = extended_start(fitted.fit, model)
-    u[:, model.n_elements :] = claimed.u[:, model.n_elements :].mean(axis=0)
-    varying = np.flatnonzero(~model.shared) >= model.n_elements
-    mu, covariance, rho = population.mu.copy(), population.covariance.copy(), population.rho.copy()
-    mu[varying], rho[varying] = claimed.population.mu[varying], claimed.population.rho[varying]
-    covariance[np.ix_(varying, varying)] = claimed.population.covariance[np.ix_(varying, varying)]
-    centre = u.copy()
-    centre[:, : model.n_elements] = claimed.u[:, : model.n_elements].mean(axis=0)
-    ends = [
-        fitted.refitter.fit(model, u, replace(population, mu=mu, covariance=covariance, rho=rho), 80),
-        fitted.refitter.fit(model, centre, claimed.population, 80),
-    ]
-    return fitted.refitter.settle(max(ends, key=lambda fit: float(fit.evidence.sum())), seed)
 
 
 class _Clock:

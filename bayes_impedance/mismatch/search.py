@@ -104,6 +104,7 @@ def search(
     seed: int,
     executor: Executor,
     progress: Progress,
+    begin: Refit | None = None,
 ) -> Found:
     """Find what is missing.
 
@@ -118,6 +119,8 @@ def search(
     seed : int
     executor : Executor
     progress : callable
+    begin : Refit, optional
+        Of the same model as `base`: where the first step looks and where its refits begin, if it finds something there.
     """
     most = min(MOST_ADDITIONS, max(1, len(refitter.data) // _PEOPLE_PER_ADDITION))
     fit, steps, posterior = base, list[Step](), None
@@ -125,10 +128,13 @@ def search(
     while number <= most:
         progress("looking for what is missing", number, most + 1)
         residuals = tuple(person_residuals(fit, names))
-        screening = screen(fit, residuals, effects, seed, executor)
+        if begin is None:
+            screening = screen(fit, residuals, effects, seed, executor)
+        else:
+            screening = screen(begin, person_residuals(begin, names), effects, seed, executor)
         step = Step(fit, residuals, screening, (), None)
         if number < most and step.log_p < np.log(ALPHA):
-            trials = try_shortlist(refitter, fit, screening)
+            trials = try_shortlist(refitter, fit, screening, begin)
             ranked = finalists(refitter, fit, trials, seed)
             ranked = at_rest(refitter, fit, ranked, seed) if ranked else []
             chosen, better = None, None
@@ -147,6 +153,10 @@ def search(
                 fit = better
                 continue
             step = replace(step, trials=(*trials, *ranked), chosen=chosen)
+        if begin is not None:
+            begin = None
+            if step.chosen is None:
+                continue
         steps.append(step)
         if step.chosen is None:
             break

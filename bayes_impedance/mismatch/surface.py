@@ -33,10 +33,13 @@ from bayes_impedance.mismatch.refit import Refit, Refitter
 FEWEST = 10
 """Fewer people say too little about what they differ by."""
 
+MOST_PARAMETERS = 4
+"""A quadratic in more of them takes too many refits."""
+
 _DISPERSIONS = np.array([0.003, 0.01, 0.03, 0.08, 0.15, 0.22, 0.3, 0.4, 0.55])
 _STARTS = (0.25, 0.08)  # of a coefficient and of a shape
 _AXIS, _DIAGONAL = 1.3, 1.0
-_ROUNDS, _STEPS = 30, 8
+_ROUNDS, _STEPS = 30, 5
 _SMALLEST_SD, _LARGEST_SD = 1e-4, 0.5
 _NEAR = 0.25  # of a standard deviation: the centre rests
 _STRETCH = 9.0  # largest change of a variance in one step
@@ -66,7 +69,7 @@ def from_evidence(refitter: Refitter, fit: Refit, posterior: CoefficientPosterio
     Returns
     -------
     CoefficientPosterior
-        The same one where there are too few people, nothing of the body's, or no maximum near.
+        The same one where there are too few people, nothing or too much of the body's, or no maximum near.
     """
     surface = _Surface.of(refitter, fit)
     if surface is None:
@@ -127,7 +130,7 @@ class _Surface:
 
     @classmethod
     def of(cls, refitter: Refitter, fit: Refit) -> _Surface | None:
-        """Of a fit; None if there is nothing of the body's, or too few people."""
+        """Of a fit; None if there is nothing or too much of the body's, or too few people."""
         model, columns = fit.model, list[int]()
         for i, addition in enumerate(fit.model.additions):
             if has_surface(addition):
@@ -136,7 +139,7 @@ class _Surface:
                 columns += [c - model.n_elements for c in model.columns(i)]
         linear = np.zeros(len(model.parameters), dtype=bool)
         linear[columns] = [model.parameters[c].is_coefficient for c in columns]
-        if not columns or len(refitter.data) < FEWEST:
+        if not 0 < len(columns) <= MOST_PARAMETERS or len(refitter.data) < FEWEST:
             return None
         if min((fit.u[:, model.n_elements + c].mean() for c in np.flatnonzero(linear)), default=1.0) <= 0:
             return None

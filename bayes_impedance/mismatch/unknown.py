@@ -20,6 +20,10 @@ from bayes_impedance.mismatch.held_out import held_out, people_gain
 from bayes_impedance.mismatch.refit import Refit, Refitter
 from bayes_impedance.mismatch.residuals import PersonResiduals
 from bayes_impedance.mismatch.screen import screen
+from bayes_impedance.mismatch.search import Found
+
+ALPHA = 1e-3
+"""Structure counts as left over below this p-value."""
 
 BRANCHES = ("m", "n", "r", "n|r", "m-r", "n-r", "m-(n|r)", "n-(m|r)", "(n-r)|(n-r)", "(n-r)-(m|r)")
 _PLACES = 3
@@ -41,6 +45,15 @@ class Realised:
     trial: Trial
     gain: float
     gain_se: float | None
+
+
+def structure_remains(found: Found, p_value: float) -> bool:
+    """Whether a search has left structure: in the residuals (p-value), or in the scores of candidates that it refused.
+
+    A search that ended because no more additions are allowed has not looked for what is left.
+    """
+    last = found.steps[-1]
+    return bool(p_value < ALPHA or (last.log_p < np.log(ALPHA) and last.chosen is None))
 
 
 def branch_effects() -> tuple[Effect, ...]:

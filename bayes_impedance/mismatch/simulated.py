@@ -1,0 +1,152 @@
+r"""Somebody's simulation as the claim: what it is made of, what it leaves unexplained of itself, where its people are.
+
+The simulation is fitted and searched like recordings. What is found in it belongs to the claim. If structure remains
+even so, the network is not all that the simulation is made of, and the same structure in the recordings is no
+difference between the two: with everybody's fit Z of the simulated z',
+
+.. math:: 1 + \varrho(f) = \langle z'(f)/Z(f) \rangle, \qquad z(f) \to z(f)/(1 + \varrho(f)),
+
+the mean being over a person's repetitions where the simulation is of the same people (the same names and frequencies),
+over all people otherwise. The simulation's own noise comes with it.
+
+Where the people are the same, the search begins at the simulation's elements: an effect that the elements of the
+recordings' own fit have swallowed in part stands out there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bayes_impedance.dataset import Recordings
+from bayes_impedance.mismatch.confirm import extended_start, starts_of
+from bayes_impedance.mismatch.effects import Effect
+from bayes_impedance.mismatch.locate import locate
+from bayes_impedance.mismatch.model import Model, build
+from bayes_impedance.mismatch.network_fit import Fitted, fit_network
+from bayes_impedance.mismatch.refit import Refit
+from bayes_impedance.mismatch.screen import person_residuals
+from bayes_impedance.mismatch.search import Found, search
+from bayes_impedance.mismatch.unknown import structure_remains
+from bayes_impedance.network import Network
+from bayes_impedance.starts import Progress
+
+_ROUNDS = 80
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A simulation and what is known of it.
+
+    Attributes
+    ----------
+    simulation : Recordings
+    found : Found
+        Its population, and physics beyond the network that it has already.
+    rest : tuple of ndarray
+        For every person 1 + rho at the person's frequencies; empty if nothing remains unexplained.
+    """
+
+    simulation: Recordings
+    found: Found
+    rest: tuple[np.ndarray, ...]
+
+    def is_of(self, recordings: Recordings) -> bool:
+        """Whether simulation and recordings are of the same people at the same frequencies."""
+        same = {s.name: s.frequency_hz for s in self.simulation.subjects}
+        return set(same) == set(recordings.names) and all(
+            np.array_equal(same[s.name], s.frequency_hz) for s in recordings.subjects
+        )
+
+    def without_rest(self, recordings: Recordings) -> Recordings:
+        """The recordings without what the simulation leaves unexplained of itself."""
+        if not self.rest:
+            return recordings
+        own = dict(zip(self.simulation.names, self.rest, strict=True)) if self.is_of(recordings) else {}
+        subjects = []
+        for s in recordings.subjects:
+            factor = own.get(s.name, self._mean_rest(s.frequency_hz))
+            noise = None if s.noise_sd is None else s.noise_sd / np.abs(factor)
+            subjects.append(replace(s, z=s.z / factor, noise_sd=noise))
+        return replace(recordings, subjects=tuple(subjects))
+
+    def _mean_rest(self, frequency_hz: np.ndarray) -> np.ndarray:
+        """Of all people of the simulation, at other frequencies; constant outside of theirs."""
+        x = np.log(frequency_hz)
+        rows = [
+            np.interp(x, np.log(s.frequency_hz), factor.real) + 1j * np.interp(x, np.log(s.frequency_hz), factor.imag)
+            for s, factor in zip(self.simulation.subjects, self.rest, strict=True)
+        ]
+        return np.asarray(np.mean(rows, axis=0))
+
+    def start(self, fitted: Fitted, seed: int) -> tuple[Refit, Refit | None]:
+        """The recordings' fit with the physics that the simulation has, and where a search for more begins.
+
+        Each person's elements begin at the person's own fit without that physics, at the simulation's centre, and, if
+        the people are the same, at their own elements in the simulation: the best end counts, because a strong addition
+        may have moved the elements far.
+        """
+        claimed = self.found.final
+        own = fitted.fit.model
+        model = build(own.network, claimed.model.additions, own.scales, starts_of(claimed.model))
+        u, population = extended_start(fitted.fit, model)
+        u[:, model.n_elements :] = claimed.u[:, model.n_elements :].mean(axis=0)
+        varying = np.flatnonzero(~model.shared) >= model.n_elements
+        mu, covariance, rho = population.mu.copy(), population.covariance.copy(), population.rho.copy()
+        mu[varying], rho[varying] = claimed.population.mu[varying], claimed.population.rho[varying]
+        covariance[np.ix_(varying, varying)] = claimed.population.covariance[np.ix_(varying, varying)]
+        refitter = fitted.refitter
+        ends = [refitter.fit(model, u, replace(population, mu=mu, covariance=covariance, rho=rho), _ROUNDS)]
+        begin = None
+        if self.is_of(fitted.recordings):
+            people = self._people(fitted, model)
+            begin = refitter.fit(model, people, claimed.population, rounds=0)
+            ends.append(refitter.fit(model, people, claimed.population, _ROUNDS))
+        else:
+            centre = u.copy()
+            centre[:, : model.n_elements] = claimed.u[:, : model.n_elements].mean(axis=0)
+            ends.append(refitter.fit(model, centre, claimed.population, _ROUNDS))
+        return refitter.settle(max(ends, key=lambda fit: float(fit.evidence.sum())), seed), begin
+
+    def _people(self, fitted: Fitted, model: Model) -> np.ndarray:
+        """For every recording the same person's parameters in the simulation (M, P), means over repetitions."""
+        claimed = self.found.final
+        mean = {name: claimed.u[claimed.owner == i].mean(axis=0) for i, name in enumerate(self.simulation.names)}
+        rows = np.array([mean[name] for name in fitted.recordings.names])
+        return np.asarray(rows[fitted.refitter.owner][:, : len(model.kernel.elements)])
+
+
+def claim_of(
+    simulation: Recordings,
+    network: Network | str | None,
+    effects: Sequence[Effect],
+    seed: int,
+    executor: ThreadPoolExecutor,
+    progress: Progress,
+) -> Claim:
+    """What a simulation itself is made of.
+
+    Parameters
+    ----------
+    simulation : Recordings
+    network : Network or str, optional
+        As claimed; the simulation's own if not given.
+    effects : sequence of Effect
+        Candidates.
+    seed : int
+    executor : ThreadPoolExecutor
+    progress : callable
+    """
+    fitted = fit_network(simulation, network, seed, executor, progress)
+    found = search(fitted.refitter, fitted.fit, simulation.names, effects, seed, executor, progress)
+    final = found.final
+    p_value = locate(tuple(person_residuals(final, simulation.names)), seed).p_value
+    if not structure_remains(found, p_value):
+        return Claim(simulation, found, ())
+    rest = []
+    for i, s in enumerate(simulation.subjects):
+        rest.append(np.mean(s.z / final.model.kernel.impedance(final.u[final.owner == i], s.frequency_hz), axis=0))
+    return Claim(simulation, found, tuple(rest))
