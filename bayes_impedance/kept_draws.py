@@ -39,10 +39,13 @@ class Part:
     ----------
     theta : ndarray, shape (n, K, P)
         Everybody's draws.
+    log_ratio : ndarray, shape (n, K)
+        ln L - ln q of each.
     marginal : Marginal
     """
 
     theta: np.ndarray
+    log_ratio: np.ndarray
     marginal: Marginal
 
 
@@ -150,6 +153,11 @@ class KeptDraws:
         """Tail of everybody's weights under the first set, shape (N,)."""
         return np.concatenate(self._ask(_pareto_k, parameters[:1]))
 
+    def gathered(self) -> tuple[np.ndarray, np.ndarray]:
+        """Everybody's draws, (N, K, P), and their ln L - ln q, (N, K): all of them travel."""
+        both = self._ask(_draws_and_ratios)
+        return np.concatenate([a for a, _ in both]), np.concatenate([b for _, b in both])
+
     def persons(self, parameters: PopulationParameters, seed: np.random.SeedSequence) -> tuple[np.ndarray, np.ndarray]:
         """One draw of everybody's log elements for each set, (W, N, P), and everybody's log likelihood, (W, N)."""
         if isinstance(self._executor, Cluster):
@@ -184,7 +192,7 @@ def _part(
     contrasts: Sequence[Contrasts],
 ) -> Part:
     marginal = Marginal(draws, means, plan.covariance, repetitions, covariates, contrasts)
-    return Part(np.array([d.theta for d in draws]), marginal)
+    return Part(np.array([d.theta for d in draws]), np.array([d.log_ratio for d in draws]), marginal)
 
 
 def _draws_of(plan: _Plan, likelihood: Likelihood, mode: Mode, mean: np.ndarray, seed: np.random.SeedSequence) -> Draws:
@@ -204,6 +212,10 @@ def _contrasts_of(contrasts: Sequence[Contrasts], repetitions: np.ndarray, rows:
             information, gradient = group.information[..., own], group.gradient[..., own]
             found.append(Contrasts(np.ascontiguousarray(information), np.ascontiguousarray(gradient)))
     return tuple(found)
+
+
+def _draws_and_ratios(part: Part) -> tuple[np.ndarray, np.ndarray]:
+    return part.theta, part.log_ratio
 
 
 def _size(part: Part) -> int:

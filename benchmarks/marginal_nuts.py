@@ -23,7 +23,7 @@ from bayes_impedance.posterior import Posterior
 from bayes_impedance.recordings import Recordings
 from bayes_impedance.starts import default_prior, first_fits
 
-_WARMUP, _DRAWS = 400, 1200
+_WARMUP, _DRAWS = 200, 300
 
 
 def prepared(recordings: Recordings, network: str, seed: int) -> Posterior:
@@ -56,8 +56,7 @@ def run_nuts_on(posterior: Posterior, centre: np.ndarray, seed: int) -> tuple[di
 
     jax.config.update("jax_enable_x64", True)
     started = time.perf_counter()
-    theta = jnp.asarray(np.array([d.theta for d in posterior.draws]))
-    log_ratio = jnp.asarray(np.array([d.log_ratio for d in posterior.draws]))
+    theta, log_ratio = (jnp.asarray(a) for a in posterior.marginal.gathered())
     repetitions = int(posterior.repetitions[0])
     groups = [
         (jnp.asarray(np.moveaxis(g.information, -1, 0)), jnp.asarray(g.gradient.T)) for g in posterior.point.contrasts

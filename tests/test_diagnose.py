@@ -12,6 +12,8 @@ from bayes_impedance.cli import main
 from bayes_impedance.mismatch import diagnose
 from bayes_impedance.mismatch.diagnosis import Diagnosis
 from bayes_impedance.mismatch.effects import registered
+from bayes_impedance.mismatch.search import Found
+from bayes_impedance.mismatch.simulated import Claim
 from bayes_impedance.recordings import Recordings, Subject, read_recordings, write_recordings
 from bayes_impedance.simulate import FINGERTIP, simulate_recordings
 
@@ -147,6 +149,37 @@ def test_physics_that_the_simulation_has_already_is_not_called_missing() -> None
     both = [changed(people(16, seed), lambda s, z: z * np.exp(-s * DELAY)) for seed in (10, 11)]
     diagnosis = diagnose(both[0], simulation=both[1], seed=1, quick=True)
     assert "rig.delay" not in [entry["id"] for entry in diagnosis.verdict["physics"]]
+
+
+def rippled(recordings: Recordings) -> Recordings:
+    """With structure of which neither network nor catalogue know anything: a ripple of magnitude without phase."""
+    return changed(recordings, lambda s, z: z * (1 + 0.05 * np.sin(2.5 * np.log(np.abs(s)))))
+
+
+@pytest.mark.parametrize("same_people", [True, False])
+def test_what_the_simulation_leaves_of_itself_is_no_difference(same_people: bool) -> None:
+    """Both have the same ripple; the recordings have a skew as well, and that is all there is to say."""
+    recorded = changed(rippled(people(14, 10)), lambda s, z: z * np.exp(-s * DELAY))
+    diagnosis = diagnose(recorded, simulation=rippled(people(14, 10 if same_people else 11)), seed=1, quick=True)
+    verdict = diagnosis.verdict
+    first = verdict["physics"][0]
+    assert first["id"] == "rig.delay"
+    # What is left of other people is not quite what is left of these.
+    assert first["parameters"]["delay"]["median"] == pytest.approx(DELAY, rel=0.1 if same_people else 0.3)
+    assert any("taken off" in remark for remark in verdict["remarks"])
+    if same_people:
+        assert [entry["id"] for entry in verdict["physics"]] == ["rig.delay"]
+
+
+def test_people_are_the_same_if_their_curves_are_and_not_only_their_names() -> None:
+    found = Found.__new__(Found)  # not looked at
+    one, other = people(8, 10), people(8, 11)
+    claim = Claim(one, found, ())
+    assert claim.is_of(one)
+    assert claim.is_of(changed(one, lambda s, z: z + s * 2e-5))
+    assert not claim.is_of(other)
+    assert not claim.is_of(one.select(one.names[:5]))
+    assert not claim.is_of(replace(one, subjects=tuple(replace(s, name=f"X{s.name}") for s in one.subjects)))
 
 
 def test_physics_outside_of_the_candidates_is_unknown_and_realised_by_a_passive_network() -> None:

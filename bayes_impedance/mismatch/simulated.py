@@ -6,8 +6,8 @@ difference between the two: with everybody's fit Z of the simulated z',
 
 .. math:: 1 + \varrho(f) = \langle z'(f)/Z(f) \rangle, \qquad z(f) \to z(f)/(1 + \varrho(f)),
 
-the mean being over a person's repetitions where the simulation is of the same people (the same names and frequencies),
-over all people otherwise. The simulation's own noise comes with it.
+the mean being over a person's repetitions where the simulation is of the same people, over all people otherwise. The
+simulation's own noise comes with it.
 
 Where the people are the same, the search begins at the simulation's elements: an effect that the elements of the
 recordings' own fit have swallowed in part stands out there.
@@ -35,6 +35,7 @@ from bayes_impedance.network import Network
 from bayes_impedance.starts import Progress
 
 _ROUNDS = 80
+_ALIKE = 0.25
 
 
 @dataclass(frozen=True)
@@ -55,11 +56,25 @@ class Claim:
     rest: tuple[np.ndarray, ...]
 
     def is_of(self, recordings: Recordings) -> bool:
-        """Whether simulation and recordings are of the same people at the same frequencies."""
-        same = {s.name: s.frequency_hz for s in self.simulation.subjects}
-        return set(same) == set(recordings.names) and all(
-            np.array_equal(same[s.name], s.frequency_hz) for s in recordings.subjects
-        )
+        """Whether simulation and recordings are of the same people at the same frequencies.
+
+        Names alone do not say so: many simulations call their people S01, S02. The curves of one name have to be much
+        more alike than those of different names.
+        """
+        simulated = {s.name: s for s in self.simulation.subjects}
+        pairs = [(s, simulated[s.name]) for s in recordings.subjects if s.name in simulated]
+        if len(pairs) != len(recordings.subjects) or len(pairs) != len(simulated):
+            return False
+        if any(not np.array_equal(ours.frequency_hz, theirs.frequency_hz) for ours, theirs in pairs):
+            return False
+        if len(pairs) == 1:
+            return True
+        if any(not np.array_equal(ours.frequency_hz, pairs[0][0].frequency_hz) for ours, _ in pairs):
+            return False
+        ours, theirs = (np.log(np.array([pair[k].mean for pair in pairs])) for k in (0, 1))
+        distance = np.mean(np.abs(ours[:, None] - theirs[None]) ** 2, axis=2)
+        same = np.eye(len(pairs), dtype=bool)
+        return bool(np.median(distance[same]) < _ALIKE * np.median(distance[~same]))
 
     def without_rest(self, recordings: Recordings) -> Recordings:
         """The recordings without what the simulation leaves unexplained of itself."""

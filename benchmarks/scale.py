@@ -1,0 +1,116 @@
+"""A population on a local Dask cluster: how time and memory grow with the number of people, and what workers bring.
+
+Virtual fingertips with 101 frequencies and three repetitions. Everybody's modes, draws and the population's likelihood
+are the workers'; this process keeps the recordings, the sampler's walkers and the result. With ``--kill`` a worker is
+killed while the chains grow, and the result is compared with that of an undisturbed run.
+
+Run from the repository's root: ``python benchmarks/scale.py --people 100 1000 10000``; results go to ``scale.json``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import signal
+import time
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayes_impedance.persons import Cluster
+from bayes_impedance.population import FitSettings, PopulationFit, fit_population
+from bayes_impedance.recordings import Recordings
+from bayes_impedance.sampling import SamplerSettings
+from bayes_impedance.simulate import FINGERTIP, simulate_recordings
+
+HERE = Path(__file__).resolve().parent
+_POINTS, _REPETITIONS = 101, 3
+_SAMPLER = SamplerSettings(ensembles=2, burn_in=(80, 40), chunk=100, longest=400, effective=600.0)
+
+
+def peak_megabytes() -> float:
+    """Largest resident memory of this process so far."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def measured(
+    recordings: Recordings, workers: int, draws: int, kill: bool = False
+) -> tuple[dict[str, Any], PopulationFit]:
+    """One fit on a cluster of its own."""
+    import distributed
+
+    killed: list[int] = []
+    with (
+        distributed.LocalCluster(
+            n_workers=workers, threads_per_worker=1, dashboard_address=None, memory_limit=0, silence_logs=50
+        ) as cluster,
+        distributed.Client(cluster, set_as_default=False) as client,
+    ):
+
+        def progress(stage: str, done: int, _total: int) -> None:
+            if kill and stage == "sampling" and done > 30 and not killed:
+                killed.append(next(iter(client.run(os.getpid).values())))
+                os.kill(killed[0], signal.SIGKILL)
+
+        started = time.perf_counter()
+        settings = FitSettings(draws=draws, sampler=_SAMPLER)
+        fit = fit_population(recordings, settings=settings, seed=1, executor=Cluster(client), progress=progress)
+        seconds = time.perf_counter() - started
+        workers_peak = max(client.run(peak_megabytes).values())
+    d = fit.diagnostics
+    return {
+        "people": len(recordings.subjects),
+        "workers": workers,
+        "draws": draws,
+        "seconds": seconds,
+        "stages": fit.seconds,
+        "peak MB of this process": peak_megabytes(),
+        "peak MB of a worker": workers_peak,
+        "R-hat": d.rhat_max,
+        "effective": d.effective_min,
+        "steps": d.steps,
+        "noise of the likelihood": d.log_likelihood_variance,
+        "problems": list(d.problems),
+        "mu": fit.parameters.mu.mean(axis=0).tolist(),
+        "mu sd": fit.parameters.mu.std(axis=0).tolist(),
+        "tau": fit.parameters.between_persons.mean(axis=0).tolist(),
+        "tau sd": fit.parameters.between_persons.std(axis=0).tolist(),
+        "killed": bool(killed),
+    }, fit
+
+
+def people(n: int) -> Recordings:
+    """The same first people whatever their number."""
+    return simulate_recordings(FINGERTIP, n, _REPETITIONS, np.geomspace(5, 5000, _POINTS), 1).recordings
+
+
+def main(arguments: list[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--people", type=int, nargs="+", default=[100, 1000, 10000])
+    parser.add_argument("--workers", type=int, nargs="+", default=[2])
+    parser.add_argument("--draws", type=int, default=256)
+    parser.add_argument("--kill", action="store_true", help="repeat each fit with a worker killed in the middle")
+    parser.add_argument("-o", "--out", type=Path, default=HERE / "scale.json")
+    options = parser.parse_args(arguments)
+    rows = json.loads(options.out.read_text(encoding="utf-8")) if options.out.is_file() else []
+    for n in options.people:
+        recordings = people(n)
+        for workers in options.workers:
+            row, fit = measured(recordings, workers, options.draws)
+            rows.append(row)
+            print(json.dumps({k: v for k, v in row.items() if not isinstance(v, list)}), flush=True)
+            if options.kill:
+                again, other = measured(recordings, workers, options.draws, kill=True)
+                same = np.array_equal(fit.parameters.mu, other.parameters.mu)
+                rows.append(again | {"same numbers as undisturbed": bool(same)})
+                print(f"a worker killed: {again['killed']}, the same numbers: {same}", flush=True)
+            options.out.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    warnings.simplefilter("ignore")  # a worker that is killed is told of at length
+    main()
