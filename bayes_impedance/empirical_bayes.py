@@ -290,19 +290,18 @@ class _State:
         """Curvature and gradient of the contrasts at zero deviation, expanded where the deviations were."""
         found = []
         for j in np.unique(self.repetitions[self.repetitions > 1]):
-            rows = contrasts(int(j))
-            information, gradient = [], []
-            for i in np.flatnonzero(self.repetitions == j):
-                w = self.modes[i].scale ** -2
-                g, h = self.equations[i]
-                size = rows.shape[0] * h.shape[1]
-                # Every repetition keeps its own curvature: contrasts of equal curvatures would be independent, but
-                # sharing the mean one makes the dispersion of weakly determined elements 3 % too small.
-                information.append(w * np.einsum("cj,dj,jpq->cpdq", rows, rows, h).reshape(size, size))
-                pull = np.einsum("jpq,jq->jp", h, self.before[i].deviations) - g
-                gradient.append(w * (rows @ pull).ravel())
-            stacked = np.ascontiguousarray(np.moveaxis(np.array(information), 0, -1))
-            found.append(Contrasts(stacked, np.ascontiguousarray(np.array(gradient).T)))
+            rows, group = contrasts(int(j)), np.flatnonzero(self.repetitions == j)
+            w = np.array([self.modes[i].scale ** -2 for i in group])
+            g, h = (np.array([self.equations[i][k] for i in group]) for k in (0, 1))
+            deviations = np.array([self.before[i].deviations for i in group])
+            size = rows.shape[0] * h.shape[-1]
+            # Every repetition keeps its own curvature: contrasts of equal curvatures would be independent, but sharing
+            # the mean one makes the dispersion of weakly determined elements 3 % too small.
+            pairs = np.einsum("cj,dj->cdj", rows, rows)
+            information = np.einsum("n,cdj,njpq->cpdqn", w, pairs, h).reshape(size, size, -1)
+            pull = np.einsum("njpq,njq->njp", h, deviations) - g
+            gradient = np.einsum("n,cj,njp->cpn", w, rows, pull).reshape(size, -1)
+            found.append(Contrasts(np.ascontiguousarray(information), np.ascontiguousarray(gradient)))
         return tuple(found)
 
     def _maximise(self, found: tuple[Contrasts, ...]) -> None:
@@ -320,7 +319,7 @@ class _State:
             solution = np.linalg.solve(design.T @ design + np.diag(ridge), design.T @ target)
             self.mu[e], self.slopes[e] = self.prior.centre[e] + solution[0], solution[1:]
         offset = self.theta - self.means
-        spread = offset.T @ offset + sum(np.linalg.inv(mode.precision) for mode in self.modes)
+        spread = offset.T @ offset + np.linalg.inv([mode.precision for mode in self.modes]).sum(axis=0)
         weak = _PRIOR_PERSONS * np.diag(np.clip(variance, _SMALLEST_DISPERSION**2, 1.0))
         covariance = (spread + weak) / (n + _PRIOR_PERSONS)
         floor = np.maximum(np.diag(covariance), _SMALLEST_DISPERSION**2)

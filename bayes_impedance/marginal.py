@@ -35,7 +35,7 @@ from bayes_impedance.draws import Draws
 from bayes_impedance.hierarchy import PopulationParameters
 from bayes_impedance.kernel import compiled
 
-_BLOCK = 8  # persons per matrix product: W x 8 x K single-precision numbers stay in the processor's cache
+_BLOCK = 4  # persons per matrix product: W x 4 x K single-precision numbers stay in the processor's cache
 
 
 @dataclass(frozen=True)
@@ -133,6 +133,7 @@ class Marginal:
         self.n_draws, n_elements = draws[0].theta.shape
         self.repetitions, self.covariates, self.contrasts = repetitions, covariates, contrasts
         self.reference_means = reference_means
+        self._same_means = not covariates.shape[1] and bool(np.all(reference_means == reference_means[0]))
         self._factor = np.linalg.cholesky(reference_covariance)
         self._rows, self._columns = np.tril_indices(n_elements)
         # Twice the entry, except on the diagonal: coefficients of the monomials u_p u_q, p >= q.
@@ -201,8 +202,11 @@ class Marginal:
     def _exponents(self, parameters: PopulationParameters) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Block by block: the persons (B,), their log weights (W, B, K), and the constants (W, B)."""
         populations = {j: self._population(parameters, int(j)) for j in np.unique(self.repetitions)}
+        shared: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         for j, persons, features in self._blocks:
-            coefficients, constants = self._coefficients(parameters, *populations[j], persons)
+            if j not in shared or not self._same_means:
+                shared[j] = self._coefficients(parameters, *populations[j], persons)
+            coefficients, constants = shared[j]
             if coefficients.ndim == 2:  # the same for every person: one product
                 values = (coefficients @ features).reshape(-1, persons.size, self.n_draws)
             else:

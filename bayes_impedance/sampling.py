@@ -62,7 +62,7 @@ class SamplerSettings:
 
     ensembles: int = 4
     burn_in: tuple[int, ...] = (80, 60)
-    chunk: int = 150
+    chunk: int = 80
     longest: int = 3000
     rhat: float = 1.01
     effective: float = 2000.0

@@ -18,12 +18,13 @@ import numpy as np
 from bayes_impedance.empirical_bayes import estimate
 from bayes_impedance.kernel import Kernel
 from bayes_impedance.network import parse
-from bayes_impedance.population import FitSettings, initial_likelihoods
+from bayes_impedance.population import initial_likelihoods
 from bayes_impedance.posterior import Posterior
 from bayes_impedance.recordings import Recordings
 from bayes_impedance.starts import default_prior, first_fits
 
 _WARMUP, _DRAWS = 200, 300
+_PER_PERSON = 64
 
 
 def prepared(recordings: Recordings, network: str, seed: int) -> Posterior:
@@ -41,7 +42,7 @@ def prepared(recordings: Recordings, network: str, seed: int) -> Posterior:
         likelihoods = initial_likelihoods(recordings, first, p)
         nothing = np.zeros((n, 0))
         point = estimate(kernel, likelihoods, first, prior, nothing, True, seeds[1], executor, quiet)
-        posterior = Posterior(repetitions, kernel, prior, True, FitSettings().draws, point, nothing)
+        posterior = Posterior(repetitions, kernel, prior, True, _PER_PERSON, point, nothing)
         posterior.draw(seeds[3], executor, quiet)
     return posterior
 

@@ -20,9 +20,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 def measure(seed: int) -> dict[str, Any]:
     """Effective samples per second of all three, and how far their moments differ."""
+    from marginal_nuts import prepared, run_nuts_on
     from nuts_model import ELEMENTS, POPULATION, Comparison, Moments, compare, from_fit, run_nuts, virtual_recordings
 
     from bayes_impedance.population import fit_population
+    from bayes_impedance.sampling import SamplerSettings, sample
 
     recordings = virtual_recordings(seed)
     fit_population(recordings, POPULATION.network, seed=seed)  # reads or fills the cache of compiled functions
@@ -34,15 +36,31 @@ def measure(seed: int) -> dict[str, Any]:
 
     joint = run_nuts(fit, seed=seed)
     against_joint = [c for c in compare(samples, joint) if not c.name.startswith("person")]
-    values, marginal_seconds, marginal_divergences = _marginal(recordings, fit.prior.centre, seed)
-    names = {"mu": "mu", "tau": "log tau", "rho": "log rho"}
+    ours = effective / seconds
+    posterior = prepared(recordings, POPULATION.network, seed)
+    started = time.perf_counter()
+    chains = sample(
+        posterior.log_probability,
+        posterior.mode,
+        posterior.normal_covariance,
+        SamplerSettings(),
+        np.random.SeedSequence(seed),
+        lambda *_: None,
+    )
+    ours_sampling = float(chains.effective.min()) / (time.perf_counter() - started)
+    sets = posterior.coordinates.unpack(chains.coordinates.reshape(-1, chains.coordinates.shape[-1]))
+    own = {"mu": sets.mu, "tau": np.log(sets.between_persons), "rho": np.log(sets.between_repetitions)}
+    values, marginal_seconds, marginal_divergences = run_nuts_on(posterior, fit.prior.centre, seed)
+    n_ensembles = len(chains.coordinates)
     against_marginal = [
-        Comparison(f"{name} {e}", Moments.of(samples.values[f"{name} {e}"]), Moments.of(values[key][..., i]))
-        for key, name in names.items()
+        Comparison(
+            f"{name} {e}",
+            Moments.of(own[name][:, i].reshape(n_ensembles, -1)),
+            Moments.of(values[name][..., i]),
+        )
+        for name in own
         for i, e in enumerate(ELEMENTS)
     ]
-    ours = effective / seconds
-    ours_sampling = effective / fit.seconds["population"]
     return {
         "ours": {
             "seconds": seconds,
@@ -57,13 +75,6 @@ def measure(seed: int) -> dict[str, Any]:
         "people": len(recordings.subjects),
         "parameters": len(against_joint),
     }
-
-
-def _marginal(recordings: Any, centre: np.ndarray, seed: int) -> tuple[dict[str, np.ndarray], float, int]:
-    from marginal_nuts import prepared, run_nuts_on
-    from nuts_model import POPULATION
-
-    return run_nuts_on(prepared(recordings, POPULATION.network, seed), centre, seed)
 
 
 def _row(table: list[Any], seconds: float, divergences: int, ours: float) -> dict[str, Any]:

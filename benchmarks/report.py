@@ -135,6 +135,13 @@ def _short(value: float) -> str:
     return f"{value:.0f}" if value >= 100 else f"{value:.3g}"
 
 
+def replace_between(path: Path, name: str, content: str) -> None:
+    """Put content between a document's markers of a name."""
+    start, end = f"<!-- {name}:start -->", f"<!-- {name}:end -->"
+    head, rest = path.read_text(encoding="utf-8").split(start)
+    path.write_text(f"{head}{start}\n{content.strip()}\n{end}{rest.split(end)[1]}", encoding="utf-8")
+
+
 def draw(results: Results, path: Path) -> None:
     """Ratios to ours on one logarithmic axis."""
     import matplotlib as mpl

@@ -18,7 +18,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from report import draw, table
+from report import draw, replace_between, table
 
 HERE = Path(__file__).resolve().parent
 PARTS = ("kernel", "one_curve", "population", "diagnosis", "end_to_end")
@@ -99,7 +99,7 @@ def main(arguments: list[str] | None = None) -> None:
     print(text)
     draw(results, options.out / "benchmarks.png")
     if options.out == HERE:
-        _replace(HERE / "README.md", text)
+        replace_between(HERE / "README.md", "results", text)
 
 
 def _apart(part: str, options: argparse.Namespace) -> dict[str, Any]:
@@ -112,12 +112,6 @@ def _apart(part: str, options: argparse.Namespace) -> dict[str, Any]:
     if done.returncode != 0 or not lines:
         raise SystemExit(f"{part} failed:\n{done.stderr[-3000:]}")
     return dict(json.loads(lines[-1].removeprefix("RESULT ")))
-
-
-def _replace(path: Path, content: str) -> None:
-    start, end = "<!-- results:start -->", "<!-- results:end -->"
-    head, rest = path.read_text(encoding="utf-8").split(start)
-    path.write_text(f"{head}{start}\n{content.strip()}\n{end}{rest.split(end)[1]}", encoding="utf-8")
 
 
 if __name__ == "__main__":

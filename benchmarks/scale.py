@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from report import replace_between
 
 from bayes_impedance.persons import Cluster
 from bayes_impedance.population import FitSettings, PopulationFit, fit_population
@@ -88,6 +89,34 @@ def people(n: int) -> Recordings:
     return simulate_recordings(FINGERTIP, n, _REPETITIONS, np.geomspace(5, 5000, _POINTS), 1).recordings
 
 
+def table(rows: list[dict[str, Any]]) -> str:
+    """One line for each fit."""
+    head = [
+        "people",
+        "workers",
+        "seconds",
+        "modes",
+        "draws",
+        "sampling",
+        "persons",
+        "MB here",
+        "MB of a worker",
+        "R-hat",
+    ]
+    head += ["effective", "noise", "a worker killed"]
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    for row in rows:
+        stages = [f"{row['stages'][name]:.0f}" for name in ("modes", "draws", "population", "persons")]
+        killed = {None: "no", True: "yes: the same numbers", False: "yes: OTHER NUMBERS"}[
+            row.get("same numbers as undisturbed")
+        ]
+        memory = [f"{row['peak MB of this process']:.0f}", f"{row['peak MB of a worker']:.0f}"]
+        quality = [f"{row['R-hat']:.3f}", f"{row['effective']:.0f}", f"{row['noise of the likelihood']:.2g}", killed]
+        cells = [str(row["people"]), str(row["workers"]), f"{row['seconds']:.0f}", *stages, *memory, *quality]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
 def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--people", type=int, nargs="+", default=[100, 1000, 10000])
@@ -109,6 +138,7 @@ def main(arguments: list[str] | None = None) -> None:
                 rows.append(again | {"same numbers as undisturbed": bool(same)})
                 print(f"a worker killed: {again['killed']}, the same numbers: {same}", flush=True)
             options.out.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    replace_between(HERE / "README.md", "scale", table(rows))
 
 
 if __name__ == "__main__":

@@ -109,7 +109,7 @@ def test_a_cluster_that_loses_a_worker_gives_the_same(alone: PopulationFit, kept
 def test_sums_over_parts_are_those_over_all_persons() -> None:
     """More persons than one part holds, with one, two and three repetitions: parts have the contrasts of their own."""
     rng = np.random.default_rng(3)
-    n, k = 150, 64
+    n, k = 300, 64
     repetitions = rng.integers(1, 4, n)
     draws = [Draws(rng.normal(size=(k, 2)), rng.normal(size=k), np.full(k, -np.log(k))) for _ in range(n)]
     means, covariates = rng.normal(size=(n, 2)), rng.normal(size=(n, 1))
