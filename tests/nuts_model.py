@@ -166,7 +166,7 @@ class Samples:
     divergences: int = 0
 
 
-def run_nuts(fit: PopulationFit, warmup: int = 400, draws: int = 1200, seed: int = 1) -> Samples:
+def run_nuts(fit: PopulationFit, warmup: int = 800, draws: int = 2400, seed: int = 1) -> Samples:
     """Four chains, from places twice as far apart as the posterior of the fit is wide."""
     jax.config.update("jax_enable_x64", True)
     started = time.perf_counter()
