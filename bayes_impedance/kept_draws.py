@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -22,11 +22,9 @@ from bayes_impedance.hierarchy import PopulationParameters
 from bayes_impedance.kernel import Kernel
 from bayes_impedance.likelihood import Likelihood, find_ridge
 from bayes_impedance.marginal import Contrasts, Marginal
-from bayes_impedance.persons import Cluster, map_persons, parts_of
+from bayes_impedance.persons import Cluster, Result, map_persons, parts_of
 from bayes_impedance.starts import Progress
 from bayes_impedance.subject import Mode
-
-Result = TypeVar("Result")
 
 _SETS_AT_ONCE = 50
 
@@ -42,11 +40,14 @@ class Part:
     log_ratio : ndarray, shape (n, K)
         ln L - ln q of each.
     marginal : Marginal
+    number : int
+        Of the part.
     """
 
     theta: np.ndarray
     log_ratio: np.ndarray
     marginal: Marginal
+    number: int
 
 
 @dataclass(frozen=True)
@@ -68,12 +69,10 @@ class KeptDraws:
         Parts, or what a cluster knows them by.
     executor : Executor
         Which keeps them.
-    n_draws : int
-        Draws of each person.
     """
 
-    def __init__(self, parts: Sequence[Any], executor: Executor, n_draws: int) -> None:
-        self._parts, self._executor, self.n_draws = list(parts), executor, n_draws
+    def __init__(self, parts: Sequence[Any], executor: Executor) -> None:
+        self._parts, self._executor = list(parts), executor
 
     @classmethod
     def made(
@@ -111,8 +110,8 @@ class KeptDraws:
         seeds = seed.spawn(n)
         repetitions = np.array([d.z.shape[0] for d in point.likelihoods])
         shared = [
-            (means[rows], repetitions[rows], covariates[rows], _contrasts_of(point.contrasts, repetitions, rows))
-            for rows in parts_of(n)
+            (k, means[rows], repetitions[rows], covariates[rows], _contrasts_of(point.contrasts, repetitions, rows))
+            for k, rows in enumerate(parts_of(n))
         ]
         kept: list[Any] = []
         if isinstance(executor, Cluster):
@@ -122,7 +121,7 @@ class KeptDraws:
             for part, rows in zip(kept, parts_of(n), strict=True):
                 executor.ask([part], _size)
                 progress("draws", rows.stop, n)
-            return cls(kept, executor, n_draws)
+            return cls(kept, executor)
         everybody = []
         drawn = map_persons(executor, partial(_draws_of, plan), point.likelihoods, point.modes, means, seeds)
         for i, draws in enumerate(drawn):
@@ -130,7 +129,7 @@ class KeptDraws:
             progress("draws", i + 1, n)
         for rows, common in zip(parts_of(n), shared, strict=True):
             kept.append(_part(plan, everybody[rows], *common))
-        return cls(kept, executor, n_draws)
+        return cls(kept, executor)
 
     def _ask(self, function: Callable[..., Result], *arguments: Any) -> list[Result]:
         if isinstance(self._executor, Cluster):
@@ -160,14 +159,7 @@ class KeptDraws:
 
     def persons(self, parameters: PopulationParameters, seed: np.random.SeedSequence) -> tuple[np.ndarray, np.ndarray]:
         """One draw of everybody's log elements for each set, (W, N, P), and everybody's log likelihood, (W, N)."""
-        if isinstance(self._executor, Cluster):
-            asked = []
-            for part, child in zip(self._parts, seed.spawn(len(self._parts)), strict=True):
-                asked += self._executor.ask([part], _resampled, parameters, child)
-        else:
-            asked = [
-                _resampled(p, parameters, c) for p, c in zip(self._parts, seed.spawn(len(self._parts)), strict=True)
-            ]
+        asked = self._ask(_resampled, parameters, seed.spawn(len(self._parts)))
         return np.concatenate([a[0] for a in asked], axis=1), np.concatenate([a[1] for a in asked], axis=1)
 
 
@@ -176,23 +168,25 @@ def _drawn_part(
     likelihoods: Sequence[Likelihood],
     modes: Sequence[Mode],
     seeds: Sequence[np.random.SeedSequence],
+    number: int,
     means: np.ndarray,
     *common: Any,
 ) -> Part:
     draws = [_draws_of(plan, *row) for row in zip(likelihoods, modes, means, seeds, strict=True)]
-    return _part(plan, draws, means, *common)
+    return _part(plan, draws, number, means, *common)
 
 
 def _part(
     plan: _Plan,
     draws: Sequence[Draws],
+    number: int,
     means: np.ndarray,
     repetitions: np.ndarray,
     covariates: np.ndarray,
     contrasts: Sequence[Contrasts],
 ) -> Part:
     marginal = Marginal(draws, means, plan.covariance, repetitions, covariates, contrasts)
-    return Part(np.array([d.theta for d in draws]), np.array([d.log_ratio for d in draws]), marginal)
+    return Part(np.array([d.theta for d in draws]), np.array([d.log_ratio for d in draws]), marginal, number)
 
 
 def _draws_of(plan: _Plan, likelihood: Likelihood, mode: Mode, mean: np.ndarray, seed: np.random.SeedSequence) -> Draws:
@@ -241,9 +235,9 @@ def _pareto_k(part: Part, parameters: PopulationParameters) -> np.ndarray:
 
 
 def _resampled(
-    part: Part, parameters: PopulationParameters, seed: np.random.SeedSequence
+    part: Part, parameters: PopulationParameters, seeds: Sequence[np.random.SeedSequence]
 ) -> tuple[np.ndarray, np.ndarray]:
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(seeds[part.number])
     n_sets, n = parameters.mu.shape[0], len(part.theta)
     theta = np.empty((n_sets, n, parameters.mu.shape[1]))
     for start in range(0, n_sets, _SETS_AT_ONCE):

@@ -5,7 +5,7 @@ Threads of this process, processes of this machine (``ProcessPoolExecutor``) and
 the results come back in the persons' order. So the result does not depend on who has worked, and a cluster that loses a
 worker repeats what was lost.
 
-What is large stays where it was computed (:func:`keep`): everybody's draws are asked for sums (:func:`ask`), and only
+What is large may stay with a cluster's workers (:class:`Cluster`): everybody's draws are asked for sums there, and only
 the sums travel. A cluster makes again what a lost worker had kept, from what it had been made of.
 """
 

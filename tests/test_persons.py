@@ -20,9 +20,10 @@ from bayes_impedance.kernel import Kernel
 from bayes_impedance.marginal import Contrasts, Marginal
 from bayes_impedance.network import parse
 from bayes_impedance.persons import Cluster, map_persons, parts_of
-from bayes_impedance.population import FitSettings, PopulationFit, fit_population
+from bayes_impedance.population import FitSettings, PopulationFit, _kept_sets, fit_population
+from bayes_impedance.posterior import noise_within
 from bayes_impedance.recordings import Recordings
-from bayes_impedance.sampling import SamplerSettings
+from bayes_impedance.sampling import Chains, SamplerSettings
 from bayes_impedance.simulate import VirtualPopulation, simulate_recordings
 
 SETTINGS = FitSettings(draws=128, sampler=SamplerSettings(ensembles=2, burn_in=(20,), chunk=20, longest=20))
@@ -124,12 +125,13 @@ def test_sums_over_parts_are_those_over_all_persons() -> None:
         kept_draws._part(
             plan,
             draws[rows],
+            number,
             means[rows],
             repetitions[rows],
             covariates[rows],
             kept_draws._contrasts_of(contrasts, repetitions, rows),
         )
-        for rows in parts_of(n)
+        for number, rows in enumerate(parts_of(n))
     ]
     assert len(parts) > 2
     sets = PopulationParameters(
@@ -141,7 +143,7 @@ def test_sums_over_parts_are_those_over_all_persons() -> None:
     )
     whole = Marginal(draws, means, np.eye(2), repetitions, covariates, contrasts)
     with ThreadPoolExecutor(1) as executor:
-        kept = KeptDraws(parts, executor, k)
+        kept = KeptDraws(parts, executor)
         np.testing.assert_allclose(kept(sets), whole(sets), rtol=1e-9)
         np.testing.assert_allclose(kept.variance(sets), whole.variance(sets), rtol=1e-6)
         np.testing.assert_allclose(kept.effective(sets), whole.terms(sets, effective=True)[1].min(axis=0), rtol=1e-6)
@@ -149,6 +151,20 @@ def test_sums_over_parts_are_those_over_all_persons() -> None:
     np.testing.assert_allclose(log_likelihood, whole.terms(sets)[0], rtol=1e-9, atol=1e-9)
     stacked = np.array([d.theta for d in draws])
     assert np.all(np.any(np.all(theta[:, :, None] == stacked[None], axis=-1), axis=-1))
+
+
+def test_noise_counts_as_far_as_it_differs_within_the_posterior() -> None:
+    assert noise_within(0.3, 16, 52) == 0.3
+    assert noise_within(30.0, 10_000, 50) == pytest.approx(0.15)
+
+
+@pytest.mark.parametrize(("people", "kept"), [(71, 500), (100_000, 100)])
+def test_a_result_of_many_persons_keeps_fewer_sets(people: int, kept: int) -> None:
+    nothing = np.zeros(1)
+    chains = Chains(np.zeros((4, 500, 3)), np.zeros((4, 500)), nothing, nothing, nothing, 0.3, 300, 104)
+    chosen = _kept_sets(chains, 8 * people)
+    assert len(chosen) == kept
+    assert (chosen[0], chosen[-1]) == (0, 499)
 
 
 def test_a_scheduler_that_does_not_answer_is_one_sentence(

@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from bayes_impedance.metrics import on_grid
@@ -28,6 +28,7 @@ from bayes_impedance.mismatch.search import Found, search
 from bayes_impedance.mismatch.simulated import Claim, claim_of
 from bayes_impedance.mismatch.snapshot import snapshot
 from bayes_impedance.mismatch.structure import covariates_of, structure_entries
+from bayes_impedance.mismatch.surface import from_evidence
 from bayes_impedance.mismatch.unknown import realise, structure_remains
 from bayes_impedance.mismatch.verdict import FEW_PEOPLE, Evidence, make_verdict
 from bayes_impedance.network import Network
@@ -70,7 +71,9 @@ def diagnose(
     network : Network or str, optional
         The network as claimed; the dataset's own if not given.
     simulation : Recordings, optional
-        A simulated population that claims to describe the recordings.
+        A simulated population that claims to describe the recordings. What the network leaves unexplained of it is
+        taken off the recordings; where it is of the same people, everybody is compared with the own simulation
+        (:mod:`bayes_impedance.mismatch.simulated`).
     effects : sequence of Effect, optional
         Candidates; all that are registered if not given.
     diagonal : bool
@@ -156,6 +159,8 @@ def _diagnose(
     final = unknown.trial.fit if unknown is not None else found.final
     with clock.measure("confirm"):
         progress("confirming", 0, 3)
+        if found.posterior is not None:  # of the names that are left: it takes many refits
+            found = replace(found, posterior=from_evidence(fitted.refitter, found.final, found.posterior, seed))
         entries = _entries(fitted, found, job)
         progress("confirming", 1, 3)
         structures, remarks = structure_entries(final, clean, job.diagonal, seed)

@@ -21,7 +21,6 @@ from bayes_impedance.mismatch.model import Addition, Model
 from bayes_impedance.mismatch.refit import Refit, Refitter
 from bayes_impedance.mismatch.residuals import PersonResiduals
 from bayes_impedance.mismatch.screen import Screening, person_residuals, screen
-from bayes_impedance.mismatch.surface import from_evidence
 
 MOST_ADDITIONS = 4
 _PEOPLE_PER_ADDITION = 8
@@ -80,7 +79,7 @@ class Found:
     steps : tuple of Step
         The last one found nothing more.
     posterior : CoefficientPosterior or None
-        Joint posterior of everything that was added.
+        Joint posterior of everything that was added, from the quadratic expansion.
     """
 
     base: Refit
@@ -165,8 +164,6 @@ def search(
     final = _backward(refitter, base, fit)
     if final is not fit and final.model.additions:
         final, posterior = measured(refitter, final, seed)
-    if final.model.additions and posterior is not None:
-        posterior = from_evidence(refitter, final, posterior, seed)
     progress("looking for what is missing", most + 1, most + 1)
     return Found(base, final, tuple(steps), posterior if final.model.additions else None)
 

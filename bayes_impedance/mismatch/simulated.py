@@ -80,10 +80,10 @@ class Claim:
         """The recordings without what the simulation leaves unexplained of itself."""
         if not self.rest:
             return recordings
-        own = dict(zip(self.simulation.names, self.rest, strict=True)) if self.is_of(recordings) else {}
+        own = dict(zip(self.simulation.names, self.rest, strict=True)) if self.is_of(recordings) else None
         subjects = []
         for s in recordings.subjects:
-            factor = own.get(s.name, self._mean_rest(s.frequency_hz))
+            factor = self._mean_rest(s.frequency_hz) if own is None else own[s.name]
             noise = None if s.noise_sd is None else s.noise_sd / np.abs(factor)
             subjects.append(replace(s, z=s.z / factor, noise_sd=noise))
         return replace(recordings, subjects=tuple(subjects))
