@@ -9,27 +9,32 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from bayes_impedance.metrics import on_grid
 from bayes_impedance.mismatch import catalogue  # noqa: F401  (fills the register of effects)
 from bayes_impedance.mismatch.claims import compare_populations
-from bayes_impedance.mismatch.diagnosis import Diagnosis, ParameterDifference
+from bayes_impedance.mismatch.confirm import price
+from bayes_impedance.mismatch.corrected import another_beginning
+from bayes_impedance.mismatch.diagnosis import Diagnosis, OnePort, ParameterDifference
 from bayes_impedance.mismatch.effects import Effect, registered
 from bayes_impedance.mismatch.entries import aliases, physics_entry
 from bayes_impedance.mismatch.held_out import held_out, people_gain
 from bayes_impedance.mismatch.hum_skirts import find_skirts
 from bayes_impedance.mismatch.inversion import missing_one_ports
-from bayes_impedance.mismatch.locate import locate
+from bayes_impedance.mismatch.locate import Location, locate
 from bayes_impedance.mismatch.mains import find_mains
 from bayes_impedance.mismatch.naming import names_that_hold
 from bayes_impedance.mismatch.network_fit import Fitted, fit_network, without_hum
 from bayes_impedance.mismatch.ranking import ranking
+from bayes_impedance.mismatch.refit import Refit
 from bayes_impedance.mismatch.screen import person_residuals
 from bayes_impedance.mismatch.search import Found, search
 from bayes_impedance.mismatch.simulated import Claim, claim_of
 from bayes_impedance.mismatch.snapshot import snapshot
 from bayes_impedance.mismatch.structure import covariates_of, structure_entries
 from bayes_impedance.mismatch.surface import from_evidence
-from bayes_impedance.mismatch.unknown import realise, structure_remains
+from bayes_impedance.mismatch.unknown import Realised, realise, structure_remains
 from bayes_impedance.mismatch.verdict import FEW_PEOPLE, Evidence, make_verdict
 from bayes_impedance.network import Network
 from bayes_impedance.recordings import Recordings
@@ -133,29 +138,14 @@ def _diagnose(
     if claimed is not None and (claimed.found.final.model.additions or claimed.rest):
         with clock.measure("fit"):
             base, begin = claimed.start(fitted, seed)
-    with clock.measure("search"):
-        found = search(fitted.refitter, base, recordings.names, job.effects, seed, executor, progress, begin)
-    with clock.measure("locate"):
-        progress("locating", 0, 2)
-        covariates = covariates_of(recordings)
-        first = locate(found.steps[0].residuals, seed, covariates=covariates)
-        progress("locating", 1, 2)
-        residuals = found.steps[0].residuals
-        last = first
-        if found.final.model.additions:
-            residuals = tuple(person_residuals(found.final, recordings.names))
-            last = locate(residuals, seed)
-        one_ports = missing_one_ports(found.base, found.steps[0].residuals)
-        progress("locating", 2, 2)
-    unknown = None
-    with clock.measure("unknown"):
-        remains = structure_remains(found, last.p_value)
-        if remains:
-            progress("unknown physics", 0, 1)
-            ports = missing_one_ports(found.final, residuals)
-            unknown = realise(fitted.refitter, found.final, residuals, ports, seed, executor)
-        found, unknown = names_that_hold(fitted.refitter, found, unknown, remains, residuals, one_ports, seed, executor)
-        progress("unknown physics", 1, 1)
+    look = _look(fitted, base, begin, job, clock)
+    if look.nameless:
+        with clock.measure("search"):
+            known = look.evidence - float(np.sum(base.evidence))
+            begin = another_beginning(fitted, look.found.steps[0], known, seed, executor, progress)
+        if begin is not None:
+            look = max(look, _look(fitted, base, begin, job, clock), key=lambda k: k.evidence)
+    found, unknown, first, one_ports = look.found, look.unknown, look.first, look.one_ports
     final = unknown.trial.fit if unknown is not None else found.final
     with clock.measure("confirm"):
         progress("confirming", 0, 3)
@@ -164,9 +154,9 @@ def _diagnose(
         entries = _entries(fitted, found, job)
         progress("confirming", 1, 3)
         structures, remarks = structure_entries(final, clean, job.diagonal, seed)
-        gain = None
+        held = None
         if final is not found.base:
-            gain = held_out(fitted.refitter, found.base, final, seed, blocks=not job.quick)
+            held = held_out(fitted.refitter, found.base, final, seed, blocks=not job.quick)
         progress("confirming", 2, 3)
         before = snapshot("before", clean, found.base, found.steps[0].residuals, seed)
         after = None
@@ -180,7 +170,7 @@ def _diagnose(
         remarks.append(
             "The simulation itself holds structure that the network does not describe; it was taken off the recordings."
         )
-    evidence = Evidence(found, first, entries, structures, unknown, hum, gain, before, after, changed, remarks, spoilt)
+    evidence = Evidence(found, first, entries, structures, unknown, hum, held, before, after, changed, remarks, spoilt)
     verdict = make_verdict(given, fitted, evidence, seed)
     differences: tuple[ParameterDifference, ...] = ()
     if claimed is not None:
@@ -202,6 +192,68 @@ def _diagnose(
     )
 
 
+@dataclass(frozen=True)
+class _Look:
+    """What one search has led to.
+
+    Attributes
+    ----------
+    found : Found
+        Names that hold.
+    unknown : Realised or None
+        What has no name.
+    first : Location
+        Where the network alone differs.
+    one_ports : tuple of OnePort
+        Missing at each place before anything was added.
+    """
+
+    found: Found
+    unknown: Realised | None
+    first: Location
+    one_ports: tuple[OnePort, ...]
+
+    @property
+    def nameless(self) -> bool:
+        """Whether all that was found has no name."""
+        return self.unknown is not None and self.found.final is self.found.base
+
+    @property
+    def evidence(self) -> float:
+        """Of everything found, less the price of its parameters; the network alone may have been fitted better, too."""
+        final = self.found.final if self.unknown is None else self.unknown.trial.fit
+        return float(np.sum(final.evidence)) - price(final.model, final)
+
+
+def _look(fitted: Fitted, base: Refit, begin: Refit | None, job: _Job, clock: _Clock) -> _Look:
+    """Search for names, locate what they leave, and take back those that do not hold."""
+    seed, executor, progress = job.seed, job.executor, job.progress
+    names = fitted.recordings.names
+    with clock.measure("search"):
+        found = search(fitted.refitter, base, names, job.effects, seed, executor, progress, begin)
+    with clock.measure("locate"):
+        progress("locating", 0, 2)
+        residuals = found.steps[0].residuals
+        first = locate(residuals, seed, covariates=covariates_of(fitted.recordings))
+        progress("locating", 1, 2)
+        last = first
+        if found.final.model.additions:
+            residuals = tuple(person_residuals(found.final, names))
+            last = locate(residuals, seed)
+        one_ports = missing_one_ports(found.base, found.steps[0].residuals)
+        progress("locating", 2, 2)
+    unknown = None
+    with clock.measure("unknown"):
+        remains = structure_remains(found, last.p_value)
+        if remains:
+            progress("unknown physics", 0, 1)
+            ports = missing_one_ports(found.final, residuals)
+            unknown = realise(fitted.refitter, found.final, residuals, ports, seed, executor)
+        found, unknown = names_that_hold(fitted.refitter, found, unknown, remains, residuals, one_ports, seed, executor)
+        progress("unknown physics", 1, 1)
+    return _Look(found, unknown, first, one_ports)
+
+
 def _entries(fitted: Fitted, found: Found, job: _Job) -> list[dict[str, Any]]:
     model, first = found.final.model, len(found.base.model.additions)
     entries = []
@@ -210,10 +262,10 @@ def _entries(fitted: Fitted, found: Found, job: _Job) -> list[dict[str, Any]]:
     few = len(fitted.recordings.subjects) < FEW_PEOPLE
     for i in range(first, len(model.additions)):
         step = found.step_of(model.additions[i])
-        gain = None
+        held = None
         if step is not None and step.chosen is not None and len(fitted.refitter.data) >= 10:
-            gain = people_gain(fitted.refitter, step.before, step.chosen.fit, job.seed)
-        entry = physics_entry(found, i, found.posterior, gain, few)
+            held = people_gain(fitted.refitter, step.before, step.chosen.fit, job.seed)
+        entry = physics_entry(found, i, found.posterior, held, few)
         if step is not None:
             entry["aliases"] = aliases(step, job.quick)
         entries.append(entry)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,16 +13,14 @@ from bayes_impedance.mismatch.catalogue import STRUCTURES
 from bayes_impedance.mismatch.coefficients import (
     CoefficientPosterior,
     Reported,
-    coefficient_posterior,
     reported,
     verdict_on_side,
 )
-from bayes_impedance.mismatch.confirm import LEAST_GAIN, Trial
-from bayes_impedance.mismatch.finalists import with_pooling
+from bayes_impedance.mismatch.confirm import Trial
+from bayes_impedance.mismatch.finalists import dispersion_of_shared, is_separated
 from bayes_impedance.mismatch.mains import Hum
 from bayes_impedance.mismatch.members import Members, members
 from bayes_impedance.mismatch.proposals import best_sentence, separation
-from bayes_impedance.mismatch.refit import Refit
 from bayes_impedance.mismatch.search import Found, Step
 from bayes_impedance.mismatch.unknown import Realised
 from bayes_impedance.mismatch.wording import number
@@ -120,13 +117,6 @@ def physics_entry(
     }
 
 
-def dispersion_of_shared(fit: Refit, addition: int, seed: int) -> np.ndarray:
-    """Draws of how much people differ in a coefficient that was fitted as the same for all, relative to it."""
-    model = with_pooling(fit.model, addition, "varying")
-    column = model.columns(addition)[0] - model.n_elements
-    return coefficient_posterior(replace(fit, model=model), seed).relative_dispersion[:, column]
-
-
 def _of_members(posterior: CoefficientPosterior, column: int, who: Members) -> CoefficientPosterior:
     """The posterior with one coefficient's distribution replaced by that among those who have it."""
     central, relative = posterior.central.copy(), posterior.relative_dispersion.copy()
@@ -144,11 +134,7 @@ def _score_of(step: Step, key: tuple[str, str, str]) -> float:
 
 
 def rivals(step: Step) -> list[tuple[Trial, float, bool]]:
-    """Other explanations in place of the one that a step has chosen, how far behind, and whether they are separated.
-
-    A rival counts as separated when the evidence is behind by more than three (20 to 1) and by more than twice the
-    scatter of that difference over people.
-    """
+    """Other explanations than what a step has chosen, how far behind they are, and whether they are separated."""
     assert step.chosen is not None  # steps without a choice have no rivals
     chosen = step.chosen
     best: dict[tuple[str, str, str], Trial] = {}
@@ -162,10 +148,7 @@ def rivals(step: Step) -> list[tuple[Trial, float, bool]]:
             best[key] = trial
     result = []
     for trial in best.values():
-        difference = chosen.fit.evidence - trial.fit.evidence
-        se = np.sqrt(difference.size) * difference.std(ddof=1) if difference.size > 1 else 0.0
-        behind = chosen.gain - trial.gain
-        result.append((trial, float(behind), bool(behind > LEAST_GAIN and behind > 2 * se)))
+        result.append((trial, float(chosen.gain - trial.gain), is_separated(chosen, trial)))
     return sorted(result, key=lambda row: row[1])[:_MOST_ALIASES]
 
 

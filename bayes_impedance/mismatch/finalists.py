@@ -9,6 +9,9 @@ between them: the one that happens to have the right dispersion would win. Here
 - everybody is given the chance to leave a local optimum, at the same effect's other places too, and
 - a coefficient that is absent in some people is not punished for not being normal
   (:mod:`bayes_impedance.mismatch.members`).
+
+Bodies differ, devices do not. Where the best explanation is of the body but the recordings say that everybody has the
+same of it, one of the rig that they cannot tell from it comes first.
 """
 
 from __future__ import annotations
@@ -18,7 +21,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayes_impedance.mismatch.coefficients import CoefficientPosterior, coefficient_posterior
+from bayes_impedance.mismatch.coefficients import CoefficientPosterior, coefficient_posterior, verdict_on_side
 from bayes_impedance.mismatch.confirm import LEAST_GAIN, Trial, extended_start, gain, is_physical, starts_of
 from bayes_impedance.mismatch.effects import registered
 from bayes_impedance.mismatch.members import members
@@ -102,6 +105,54 @@ def at_rest(refitter: Refitter, fit: Refit, ranked: Sequence[Trial], seed: int) 
     if result[0] is not leader:
         result[0] = _better(result[0], _of(result[0], refitter.settle(result[0].fit, seed, tries=3, rounds=2), fit))
     return result
+
+
+def same_for_all(
+    refitter: Refitter, fit: Refit, ranked: Sequence[Trial], trials: Sequence[Trial], seed: int
+) -> list[Trial]:
+    """The finalists with an explanation by the rig first, if nothing but the name speaks for the body.
+
+    Parameters
+    ----------
+    refitter : Refitter
+    fit : Refit
+        Without them.
+    ranked : sequence of Trial
+        The finalists, the best first.
+    trials : sequence of Trial
+        All that were tried.
+    seed : int
+    """
+    leader = ranked[0]
+    if leader.effect.side == "rig" or leader.pooling != "shared" or len(refitter.data) < _FEWEST:
+        return list(ranked)
+    last = len(leader.fit.model.additions) - 1
+    if verdict_on_side(dispersion_of_shared(leader.fit, last, seed)) != "rig":
+        return list(ranked)
+    possible = [t for t in (*ranked, *trials) if t.effect.side == "rig" and t.physical and np.isfinite(t.gain)]
+    if not possible:
+        return list(ranked)
+    rig = max(possible, key=lambda t: t.gain)
+    if rig.gain > leader.gain - _RIVAL and rig not in ranked:
+        rig = _better(rig, _of(rig, refitter.settle(rig.fit, seed, tries=2, rounds=1), fit))
+    if is_separated(leader, rig):
+        return list(ranked)
+    return [rig, *(t for t in ranked if t.fit.model.additions[-1].key != rig.fit.model.additions[-1].key)]
+
+
+def is_separated(leader: Trial, rival: Trial) -> bool:
+    """Whether the evidence of a rival is behind by more than three (20 to 1), and by twice its scatter over people."""
+    difference = leader.fit.evidence - rival.fit.evidence
+    se = np.sqrt(difference.size) * difference.std(ddof=1) if difference.size > 1 else 0.0
+    behind = leader.gain - rival.gain
+    return bool(behind > LEAST_GAIN and behind > 2 * se)
+
+
+def dispersion_of_shared(fit: Refit, addition: int, seed: int) -> np.ndarray:
+    """Draws of how much people differ in a coefficient that was fitted as the same for all, relative to it."""
+    model = with_pooling(fit.model, addition, "varying")
+    column = model.columns(addition)[0] - model.n_elements
+    return coefficient_posterior(replace(fit, model=model), seed).relative_dispersion[:, column]
 
 
 def in_order(trials: Sequence[Trial]) -> list[Trial]:
