@@ -23,6 +23,7 @@ from bayes_impedance.noise import (
     FLOOR_WITH_REPETITIONS,
     FLOOR_WITHOUT,
     NoiseModel,
+    Scatter,
     pool,
     scatter_of_repetitions,
     scatter_of_roughness,
@@ -126,7 +127,8 @@ def first_fits(
     )
     model = None
     if any(subject.noise_sd is None for subject in subjects):
-        model = _noise(kernel, [s for s in subjects if s.noise_sd is None], theta)
+        unknown = [i for i, subject in enumerate(subjects) if subject.noise_sd is None]
+        model = _noise(kernel, [subjects[i] for i in unknown], theta[unknown], executor)
     noise = tuple(_noise_of(subject, model) for subject in subjects)
     return FirstFits(theta, alternatives, _common_solutions(ends, regret), noise, model)
 
@@ -212,24 +214,29 @@ def best_distinct(ends: np.ndarray, objectives: np.ndarray, n: int) -> np.ndarra
     return np.array(kept + [kept[0]] * (n - len(kept)))
 
 
-def _noise(kernel: Kernel, subjects: Sequence[Subject], theta: np.ndarray) -> NoiseModel:
-    repeated = [(s, t) for s, t in zip(subjects, theta, strict=True) if len(s.repetitions) > 1]
-    if repeated:
-        tangents = [kernel.derivative(t, s.frequency_hz)[1] for s, t in repeated]
-        model: NoiseModel | None = None
-        known: list[np.ndarray | None] = [None] * len(repeated)
-        for _ in range(2):
-            pairs = zip(repeated, tangents, known, strict=True)
-            scatters = [scatter_of_repetitions(s.frequency_hz, s.z, d, sd) for (s, _), d, sd in pairs]
-            model = pool(scatters, FLOOR_WITH_REPETITIONS)
-            known = [model.at(s.frequency_hz, np.abs(s.mean)) for s, _ in repeated]
-        assert model is not None  # two rounds were made
-        return model
-    scatters = [
-        scatter_of_roughness(s.frequency_hz, s.mean, kernel.impedance(t, s.frequency_hz))
-        for s, t in zip(subjects, theta, strict=True)
-    ]
-    return pool(scatters, FLOOR_WITHOUT)
+def _noise(kernel: Kernel, subjects: Sequence[Subject], theta: np.ndarray, executor: Executor) -> NoiseModel:
+    repeated = [i for i, subject in enumerate(subjects) if len(subject.repetitions) > 1]
+    if not repeated:
+        scatters = list(map_persons(executor, partial(_roughness, kernel), subjects, theta))
+        return pool(scatters, FLOOR_WITHOUT)
+    model: NoiseModel | None = None
+    for _ in range(2):
+        scatter = partial(_disagreement, kernel, model)
+        scatters = list(map_persons(executor, scatter, [subjects[i] for i in repeated], theta[repeated]))
+        model = pool(scatters, FLOOR_WITH_REPETITIONS)
+    assert model is not None  # two rounds were made
+    return model
+
+
+def _roughness(kernel: Kernel, subject: Subject, theta: np.ndarray) -> Scatter:
+    frequency = subject.frequency_hz
+    return scatter_of_roughness(frequency, subject.mean, kernel.impedance(theta, frequency))
+
+
+def _disagreement(kernel: Kernel, known: NoiseModel | None, subject: Subject, theta: np.ndarray) -> Scatter:
+    frequency = subject.frequency_hz
+    sd = None if known is None else known.at(frequency, np.abs(subject.mean))
+    return scatter_of_repetitions(frequency, subject.z, kernel.derivative(theta, frequency)[1], sd)
 
 
 def _noise_of(subject: Subject, model: NoiseModel | None) -> np.ndarray:

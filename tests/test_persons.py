@@ -121,18 +121,16 @@ def test_sums_over_parts_are_those_over_all_persons() -> None:
         information = np.moveaxis(root @ np.swapaxes(root, 1, 2), 0, -1)
         contrasts.append(Contrasts(np.ascontiguousarray(information), rng.normal(size=(size, own))))
     plan = kept_draws._Plan(Kernel(parse("m1|r1")), np.zeros(2), np.eye(2), k)
-    parts = [
-        kept_draws._part(
-            plan,
-            draws[rows],
-            number,
-            means[rows],
-            repetitions[rows],
-            covariates[rows],
-            kept_draws._contrasts_of(contrasts, repetitions, rows),
-        )
-        for number, rows in enumerate(parts_of(n))
-    ]
+    parts = []
+    for rows in parts_of(n):
+        inside = np.zeros(n, dtype=bool)
+        inside[rows] = True
+        own = [
+            Contrasts(np.ascontiguousarray(c.information[..., some]), np.ascontiguousarray(c.gradient[:, some]))
+            for j, c in zip((2, 3), contrasts, strict=True)
+            for some in [inside[repetitions == j]]
+        ]
+        parts.append(kept_draws._part(plan, draws[rows], repetitions[rows], own, means[rows], covariates[rows]))
     assert len(parts) > 2
     sets = PopulationParameters(
         rng.normal(size=(5, 2)),
