@@ -92,7 +92,7 @@ class Cluster(Executor):
         return self.client.submit(function, *arguments, pure=False, retries=_RETRIES)
 
     def keep_each(self, function: Callable[..., Any], rows: Sequence[Sequence[Any]], *shared: Any) -> list[Any]:
-        """Tasks ``function(*row, *shared)`` for every row, sent together: that is half the work of one after another."""
+        """Tasks ``function(*row, *shared)`` for every row, sent together, which is half the work of one by one."""
         task = partial(_called, function=function, shared=shared)
         columns = zip(*rows, strict=True)
         return list(self.client.map(task, *columns, key=_name(function), pure=False, retries=_RETRIES))
