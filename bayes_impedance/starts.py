@@ -103,23 +103,22 @@ def first_fits(
     subjects = recordings.subjects
     n_elements = len(kernel.elements)
     precision = np.eye(n_elements) / prior.centre_sd**2
-    thinned = [_thinned(subject, n_elements) for subject in subjects]
     searched = np.unique(np.linspace(0, len(subjects) - 1, _SEARCHED_PERSONS).round().astype(int))
     n_starts = _RANDOM_STARTS // len(searched)
     spread = np.random.default_rng(seed).normal(0, _START_SPREAD, (n_starts, n_elements))
     random_starts = np.vstack([np.zeros(n_elements), spread]) + prior.centre
 
     search = partial(search_modes, kernel, starts=random_starts, prior=prior, n=_KEPT)
-    found = map_persons(executor, search, [thinned[i] for i in searched])
+    found = map_persons(executor, search, [_thinned(subjects[i], n_elements) for i in searched])
     candidates = np.vstack(list(_watched(found, "searching", len(searched), progress)))
     try_all = partial(_try_all, kernel, candidates, prior.centre, precision)
-    tried = list(_watched(map_persons(executor, try_all, thinned), "first fits", len(subjects), progress))
+    tried = list(_watched(map_persons(executor, try_all, subjects), "first fits", len(subjects), progress))
     ends, objectives = np.array([t[0] for t in tried]), np.array([t[1] for t in tried])
     regret = objectives - objectives.min(axis=1, keepdims=True)
     common = int(np.argmin(np.minimum(regret, 50).sum(axis=0)))  # capped: one odd person must not decide
     own = np.where(regret[:, common] < 8, common, np.argmin(regret, axis=1))
     start = ends[np.arange(len(subjects)), own]
-    alternatives = np.array([best_distinct(e, o, _KEPT) for e, o in zip(ends, objectives, strict=True)])
+    alternatives = np.array([t[2] for t in tried])
 
     provisional = partial(_provisional, kernel, prior.centre, precision)
     theta = np.array(
@@ -134,10 +133,11 @@ def first_fits(
 
 
 def _try_all(
-    kernel: Kernel, candidates: np.ndarray, centre: np.ndarray, precision: np.ndarray, likelihood: Likelihood
-) -> tuple[np.ndarray, np.ndarray]:
-    ends, objectives, _ = all_modes(kernel, likelihood, candidates, centre, precision, 40)
-    return ends, objectives
+    kernel: Kernel, candidates: np.ndarray, centre: np.ndarray, precision: np.ndarray, subject: Subject
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where a person's search from every candidate ends, the objectives there, and the best that differ."""
+    ends, objectives, _ = all_modes(kernel, _thinned(subject, centre.size), candidates, centre, precision, 40)
+    return ends, objectives, best_distinct(ends, objectives, _KEPT)
 
 
 def _provisional(
