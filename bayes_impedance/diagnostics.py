@@ -141,7 +141,7 @@ def diagnose(
         noise,
         tail,
         effective,
-        tuple(s.name for s, mode in zip(recordings.subjects, point.modes, strict=True) if not mode.converged),
+        tuple(s.name for s, well in zip(recordings.subjects, point.converged, strict=True) if not well),
         redrawn,
         point.rivals,
     )

@@ -8,9 +8,9 @@ and are summed in order, so the result does not depend on who has worked.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -18,13 +18,13 @@ import numpy as np
 
 from bayes_impedance.draws import Draws, Reference, draw
 from bayes_impedance.empirical_bayes import Estimate
+from bayes_impedance.expectation import PersonFit, contrasts_of
 from bayes_impedance.hierarchy import PopulationParameters
 from bayes_impedance.kernel import Kernel
 from bayes_impedance.likelihood import Likelihood, find_ridge
 from bayes_impedance.marginal import Contrasts, Marginal
-from bayes_impedance.persons import Cluster, Result, map_persons, parts_of
+from bayes_impedance.persons import Cluster, Kept, map_persons, parts_of
 from bayes_impedance.starts import Progress
-from bayes_impedance.subject import Mode
 
 _SETS_AT_ONCE = 50
 
@@ -40,14 +40,15 @@ class Part:
     log_ratio : ndarray, shape (n, K)
         ln L - ln q of each.
     marginal : Marginal
-    number : int
-        Of the part.
     """
 
     theta: np.ndarray
     log_ratio: np.ndarray
     marginal: Marginal
-    number: int
+
+    def __sizeof__(self) -> int:
+        """Bytes: a cluster that knows them does not copy a part to a worker who has nothing to do for a moment."""
+        return self.theta.nbytes + self.log_ratio.nbytes + self.marginal.nbytes
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ class KeptDraws:
     """
 
     def __init__(self, parts: Sequence[Any], executor: Executor) -> None:
-        self._parts, self._executor = list(parts), executor
+        self._kept = Kept(executor, parts)
 
     @classmethod
     def made(
@@ -108,104 +109,104 @@ class KeptDraws:
         n = len(means)
         plan = _Plan(kernel, point.between_repetitions, covariance, n_draws)
         seeds = seed.spawn(n)
-        repetitions = np.array([d.z.shape[0] for d in point.likelihoods])
-        shared = [
-            (k, means[rows], repetitions[rows], covariates[rows], _contrasts_of(point.contrasts, repetitions, rows))
-            for k, rows in enumerate(parts_of(n))
-        ]
-        kept: list[Any] = []
         if isinstance(executor, Cluster):
-            for rows, common in zip(parts_of(n), shared, strict=True):
-                own = point.likelihoods[rows], point.modes[rows], seeds[rows]
-                kept.append(executor.keep(_drawn_part, plan, *own, *common))
+            columns = zip(point.data.parts, point.fits.parts, parts_of(n), strict=True)
+            kept = [
+                executor.keep(_drawn_part, plan, data, fits, means[rows], covariates[rows], seeds[rows])
+                for data, fits, rows in columns
+            ]
             for part, rows in zip(kept, parts_of(n), strict=True):
-                executor.ask([part], _size)
+                executor.ask(_size, [(part,)])
                 progress("draws", rows.stop, n)
             return cls(kept, executor)
-        everybody = []
-        drawn = map_persons(executor, partial(_draws_of, plan), point.likelihoods, point.modes, means, seeds)
-        for i, draws in enumerate(drawn):
-            everybody.append(draws)
-            progress("draws", i + 1, n)
-        for rows, common in zip(parts_of(n), shared, strict=True):
-            kept.append(_part(plan, everybody[rows], *common))
-        return cls(kept, executor)
-
-    def _ask(self, function: Callable[..., Result], *arguments: Any) -> list[Result]:
-        if isinstance(self._executor, Cluster):
-            return self._executor.ask(self._parts, function, *arguments)
-        return [function(part, *arguments) for part in self._parts]
+        data, fits = point.data.gathered(), point.fits.gathered()
+        drawn = map_persons(executor, partial(_draws_of, plan), data, fits, means, seeds)
+        watched = _watched(drawn, n, progress)
+        parts = [_part(plan, watched, *_told(fits[rows]), means[rows], covariates[rows]) for rows in parts_of(n)]
+        return cls(parts, executor)
 
     def __call__(self, parameters: PopulationParameters) -> np.ndarray:
         """Log likelihood of W sets of population parameters, shape (W,)."""
-        return np.asarray(np.sum(self._ask(_log_likelihood, parameters), axis=0))
+        return np.asarray(np.sum(self._kept.ask(_log_likelihood, parameters), axis=0))
 
     def variance(self, parameters: PopulationParameters) -> np.ndarray:
         """Monte-Carlo variance of the log likelihood, summed over persons, shape (W,)."""
-        return np.asarray(np.sum(self._ask(_variance, parameters), axis=0))
+        return np.asarray(np.sum(self._kept.ask(_variance, parameters), axis=0))
 
     def effective(self, parameters: PopulationParameters) -> np.ndarray:
         """Everybody's smallest effective number of draws under W sets, shape (N,)."""
-        return np.concatenate(self._ask(_effective, parameters))
+        return np.concatenate(self._kept.ask(_effective, parameters))
 
     def pareto_k(self, parameters: PopulationParameters) -> np.ndarray:
         """Tail of everybody's weights under the first set, shape (N,)."""
-        return np.concatenate(self._ask(_pareto_k, parameters[:1]))
+        return np.concatenate(self._kept.ask(_pareto_k, parameters[:1]))
 
     def gathered(self) -> tuple[np.ndarray, np.ndarray]:
         """Everybody's draws, (N, K, P), and their ln L - ln q, (N, K): all of them travel."""
-        both = self._ask(_draws_and_ratios)
+        both = self._kept.ask(_draws_and_ratios)
         return np.concatenate([a for a, _ in both]), np.concatenate([b for _, b in both])
 
     def persons(self, parameters: PopulationParameters, seed: np.random.SeedSequence) -> tuple[np.ndarray, np.ndarray]:
         """One draw of everybody's log elements for each set, (W, N, P), and everybody's log likelihood, (W, N)."""
-        asked = self._ask(_resampled, parameters, seed.spawn(len(self._parts)))
-        return np.concatenate([a[0] for a in asked], axis=1), np.concatenate([a[1] for a in asked], axis=1)
+        n_sets, n_elements = parameters.mu.shape
+        rows = [(parameters, child) for child in seed.spawn(len(self._kept.parts))]
+        sizes = self._kept.ask(_size)
+        theta, log_likelihood = np.empty((n_sets, sum(sizes), n_elements)), np.empty((n_sets, sum(sizes)))
+        end = 0
+        for size, part in zip(sizes, self._kept.ask_in_turn(_resampled, rows), strict=True):
+            theta[:, end : end + size], log_likelihood[:, end : end + size] = part
+            end += size
+        return theta, log_likelihood
 
 
 def _drawn_part(
     plan: _Plan,
-    likelihoods: Sequence[Likelihood],
-    modes: Sequence[Mode],
-    seeds: Sequence[np.random.SeedSequence],
-    number: int,
+    data: Sequence[Likelihood],
+    fits: Sequence[PersonFit],
     means: np.ndarray,
-    *common: Any,
+    covariates: np.ndarray,
+    seeds: Sequence[np.random.SeedSequence],
 ) -> Part:
-    draws = [_draws_of(plan, *row) for row in zip(likelihoods, modes, means, seeds, strict=True)]
-    return _part(plan, draws, number, means, *common)
+    drawn = (_draws_of(plan, *row) for row in zip(data, fits, means, seeds, strict=True))
+    return _part(plan, drawn, *_told(fits), means, covariates)
+
+
+def _told(fits: Sequence[PersonFit]) -> tuple[np.ndarray, tuple[Contrasts, ...]]:
+    """Numbers of repetitions, and what these tell."""
+    return np.array([len(fit.deviations) for fit in fits]), tuple(contrasts_of(fits).values())
 
 
 def _part(
     plan: _Plan,
-    draws: Sequence[Draws],
-    number: int,
-    means: np.ndarray,
+    drawn: Iterable[Draws],
     repetitions: np.ndarray,
-    covariates: np.ndarray,
     contrasts: Sequence[Contrasts],
+    means: np.ndarray,
+    covariates: np.ndarray,
 ) -> Part:
-    marginal = Marginal(draws, means, plan.covariance, repetitions, covariates, contrasts)
-    return Part(np.array([d.theta for d in draws]), np.array([d.log_ratio for d in draws]), marginal, number)
+    """A part of as many persons as there are means; their draws are taken as they come, so that none is held twice."""
+    theta = np.empty((len(means), plan.n_draws, means.shape[1]))
+    log_ratio = np.empty(theta.shape[:2])
+    kept = []
+    for i, draws in zip(range(len(means)), drawn, strict=False):
+        theta[i], log_ratio[i] = draws.theta, draws.log_ratio
+        kept.append(replace(draws, theta=theta[i], log_ratio=log_ratio[i]))
+    return Part(theta, log_ratio, Marginal(kept, means, plan.covariance, repetitions, covariates, contrasts))
 
 
-def _draws_of(plan: _Plan, likelihood: Likelihood, mode: Mode, mean: np.ndarray, seed: np.random.SeedSequence) -> Draws:
+def _draws_of(
+    plan: _Plan, likelihood: Likelihood, fit: PersonFit, mean: np.ndarray, seed: np.random.SeedSequence
+) -> Draws:
+    likelihood = likelihood.moved(fit.deviations)
     # The ridge holds rho at the estimate; the contrasts carry the likelihood of other values.
-    ridge = find_ridge(plan.kernel, likelihood, mode.theta, mode.scale, plan.rho)
-    return draw(plan.kernel, likelihood, mode, ridge, Reference(mean, plan.covariance), plan.n_draws, seed)
+    ridge = find_ridge(plan.kernel, likelihood, fit.theta, fit.mode.scale, plan.rho)
+    return draw(plan.kernel, likelihood, fit.mode, ridge, Reference(mean, plan.covariance), plan.n_draws, seed)
 
 
-def _contrasts_of(contrasts: Sequence[Contrasts], repetitions: np.ndarray, rows: slice) -> tuple[Contrasts, ...]:
-    """The contrasts of some persons; there is one for each number of repetitions above one, in ascending order."""
-    chosen = np.zeros(repetitions.size, dtype=bool)
-    chosen[rows] = True
-    found = []
-    for j, group in zip(np.unique(repetitions[repetitions > 1]), contrasts, strict=True):
-        own = chosen[repetitions == j]
-        if own.any():
-            information, gradient = group.information[..., own], group.gradient[..., own]
-            found.append(Contrasts(np.ascontiguousarray(information), np.ascontiguousarray(gradient)))
-    return tuple(found)
+def _watched(drawn: Iterable[Draws], n: int, progress: Progress) -> Iterator[Draws]:
+    for i, draws in enumerate(drawn):
+        progress("draws", i + 1, n)
+        yield draws
 
 
 def _draws_and_ratios(part: Part) -> tuple[np.ndarray, np.ndarray]:
@@ -235,16 +236,18 @@ def _pareto_k(part: Part, parameters: PopulationParameters) -> np.ndarray:
 
 
 def _resampled(
-    part: Part, parameters: PopulationParameters, seeds: Sequence[np.random.SeedSequence]
+    part: Part, parameters: PopulationParameters, seed: np.random.SeedSequence
 ) -> tuple[np.ndarray, np.ndarray]:
-    rng = np.random.default_rng(seeds[part.number])
+    rng = np.random.default_rng(seed)
     n_sets, n = parameters.mu.shape[0], len(part.theta)
     theta = np.empty((n_sets, n, parameters.mu.shape[1]))
     for start in range(0, n_sets, _SETS_AT_ONCE):
-        log_weight = part.marginal.log_weights(parameters[slice(start, start + _SETS_AT_ONCE)])
-        weight = np.exp(log_weight - log_weight.max(axis=2, keepdims=True))
-        cumulative = np.cumsum(weight, axis=2)
-        level = rng.random((*cumulative.shape[:2], 1)) * cumulative[:, :, -1:]
-        chosen = np.minimum((cumulative < level).sum(axis=2), weight.shape[2] - 1)
-        theta[start : start + _SETS_AT_ONCE] = part.theta[np.arange(n), chosen]
+        some = parameters[slice(start, start + _SETS_AT_ONCE)]
+        level = rng.random((some.mu.shape[0], n, 1))
+        for persons, log_weight, _ in part.marginal.exponents(some):
+            weight = np.exp(log_weight - log_weight.max(axis=2, keepdims=True))
+            cumulative = np.cumsum(weight, axis=2)
+            own = level[:, persons] * cumulative[:, :, -1:]
+            chosen = np.minimum((cumulative < own).sum(axis=2), weight.shape[2] - 1)
+            theta[start : start + _SETS_AT_ONCE, persons] = part.theta[persons, chosen]
     return theta, part.marginal.terms(parameters)[0]

@@ -138,12 +138,18 @@ class Marginal:
         self._rows, self._columns = np.tril_indices(n_elements)
         # Twice the entry, except on the diagonal: coefficients of the monomials u_p u_q, p >= q.
         self._multiplicity = np.where(self._rows == self._columns, 1.0, 2.0)
-        monomials = [self._monomials(d, m) for d, m in zip(draws, reference_means, strict=True)]
         self._blocks: list[tuple[int, np.ndarray, np.ndarray]] = []  # repetitions, persons, features (m, B K)
         for j in np.unique(repetitions):
             group = np.flatnonzero(repetitions == j)
             for persons in np.split(group, range(_BLOCK, group.size, _BLOCK)):
-                self._blocks.append((int(j), persons, np.concatenate([monomials[i] for i in persons], axis=1)))
+                monomials = [self._monomials(draws[i], reference_means[i]) for i in persons]
+                self._blocks.append((int(j), persons, np.concatenate(monomials, axis=1)))
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that it takes, nearly all of it for the draws."""
+        arrays = [features for _, _, features in self._blocks] + [c.information for c in self.contrasts]
+        return sum(array.nbytes for array in arrays)
 
     def _monomials(self, draws: Draws, mean: np.ndarray) -> np.ndarray:
         u = np.linalg.solve(self._factor, (draws.theta - mean).T)
@@ -170,7 +176,7 @@ class Marginal:
         n_sets, n_persons = parameters.mu.shape[0], self.reference_means.shape[0]
         result = np.empty((n_sets, n_persons))
         counts = np.empty((n_sets, n_persons)) if effective else np.empty((0, 0))
-        for persons, values, constants in self._exponents(parameters):
+        for persons, values, constants in self.exponents(parameters):
             peak = values.max(axis=2, keepdims=True)
             np.exp(np.subtract(values, peak, out=values), out=values)
             sums = values.sum(axis=2)
@@ -195,11 +201,11 @@ class Marginal:
         """Unnormalised log weights of every draw: shape (W, N, K); memory W N K x 4 bytes."""
         n_sets, n_persons = parameters.mu.shape[0], self.reference_means.shape[0]
         result = np.empty((n_sets, n_persons, self.n_draws), dtype=np.float32)
-        for persons, values, _ in self._exponents(parameters):
+        for persons, values, _ in self.exponents(parameters):
             result[:, persons] = values
         return result
 
-    def _exponents(self, parameters: PopulationParameters) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    def exponents(self, parameters: PopulationParameters) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Block by block: the persons (B,), their log weights (W, B, K), and the constants (W, B)."""
         populations = {j: self._population(parameters, int(j)) for j in np.unique(self.repetitions)}
         shared: dict[int, tuple[np.ndarray, np.ndarray]] = {}

@@ -5,15 +5,19 @@ Threads of this process, processes of this machine (``ProcessPoolExecutor``) and
 the results come back in the persons' order. So the result does not depend on who has worked, and a cluster that loses a
 worker repeats what was lost.
 
-What is large may stay with a cluster's workers (:class:`Cluster`): everybody's draws are asked for sums there, and only
-the sums travel. A cluster makes again what a lost worker had kept, from what it had been made of.
+What is known of everybody may stay where it was worked out (:class:`Kept`): with a cluster's workers, or in this
+process. It lies in parts of some dozens to hundreds of persons, which are asked for sums, and only the sums travel.
+Parts depend on the number of persons alone and are summed in order, so sums do not depend on who has worked either. A
+cluster makes again what a lost worker had kept, from what it had been made of, back to the recordings.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -87,10 +91,91 @@ class Cluster(Executor):
         """A task whose result stays with the worker that has done it."""
         return self.client.submit(function, *arguments, pure=False, retries=_RETRIES)
 
-    def ask(self, kept: Sequence[Any], function: Callable[..., Result], *arguments: Any) -> list[Result]:
-        """Results of ``function(what is kept, *arguments)``, worked out where it is kept."""
-        asked = [self.client.submit(function, k, *arguments, pure=False, retries=_RETRIES) for k in kept]
-        return list(self.client.gather(asked))
+    def keep_each(self, function: Callable[..., Any], rows: Sequence[Sequence[Any]], *shared: Any) -> list[Any]:
+        """Tasks ``function(*row, *shared)`` for every row, sent together, which is half the work of one by one."""
+        task = partial(_called, function=function, shared=shared)
+        columns = zip(*rows, strict=True)
+        return list(self.client.map(task, *columns, key=_name(function), pure=False, retries=_RETRIES))
+
+    def ask(self, function: Callable[..., Result], rows: Sequence[Sequence[Any]], *shared: Any) -> list[Result]:
+        """Results of ``function(*row, *shared)`` for every row of what is kept, worked out where it is kept."""
+        return list(self.client.gather(self.keep_each(function, rows, *shared)))
+
+    def ask_in_turn(self, function: Callable[..., Result], rows: Sequence[Sequence[Any]]) -> Iterator[Result]:
+        """The same one by one, for results that are too large to be here twice."""
+        asked = deque(self.keep_each(function, rows))
+        while asked:
+            yield asked.popleft().result()
+
+
+class Kept:
+    """What is known of each of N persons, in parts, where it was worked out.
+
+    Parameters
+    ----------
+    executor : Executor
+        A :class:`Cluster` keeps the parts with its workers; with any other executor they are in this process.
+    parts : sequence
+        Of a cluster, what it knows the parts by. A part is a list with one entry for each person, or anything else
+        that is only asked.
+    """
+
+    def __init__(self, executor: Executor, parts: Sequence[Any]) -> None:
+        self.executor, self.parts = executor, list(parts)
+
+    @classmethod
+    def of(cls, executor: Executor, persons: Sequence[Any]) -> Kept:
+        """Hand out what there is of each person."""
+        parts: list[Any] = [list(persons[rows]) for rows in parts_of(len(persons))]
+        if isinstance(executor, Cluster):
+            parts = [executor.keep(_itself, part) for part in parts]
+        return cls(executor, parts)
+
+    def each(self, function: Callable[..., Any], *columns: Kept | np.ndarray) -> Kept:
+        """Results of ``function(own, *row)`` for every person, kept like what they were made of.
+
+        Parameters
+        ----------
+        function : callable
+            As in :func:`map_persons`.
+        *columns : Kept or ndarray, shape (N, ...)
+            What else there is of every person, kept or here.
+        """
+        if isinstance(self.executor, Cluster):
+            return Kept(self.executor, self.executor.keep_each(partial(_some, function), self._rows(columns)))
+        here = [c.gathered() if isinstance(c, Kept) else c for c in (self, *columns)]
+        results = list(map_persons(self.executor, function, *here))
+        return Kept(self.executor, [results[rows] for rows in parts_of(len(results))])
+
+    def ask(
+        self, function: Callable[..., Result], *shared: Any, columns: Sequence[Kept | np.ndarray] = ()
+    ) -> list[Result]:
+        """Results of ``function(part, *parts of the columns, *shared)`` for every part, worked out where it is."""
+        rows = self._rows(columns)
+        if isinstance(self.executor, Cluster):
+            return self.executor.ask(function, rows, *shared)
+        return [function(*row, *shared) for row in rows]
+
+    def ask_in_turn(self, function: Callable[..., Result], rows: Sequence[Sequence[Any]]) -> Iterator[Result]:
+        """Results of ``function(part, *row)`` for every part, one by one: some are too large to be here twice."""
+        rows = [(part, *row) for part, row in zip(self.parts, rows, strict=True)]
+        if isinstance(self.executor, Cluster):
+            return self.executor.ask_in_turn(function, rows)
+        return (function(*row) for row in rows)
+
+    def gathered(self, function: Callable[[Any], Any] | None = None) -> list[Any]:
+        """Everybody's entry here, or the result of a function of it: it travels."""
+        parts = self.ask(_itself) if function is None else self.ask(partial(_some, function))
+        return [entry for part in parts for entry in part]
+
+    def forget(self) -> None:
+        """Let go of it, to free memory; a cluster remembers how it was made if something depends on it."""
+        self.parts = []
+
+    def _rows(self, columns: Sequence[Kept | np.ndarray]) -> list[tuple[Any, ...]]:
+        """Part by part, this and the same persons' parts of the columns."""
+        split = [c.parts if isinstance(c, Kept) else [c[rows] for rows in parts_of(len(c))] for c in (self, *columns)]
+        return list(zip(*split, strict=True))
 
 
 def parts_of(n: int) -> list[slice]:
@@ -114,13 +199,28 @@ def map_persons(
     """
     n = len(columns[0])
     size = -(-n // _MOST_TASKS)
-    tasks = [
-        executor.submit(_some, function, [column[start : start + size] for column in columns])
+    tasks = deque(
+        executor.submit(_some, function, *(column[start : start + size] for column in columns))
         for start in range(0, n, size)
-    ]
-    for task in tasks:
-        yield from task.result()
+    )
+    while tasks:  # what has been passed on is not held
+        yield from tasks.popleft().result()
 
 
-def _some(function: Callable[..., Result], columns: Sequence[Sequence[Any] | np.ndarray]) -> list[Result]:
+def _some(function: Callable[..., Result], *columns: Sequence[Any] | np.ndarray) -> list[Result]:
     return [function(*row) for row in zip(*columns, strict=True)]
+
+
+def _called(*row: Any, function: Callable[..., Result], shared: Sequence[Any]) -> Result:
+    return function(*row, *shared)
+
+
+def _name(function: Callable[..., Any]) -> str:
+    """What a cluster calls tasks of this kind, whose durations it remembers."""
+    while isinstance(function, partial):
+        function = function.args[0] if function.func is _some else function.func
+    return getattr(function, "__name__", type(function).__name__)
+
+
+def _itself(part: Result) -> Result:
+    return part

@@ -194,10 +194,9 @@ def fit_population(
     with threadpool_limits(1), own as executor:
         with clock.measure("modes"):
             first = first_fits(kernel, recordings, prior, seeds[0], executor, progress)
-            likelihoods = initial_likelihoods(recordings, first, len(kernel.elements))
             point = estimate(
                 kernel,
-                likelihoods,
+                initial_likelihoods(recordings, first, len(kernel.elements)),
                 first,
                 prior,
                 covariates,
@@ -216,6 +215,7 @@ def fit_population(
         posterior = Posterior(repetitions, kernel, prior, full, settings.draws, point, covariates)
         with clock.measure("draws"):
             posterior.draw(seeds[3], executor, progress)
+        point.forget()
         with clock.measure("population"):
             chains = sample(
                 posterior.log_probability,
@@ -234,7 +234,6 @@ def fit_population(
             diagnostics = diagnose(recordings, point, chains, posterior.marginal, parameters, posterior.redrawn)
     shape = (settings.sampler.ensembles, -1, len(recordings.subjects))
     identified = point.determined & (parameters.mu.std(axis=0) < IDENTIFIED_SD)
-    scale = np.array([mode.scale for mode in point.modes])
     return PopulationFit(
         recordings,
         kernel,
@@ -246,9 +245,9 @@ def fit_population(
         chains.log_probability[:, kept],
         person_draws.reshape(*shape, len(kernel.elements)),
         person_likelihood.reshape(*shape),
-        tuple(d.deviations for d in point.likelihoods),
-        tuple(n * s for n, s in zip(first.noise, scale, strict=True)),
-        scale,
+        point.deviations,
+        tuple(n * s for n, s in zip(first.noise, point.scale, strict=True)),
+        point.scale,
         identified,
         diagnostics,
         clock.seconds,

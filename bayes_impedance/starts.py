@@ -23,6 +23,7 @@ from bayes_impedance.noise import (
     FLOOR_WITH_REPETITIONS,
     FLOOR_WITHOUT,
     NoiseModel,
+    Scatter,
     pool,
     scatter_of_repetitions,
     scatter_of_roughness,
@@ -102,23 +103,22 @@ def first_fits(
     subjects = recordings.subjects
     n_elements = len(kernel.elements)
     precision = np.eye(n_elements) / prior.centre_sd**2
-    thinned = [_thinned(subject, n_elements) for subject in subjects]
     searched = np.unique(np.linspace(0, len(subjects) - 1, _SEARCHED_PERSONS).round().astype(int))
     n_starts = _RANDOM_STARTS // len(searched)
     spread = np.random.default_rng(seed).normal(0, _START_SPREAD, (n_starts, n_elements))
     random_starts = np.vstack([np.zeros(n_elements), spread]) + prior.centre
 
     search = partial(search_modes, kernel, starts=random_starts, prior=prior, n=_KEPT)
-    found = map_persons(executor, search, [thinned[i] for i in searched])
+    found = map_persons(executor, search, [_thinned(subjects[i], n_elements) for i in searched])
     candidates = np.vstack(list(_watched(found, "searching", len(searched), progress)))
     try_all = partial(_try_all, kernel, candidates, prior.centre, precision)
-    tried = list(_watched(map_persons(executor, try_all, thinned), "first fits", len(subjects), progress))
+    tried = list(_watched(map_persons(executor, try_all, subjects), "first fits", len(subjects), progress))
     ends, objectives = np.array([t[0] for t in tried]), np.array([t[1] for t in tried])
     regret = objectives - objectives.min(axis=1, keepdims=True)
     common = int(np.argmin(np.minimum(regret, 50).sum(axis=0)))  # capped: one odd person must not decide
     own = np.where(regret[:, common] < 8, common, np.argmin(regret, axis=1))
     start = ends[np.arange(len(subjects)), own]
-    alternatives = np.array([best_distinct(e, o, _KEPT) for e, o in zip(ends, objectives, strict=True)])
+    alternatives = np.array([t[2] for t in tried])
 
     provisional = partial(_provisional, kernel, prior.centre, precision)
     theta = np.array(
@@ -126,16 +126,18 @@ def first_fits(
     )
     model = None
     if any(subject.noise_sd is None for subject in subjects):
-        model = _noise(kernel, [s for s in subjects if s.noise_sd is None], theta)
+        unknown = [i for i, subject in enumerate(subjects) if subject.noise_sd is None]
+        model = _noise(kernel, [subjects[i] for i in unknown], theta[unknown], executor)
     noise = tuple(_noise_of(subject, model) for subject in subjects)
     return FirstFits(theta, alternatives, _common_solutions(ends, regret), noise, model)
 
 
 def _try_all(
-    kernel: Kernel, candidates: np.ndarray, centre: np.ndarray, precision: np.ndarray, likelihood: Likelihood
-) -> tuple[np.ndarray, np.ndarray]:
-    ends, objectives, _ = all_modes(kernel, likelihood, candidates, centre, precision, 40)
-    return ends, objectives
+    kernel: Kernel, candidates: np.ndarray, centre: np.ndarray, precision: np.ndarray, subject: Subject
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where a person's search from every candidate ends, the objectives there, and the best that differ."""
+    ends, objectives, _ = all_modes(kernel, _thinned(subject, centre.size), candidates, centre, precision, 40)
+    return ends, objectives, best_distinct(ends, objectives, _KEPT)
 
 
 def _provisional(
@@ -212,24 +214,29 @@ def best_distinct(ends: np.ndarray, objectives: np.ndarray, n: int) -> np.ndarra
     return np.array(kept + [kept[0]] * (n - len(kept)))
 
 
-def _noise(kernel: Kernel, subjects: Sequence[Subject], theta: np.ndarray) -> NoiseModel:
-    repeated = [(s, t) for s, t in zip(subjects, theta, strict=True) if len(s.repetitions) > 1]
-    if repeated:
-        tangents = [kernel.derivative(t, s.frequency_hz)[1] for s, t in repeated]
-        model: NoiseModel | None = None
-        known: list[np.ndarray | None] = [None] * len(repeated)
-        for _ in range(2):
-            pairs = zip(repeated, tangents, known, strict=True)
-            scatters = [scatter_of_repetitions(s.frequency_hz, s.z, d, sd) for (s, _), d, sd in pairs]
-            model = pool(scatters, FLOOR_WITH_REPETITIONS)
-            known = [model.at(s.frequency_hz, np.abs(s.mean)) for s, _ in repeated]
-        assert model is not None  # two rounds were made
-        return model
-    scatters = [
-        scatter_of_roughness(s.frequency_hz, s.mean, kernel.impedance(t, s.frequency_hz))
-        for s, t in zip(subjects, theta, strict=True)
-    ]
-    return pool(scatters, FLOOR_WITHOUT)
+def _noise(kernel: Kernel, subjects: Sequence[Subject], theta: np.ndarray, executor: Executor) -> NoiseModel:
+    repeated = [i for i, subject in enumerate(subjects) if len(subject.repetitions) > 1]
+    if not repeated:
+        scatters = list(map_persons(executor, partial(_roughness, kernel), subjects, theta))
+        return pool(scatters, FLOOR_WITHOUT)
+    model: NoiseModel | None = None
+    for _ in range(2):
+        scatter = partial(_disagreement, kernel, model)
+        scatters = list(map_persons(executor, scatter, [subjects[i] for i in repeated], theta[repeated]))
+        model = pool(scatters, FLOOR_WITH_REPETITIONS)
+    assert model is not None  # two rounds were made
+    return model
+
+
+def _roughness(kernel: Kernel, subject: Subject, theta: np.ndarray) -> Scatter:
+    frequency = subject.frequency_hz
+    return scatter_of_roughness(frequency, subject.mean, kernel.impedance(theta, frequency))
+
+
+def _disagreement(kernel: Kernel, known: NoiseModel | None, subject: Subject, theta: np.ndarray) -> Scatter:
+    frequency = subject.frequency_hz
+    sd = None if known is None else known.at(frequency, np.abs(subject.mean))
+    return scatter_of_repetitions(frequency, subject.z, kernel.derivative(theta, frequency)[1], sd)
 
 
 def _noise_of(subject: Subject, model: NoiseModel | None) -> np.ndarray:

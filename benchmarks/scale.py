@@ -1,7 +1,7 @@
 """A population on a local Dask cluster: how time and memory grow with the number of people, and what workers bring.
 
-Virtual fingertips with 101 frequencies and three repetitions. Everybody's modes, draws and the population's likelihood
-are the workers'; this process keeps the recordings, the sampler's walkers and the result. With ``--kill`` a worker is
+Virtual fingertips with 101 frequencies and three repetitions. Everybody's fits and draws stay with the workers, who are
+asked for sums; this process keeps the recordings, the sampler's walkers and the result. With ``--kill`` a worker is
 killed while the chains grow, and the result is compared with that of an undisturbed run.
 
 Run from the repository's root: ``python benchmarks/scale.py --people 100 1000 10000``; results go to ``scale.json``.

@@ -35,6 +35,7 @@ ORDER = (
     "marginal",
     "persons",
     "starts",
+    "expectation",
     "empirical_bayes",
     "arviz_adapter",
     "kept_draws",

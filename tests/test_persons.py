@@ -3,6 +3,7 @@
 import os
 import signal
 import warnings
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bayes_impedance import kept_draws
+from bayes_impedance import kept_draws, persons
 from bayes_impedance.cli import main
 from bayes_impedance.draws import Draws
 from bayes_impedance.hierarchy import PopulationParameters
@@ -19,7 +20,7 @@ from bayes_impedance.kept_draws import KeptDraws
 from bayes_impedance.kernel import Kernel
 from bayes_impedance.marginal import Contrasts, Marginal
 from bayes_impedance.network import parse
-from bayes_impedance.persons import Cluster, map_persons, parts_of
+from bayes_impedance.persons import Cluster, Kept, map_persons, parts_of
 from bayes_impedance.population import FitSettings, PopulationFit, _kept_sets, fit_population
 from bayes_impedance.posterior import noise_within
 from bayes_impedance.recordings import Recordings
@@ -39,6 +40,15 @@ def people() -> Recordings:
     return simulate_recordings(POPULATION, 9, 2, np.geomspace(5, 5000, 41), 4).recordings
 
 
+@pytest.fixture(scope="module", autouse=True)
+def small_parts() -> Iterator[None]:
+    """Nine people make three parts, so that sums over parts are what is compared."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(persons, "_SMALLEST_PART", 4)
+        assert len(parts_of(9)) == 3
+        yield
+
+
 @pytest.fixture(scope="module")
 def alone() -> PopulationFit:
     return fit_population(people(), settings=SETTINGS, seed=2)
@@ -50,8 +60,32 @@ def _require_same(one: PopulationFit, other: PopulationFit) -> None:
     np.testing.assert_array_equal(one.parameters.mu, other.parameters.mu)
 
 
+def test_parts_make_no_difference_beyond_rounding(alone: PopulationFit, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(persons, "_SMALLEST_PART", 128)
+    whole = fit_population(people(), settings=SETTINGS, seed=2)
+    np.testing.assert_allclose(whole.noise_scale, alone.noise_scale, rtol=1e-9)
+    np.testing.assert_allclose(np.array(whole.deviations), np.array(alone.deviations), rtol=1e-6, atol=1e-9)
+
+
 def add(a: int, b: int) -> int:
     return a + b
+
+
+def total(part: list[int], beside: list[int], factor: int) -> int:
+    return factor * (sum(part) + sum(beside))
+
+
+def test_what_is_kept_is_worked_on_and_asked_part_by_part() -> None:
+    with ThreadPoolExecutor(2) as executor:
+        kept = Kept.of(executor, list(range(9)))
+        more = kept.each(add, np.arange(9))
+        assert more.gathered() == [2 * i for i in range(9)]
+        assert more.gathered(str) == [str(2 * i) for i in range(9)]
+        asked = kept.ask(total, 10, columns=[more])
+        assert asked == [10 * 3 * sum(range(9)[rows]) for rows in parts_of(9)]
+        assert list(kept.ask_in_turn(total, [([k], 1) for k in range(3)])) == [6, 23, 10]
+        kept.forget()
+        assert not kept.parts
 
 
 @pytest.mark.parametrize("n", [1, 63, 64, 65, 200])
@@ -121,18 +155,16 @@ def test_sums_over_parts_are_those_over_all_persons() -> None:
         information = np.moveaxis(root @ np.swapaxes(root, 1, 2), 0, -1)
         contrasts.append(Contrasts(np.ascontiguousarray(information), rng.normal(size=(size, own))))
     plan = kept_draws._Plan(Kernel(parse("m1|r1")), np.zeros(2), np.eye(2), k)
-    parts = [
-        kept_draws._part(
-            plan,
-            draws[rows],
-            number,
-            means[rows],
-            repetitions[rows],
-            covariates[rows],
-            kept_draws._contrasts_of(contrasts, repetitions, rows),
-        )
-        for number, rows in enumerate(parts_of(n))
-    ]
+    parts = []
+    for rows in parts_of(n):
+        inside = np.zeros(n, dtype=bool)
+        inside[rows] = True
+        own = [
+            Contrasts(np.ascontiguousarray(c.information[..., some]), np.ascontiguousarray(c.gradient[:, some]))
+            for j, c in zip((2, 3), contrasts, strict=True)
+            for some in [inside[repetitions == j]]
+        ]
+        parts.append(kept_draws._part(plan, draws[rows], repetitions[rows], own, means[rows], covariates[rows]))
     assert len(parts) > 2
     sets = PopulationParameters(
         rng.normal(size=(5, 2)),
@@ -171,7 +203,6 @@ def test_a_scheduler_that_does_not_answer_is_one_sentence(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("distributed", reason="distributed is not installed (extra: dask)")
-    from bayes_impedance import persons
     from bayes_impedance.recordings import write_recordings
 
     monkeypatch.setattr(persons, "_PATIENCE", "1s")

@@ -1,5 +1,6 @@
 """The fit as a whole: it finds the truth, says what it cannot know, and gives the same numbers twice."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,10 +9,12 @@ import pytest
 from conftest import SHORT, SMALL
 
 from bayes_impedance.errors import InputError
-from bayes_impedance.population import FitSettings, PopulationFit, fit_population
+from bayes_impedance.kernel import Kernel
+from bayes_impedance.population import FitSettings, PopulationFit, fit_population, network_of
 from bayes_impedance.recordings import Recordings, Subject
 from bayes_impedance.sampling import SamplerSettings
 from bayes_impedance.simulate import Simulation, simulate_recordings
+from bayes_impedance.starts import default_prior, first_fits
 
 
 def test_truth_lies_inside_wide_intervals(small_fit: PopulationFit, small_simulation: Simulation) -> None:
@@ -49,6 +52,20 @@ def test_correlations_are_found(small_fit: PopulationFit) -> None:
 def test_deviations_of_repetitions_sum_to_zero(small_fit: PopulationFit) -> None:
     for deviations in small_fit.deviations:
         assert np.allclose(deviations.sum(axis=0), 0, atol=1e-9)
+
+
+def test_noise_is_estimated_for_those_whose_recordings_come_without(small_simulation: Simulation) -> None:
+    subjects = small_simulation.recordings.subjects[:4]
+    given = 0.02 * np.abs(subjects[1].z)
+    subjects = (subjects[0], replace(subjects[1], noise_sd=given), *subjects[2:])
+    recordings = replace(small_simulation.recordings, subjects=subjects)
+    kernel = Kernel(network_of(recordings, None))
+    prior = default_prior(kernel.elements, recordings)
+    with ThreadPoolExecutor(1) as executor:
+        first = first_fits(kernel, recordings, prior, np.random.SeedSequence(1), executor, lambda *_: None)
+    assert np.array_equal(first.noise[1], given)
+    assert first.model is not None
+    assert np.all(first.noise[0] < given.max())
 
 
 def test_same_seed_same_numbers_whatever_the_threads(small_simulation: Simulation) -> None:
