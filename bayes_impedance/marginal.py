@@ -139,9 +139,8 @@ def _exponentials(row: np.ndarray, peak: np.float32) -> tuple[np.float32, np.flo
     call to the library it is done for several numbers at a time, without writing anything.
     """
     total, squares = np.float32(0), np.float32(0)
-    shift = peak * _LOG2_E
     for k in range(row.size):
-        y = row[k] * _LOG2_E - shift
+        y = (row[k] - peak) * _LOG2_E  # the difference first: however large both are, nothing is above zero
         y = _LOWEST if y < _LOWEST else y
         whole = np.floor(y + _HALF)
         r = y - whole

@@ -268,17 +268,15 @@ def test_likelihood_with_contrasts_is_the_sum():
 
 
 @pytest.mark.parametrize("k", [1, 7, 64, 512])
-@pytest.mark.parametrize("centre", [-300.0, 0.0, 50.0])
+@pytest.mark.parametrize("centre", [-3e9, -300.0, 0.0, 50.0])
 def test_sums_of_exponentials_equal_those_in_double_precision(k, centre):
     values = (centre - 40 * np.random.default_rng(k).random((5, 3, k)) ** 3).astype(np.float32)
     values[0, 0, 0] = -np.inf if k > 1 else centre
     peaks, totals, squares = _sums(values)
     assert np.array_equal(peaks, values.max(axis=2))
     terms = np.exp(values.astype(float) - peaks[..., None])
-    # Numbers of the order of the centre are rounded before they get here and once more when they are scaled.
-    tolerance = 1e-6 + 2e-7 * abs(centre)
-    np.testing.assert_allclose(totals, terms.sum(axis=2), rtol=tolerance)
-    np.testing.assert_allclose(squares, (terms**2).sum(axis=2), rtol=2 * tolerance)
+    np.testing.assert_allclose(totals, terms.sum(axis=2), rtol=1e-6)
+    np.testing.assert_allclose(squares, (terms**2).sum(axis=2), rtol=2e-6)
 
 
 def test_a_draw_that_is_not_a_number_makes_its_person_none_and_no_other():
