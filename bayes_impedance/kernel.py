@@ -147,19 +147,26 @@ compiled: Any = njit(cache=True, nogil=True, error_model="numpy")
 
 @compiled
 def workspace(program: Program, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Scratch for :func:`forward`: sums (N + 1, 2, F), whose last row holds 1/omega and 0, and outputs (N, 2, F)."""
+    """Scratch for :func:`forward`: sums and outputs of the nodes, both (N + 1, 2, F).
+
+    The last row of the sums holds 1/omega and 0, that of the outputs zeros: what a node without children adds.
+    """
     n_nodes = program.node_parent.size
-    sums, outputs = np.empty((n_nodes + 1, 2, omega.size)), np.empty((n_nodes, 2, omega.size))
+    sums, outputs = np.empty((n_nodes + 1, 2, omega.size)), np.empty((n_nodes + 1, 2, omega.size))
     for f in range(omega.size):
         sums[n_nodes, 0, f], sums[n_nodes, 1, f] = 1.0 / omega[f], 0.0
+        outputs[n_nodes, 0, f], outputs[n_nodes, 1, f] = 0.0, 0.0
     return sums, outputs
 
 
 @compiled
 def forward(program: Program, theta: np.ndarray, omega: np.ndarray, sums: np.ndarray, outputs: np.ndarray) -> None:
-    """One parameter set: fill the nodes' sums and outputs, arrays of :func:`workspace`; the last output is z."""
+    """One parameter set: fill the nodes' sums and outputs, arrays of :func:`workspace`; the last node's output is z.
+
+    Elements of the arrays are named by all their indices: a row that is taken out first counts its references, which
+    in short loops costs as much as the arithmetic.
+    """
     n_nodes, n_frequencies = program.node_parent.size, omega.size
-    reciprocal, nothing = sums[n_nodes, 0], sums[n_nodes, 1]
     for node in range(n_nodes):
         inertial, resistive, elastic = 0.0, 0.0, 0.0
         for t in range(program.term_node.size):
@@ -171,54 +178,46 @@ def forward(program: Program, theta: np.ndarray, omega: np.ndarray, sums: np.nda
                     resistive += c
                 else:
                     elastic += c
-        real, imag = sums[node, 0], sums[node, 1]
-        out_real, out_imag = outputs[node, 0], outputs[node, 1]
-        first, second, children = 0, 0, 0
+        first, second, children = n_nodes, n_nodes, 0
         for child in range(node):
             if program.node_parent[child] == node:
                 first, second, children = child, first, children + 1
         inverted = program.node_invert[node] == 1 and program.node_code[node] == 0
         if inverted and children <= 2:  # what most nodes are, in one pass over the frequencies
-            one_real, one_imag = nothing, nothing
-            two_real, two_imag = nothing, nothing
-            if children > 0:
-                one_real, one_imag = outputs[first, 0], outputs[first, 1]
-            if children > 1:
-                two_real, two_imag = outputs[second, 0], outputs[second, 1]
             for f in range(n_frequencies):
-                x = resistive + one_real[f] + two_real[f]
-                y = inertial * omega[f] - elastic * reciprocal[f] + one_imag[f] + two_imag[f]
+                x = resistive + outputs[first, 0, f] + outputs[second, 0, f]
+                y = inertial * omega[f] - elastic * sums[n_nodes, 0, f] + outputs[first, 1, f] + outputs[second, 1, f]
                 scale = 1.0 / (x * x + y * y)
-                out_real[f] = x * scale
-                out_imag[f] = -y * scale
+                outputs[node, 0, f] = x * scale
+                outputs[node, 1, f] = -y * scale
             continue
         for f in range(n_frequencies):
-            real[f] = resistive
-            imag[f] = inertial * omega[f] - elastic * reciprocal[f]
+            sums[node, 0, f] = resistive
+            sums[node, 1, f] = inertial * omega[f] - elastic * sums[n_nodes, 0, f]
         for child in range(node):
             if program.node_parent[child] == node:
-                child_real, child_imag = outputs[child, 0], outputs[child, 1]
                 for f in range(n_frequencies):
-                    real[f] += child_real[f]
-                    imag[f] += child_imag[f]
+                    sums[node, 0, f] += outputs[child, 0, f]
+                    sums[node, 1, f] += outputs[child, 1, f]
         if program.node_code[node] > 0:
             u, c = _parameters(program, node, theta), program.node_constant[node]
             for f in range(n_frequencies):
-                z = complex(real[f], imag[f])
+                z = complex(sums[node, 0, f], sums[node, 1, f])
                 out = transform(program.node_code[node], u[0], u[1], u[2], c[0], c[1], c[2], omega[f], z)[0]
                 if program.node_invert[node] == 1:
                     out = 1.0 / out
-                out_real[f] = out.real
-                out_imag[f] = out.imag
+                outputs[node, 0, f] = out.real
+                outputs[node, 1, f] = out.imag
         elif inverted:
             for f in range(n_frequencies):
-                scale = 1.0 / (real[f] * real[f] + imag[f] * imag[f])
-                out_real[f] = real[f] * scale
-                out_imag[f] = -imag[f] * scale
+                x, y = sums[node, 0, f], sums[node, 1, f]
+                scale = 1.0 / (x * x + y * y)
+                outputs[node, 0, f] = x * scale
+                outputs[node, 1, f] = -y * scale
         else:
             for f in range(n_frequencies):
-                out_real[f] = real[f]
-                out_imag[f] = imag[f]
+                outputs[node, 0, f] = sums[node, 0, f]
+                outputs[node, 1, f] = sums[node, 1, f]
 
 
 @compiled
@@ -234,6 +233,16 @@ def _parameters(program: Program, node: int, theta: np.ndarray) -> tuple[float, 
 
 
 @compiled
+def _through_reciprocal(adjoints: np.ndarray, outputs: np.ndarray, node: int, parent: int, n: int) -> None:
+    for f in range(n):
+        w_real, w_imag = outputs[node, 0, f], outputs[node, 1, f]
+        square_real, square_imag = w_imag * w_imag - w_real * w_real, -2.0 * w_real * w_imag
+        a, b = adjoints[parent, 0, f], adjoints[parent, 1, f]
+        adjoints[node, 0, f] = a * square_real - b * square_imag
+        adjoints[node, 1, f] = a * square_imag + b * square_real
+
+
+@compiled
 def backward(
     program: Program,
     theta: np.ndarray,
@@ -243,32 +252,27 @@ def backward(
     adjoints: np.ndarray,
     derivative: np.ndarray,
 ) -> None:
-    """After :func:`forward`: fill dz/dtheta, shape (P, 2, F); `adjoints` is scratch of shape (N, 2, F)."""
+    """After :func:`forward`: fill the derivative by theta, shape (P, 2, F).
+
+    `adjoints` is scratch of shape (N + 1, 2, F). Its last row is the derivative of a result by z, real and imaginary
+    part: one and zero if the result is z itself.
+    """
     n_nodes, n_frequencies = program.node_parent.size, omega.size
     for node in range(n_nodes - 1, -1, -1):
         parent = program.node_parent[node]
-        real, imag = adjoints[node, 0], adjoints[node, 1]
-        w_real, w_imag = outputs[node, 0], outputs[node, 1]
         if parent < 0:
-            for f in range(n_frequencies):
-                real[f] = 1.0
-                imag[f] = 0.0
-        else:
-            parent_real, parent_imag = adjoints[parent, 0], adjoints[parent, 1]
-            for f in range(n_frequencies):
-                real[f] = parent_real[f]
-                imag[f] = parent_imag[f]
+            parent = n_nodes
         if program.node_invert[node] == 1:
+            _through_reciprocal(adjoints, outputs, node, parent, n_frequencies)
+        else:
             for f in range(n_frequencies):
-                square_real = w_imag[f] * w_imag[f] - w_real[f] * w_real[f]
-                square_imag = -2.0 * w_real[f] * w_imag[f]
-                a, b = real[f], imag[f]
-                real[f] = a * square_real - b * square_imag
-                imag[f] = a * square_imag + b * square_real
+                adjoints[node, 0, f] = adjoints[parent, 0, f]
+                adjoints[node, 1, f] = adjoints[parent, 1, f]
         if program.node_code[node] > 0:
             u, c = _parameters(program, node, theta), program.node_constant[node]
             for f in range(n_frequencies):
-                z, bar = complex(sums[node, 0, f], sums[node, 1, f]), complex(real[f], imag[f])
+                z = complex(sums[node, 0, f], sums[node, 1, f])
+                bar = complex(adjoints[node, 0, f], adjoints[node, 1, f])
                 t = transform(program.node_code[node], u[0], u[1], u[2], c[0], c[1], c[2], omega[f], z)
                 for k in range(3):
                     p = program.node_parameter[node, k]
@@ -277,28 +281,24 @@ def backward(
                         derivative[p, 0, f] = slope.real
                         derivative[p, 1, f] = slope.imag
                 bar = bar * t[1]
-                real[f] = bar.real
-                imag[f] = bar.imag
-    reciprocal = sums[n_nodes, 0]
+                adjoints[node, 0, f] = bar.real
+                adjoints[node, 1, f] = bar.imag
     for t in range(program.term_node.size):
-        element = program.term_element[t]
-        exponent = program.term_exponent[t]
+        node, element = program.term_node[t], program.term_element[t]
+        exponent, power = program.term_exponent[t], program.term_power[t]
         c = exponent * np.exp(exponent * theta[element])
-        real, imag = adjoints[program.term_node[t], 0], adjoints[program.term_node[t], 1]
-        d_real, d_imag = derivative[element, 0], derivative[element, 1]
-        power = program.term_power[t]
         if power == 0:
             for f in range(n_frequencies):
-                d_real[f] = c * real[f]
-                d_imag[f] = c * imag[f]
+                derivative[element, 0, f] = c * adjoints[node, 0, f]
+                derivative[element, 1, f] = c * adjoints[node, 1, f]
         elif power == 1:
             for f in range(n_frequencies):
-                d_real[f] = -c * omega[f] * imag[f]
-                d_imag[f] = c * omega[f] * real[f]
+                derivative[element, 0, f] = -c * omega[f] * adjoints[node, 1, f]
+                derivative[element, 1, f] = c * omega[f] * adjoints[node, 0, f]
         else:
             for f in range(n_frequencies):
-                d_real[f] = c * reciprocal[f] * imag[f]
-                d_imag[f] = -c * reciprocal[f] * real[f]
+                derivative[element, 0, f] = c * sums[n_nodes, 0, f] * adjoints[node, 1, f]
+                derivative[element, 1, f] = -c * sums[n_nodes, 0, f] * adjoints[node, 0, f]
 
 
 @compiled
@@ -318,7 +318,8 @@ def _derivative(program: Program, theta: np.ndarray, omega: np.ndarray) -> tuple
     n_nodes = program.node_parent.size
     n_sets, n_elements = theta.shape
     sums, outputs = workspace(program, omega)
-    adjoints = np.empty((n_nodes, 2, omega.size))
+    adjoints = np.empty((n_nodes + 1, 2, omega.size))
+    adjoints[n_nodes, 0], adjoints[n_nodes, 1] = 1.0, 0.0
     one = np.empty((n_elements, 2, omega.size))
     z = np.empty((n_sets, omega.size), dtype=np.complex128)
     dz = np.empty((n_sets, n_elements, omega.size), dtype=np.complex128)

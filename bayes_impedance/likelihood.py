@@ -40,6 +40,9 @@ from bayes_impedance.kernel import Kernel, Program, backward, compiled, forward,
 SCALE_SHAPE = 2.0
 """alpha = beta of the inverse gamma prior of the squared noise scale: centred near one, a factor of two either way."""
 
+_FREQUENCIES = 104
+"""Most frequencies in a block of the normal equations."""
+
 _summing: Any = njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
 """Decorator of long sums: the compiler may reorder them, and so use vector instructions."""
 
@@ -100,32 +103,34 @@ def chi_square(
     sums: np.ndarray,
     outputs: np.ndarray,
 ) -> float:
-    """Chi-square of all repetitions; `sums` and `outputs` are scratch of shape (N, 2, F)."""
-    last = program.node_parent.size - 1
+    """Chi-square of all repetitions; `sums` and `outputs` are a workspace."""
     total = 0.0
     for j in range(z.shape[0]):
         forward(program, theta + deviations[j], omega, sums, outputs)
-        total += _weighted_square(outputs[last, 0], outputs[last, 1], z[j, 0], z[j, 1], weight[j])
+        total += _weighted_square(outputs, program.node_parent.size - 1, z, weight, j)
     return total
 
 
 @_summing
-def _weighted_square(
-    a_real: np.ndarray, a_imag: np.ndarray, b_real: np.ndarray, b_imag: np.ndarray, weight: np.ndarray
-) -> float:
+def _weighted_square(outputs: np.ndarray, node: int, z: np.ndarray, weight: np.ndarray, j: int) -> float:
+    """Weighted square of the difference between a node's output and recording j."""
     total = 0.0
-    for f in range(weight.size):
-        real, imag = a_real[f] - b_real[f], a_imag[f] - b_imag[f]
-        total += weight[f] * (real * real + imag * imag)
+    for f in range(weight.shape[1]):
+        real, imag = outputs[node, 0, f] - z[j, 0, f], outputs[node, 1, f] - z[j, 1, f]
+        total += weight[j, f] * (real * real + imag * imag)
     return total
 
 
 @_summing
-def _weighted_dot(a: np.ndarray, b: np.ndarray, weight: np.ndarray) -> float:
-    total = 0.0
-    for f in range(weight.size):
-        total += weight[f] * (a[0, f] * b[0, f] + a[1, f] * b[1, f])
-    return total
+def _three_dots(rows: np.ndarray, p: int, q: int, r: int, s: int) -> tuple[float, float, float]:
+    """Products of row p with rows q, r and s: three at a time, since reading costs more than multiplying."""
+    with_q, with_r, with_s = 0.0, 0.0, 0.0
+    for f in range(rows.shape[1]):
+        value = rows[p, f]
+        with_q += value * rows[q, f]
+        with_r += value * rows[r, f]
+        with_s += value * rows[s, f]
+    return with_q, with_r, with_s
 
 
 @compiled
@@ -146,23 +151,40 @@ def normal_equations(
     information : ndarray, shape (P, P)
     """
     n_nodes, n_elements = program.node_parent.size, theta.size
-    sums, outputs = workspace(program, omega)
-    adjoints = np.empty((n_nodes, 2, omega.size))
-    derivative = np.empty((n_elements, 2, omega.size))
-    forward(program, theta, omega, sums, outputs)
-    backward(program, theta, omega, sums, outputs, adjoints, derivative)
-    residual = outputs[n_nodes - 1]
-    for f in range(omega.size):
-        residual[0, f] -= z[0, f]
-        residual[1, f] -= z[1, f]
-    gradient = np.empty(n_elements)
-    information = np.empty((n_elements, n_elements))
+    # Blocks of frequencies whose numbers stay in the first-level cache. All are equally long: the last one is filled up
+    # with a frequency of no weight.
+    n_blocks = max(1, -(-omega.size // _FREQUENCIES))
+    size = max(1, -(-omega.size // n_blocks))
+    sums, outputs = workspace(program, omega[:size])
+    own, adjoints = np.empty(size), np.zeros((n_nodes + 1, 2, size))
+    rows = np.empty((n_elements + 1, 2, size))  # the derivatives and the residual, times the root of the weight
+    flat = rows.reshape(n_elements + 1, 2 * size)
+    products = np.zeros((n_elements + 1, n_elements + 1))
+    for start in range(0, omega.size, size):
+        present = min(size, omega.size - start)
+        for f in range(present):
+            own[f] = omega[start + f]
+            adjoints[n_nodes, 0, f] = np.sqrt(weight[start + f])
+        for f in range(present, size):
+            own[f], adjoints[n_nodes, 0, f] = own[f - 1], 0.0
+        for f in range(size):
+            sums[n_nodes, 0, f] = 1.0 / own[f]
+        forward(program, theta, own, sums, outputs)
+        backward(program, theta, own, sums, outputs, adjoints, rows)
+        for part in range(2):
+            for f in range(present):
+                residual = outputs[n_nodes - 1, part, f] - z[part, start + f]
+                rows[n_elements, part, f] = residual * adjoints[n_nodes, 0, f]
+            rows[n_elements, part, present:] = 0.0
+        for p in range(n_elements + 1):
+            for q in range(0, p + 1, 3):
+                dots = _three_dots(flat, p, q, min(q + 1, n_elements), min(q + 2, n_elements))
+                for k in range(min(3, p + 1 - q)):
+                    products[p, q + k] += dots[k]
     for p in range(n_elements):
-        gradient[p] = _weighted_dot(derivative[p], residual, weight)
-        for q in range(p + 1):
-            information[p, q] = _weighted_dot(derivative[p], derivative[q], weight)
-            information[q, p] = information[p, q]
-    return _weighted_dot(residual, residual, weight), gradient, information
+        for q in range(p):
+            products[q, p] = products[p, q]
+    return products[-1, -1], products[-1, :-1].copy(), products[:-1, :-1].copy()
 
 
 @compiled

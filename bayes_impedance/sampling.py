@@ -65,8 +65,8 @@ class SamplerSettings:
     chunk: int = 80
     longest: int = 3000
     rhat: float = 1.01
-    effective: float = 2000.0
-    memories: float = 8.0
+    effective: float = 1500.0
+    memories: float = 6.0
     workers: int = 2
 
     def satisfied_by(self, chains: Chains) -> bool:

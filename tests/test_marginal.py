@@ -9,7 +9,7 @@ from scipy.stats import multivariate_normal, norm
 
 from bayes_impedance.draws import Draws
 from bayes_impedance.hierarchy import PopulationParameters
-from bayes_impedance.marginal import Contrasts, Marginal
+from bayes_impedance.marginal import Contrasts, Marginal, _sums
 
 P = 3
 N = 11  # more than one block of persons
@@ -265,3 +265,21 @@ def test_likelihood_with_contrasts_is_the_sum():
     np.testing.assert_allclose(with_contrasts(p), expected, rtol=1e-12)
     still = parameters(4, rho=False)
     np.testing.assert_allclose(with_contrasts(still), without(still), rtol=1e-12)
+
+
+@pytest.mark.parametrize("k", [1, 7, 64, 512])
+@pytest.mark.parametrize("centre", [-3e9, -300.0, 0.0, 50.0])
+def test_sums_of_exponentials_equal_those_in_double_precision(k, centre):
+    values = (centre - 40 * np.random.default_rng(k).random((5, 3, k)) ** 3).astype(np.float32)
+    values[0, 0, 0] = -np.inf if k > 1 else centre
+    peaks, totals, squares = _sums(values)
+    assert np.array_equal(peaks, values.max(axis=2))
+    terms = np.exp(values.astype(float) - peaks[..., None])
+    np.testing.assert_allclose(totals, terms.sum(axis=2), rtol=1e-6)
+    np.testing.assert_allclose(squares, (terms**2).sum(axis=2), rtol=2e-6)
+
+
+def test_a_draw_that_is_not_a_number_makes_its_person_none_and_no_other():
+    values = np.zeros((1, 3, 16), dtype=np.float32)
+    values[0, 0, 5], values[0, 1] = np.nan, -np.inf
+    assert np.array_equal(np.isnan(_sums(values)[1]), [[True, True, False]])

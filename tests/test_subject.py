@@ -10,7 +10,7 @@ from scipy.special import gammaln
 from strategies import network_impedance
 
 from bayes_impedance.kernel import Kernel
-from bayes_impedance.likelihood import SCALE_SHAPE, Likelihood, log_likelihood, repetition_equations
+from bayes_impedance.likelihood import SCALE_SHAPE, Likelihood, log_likelihood, normal_equations, repetition_equations
 from bayes_impedance.network import PAPER_NETWORK, parse
 from bayes_impedance.subject import DECREMENT_LIMIT, _gradient, _hessian, all_modes, find_mode, mode_at
 
@@ -267,3 +267,20 @@ def test_first_start_is_preferred_among_equals():
         mode = find_mode(kernel, likelihood, starts, mean, 1e-4 * np.eye(4))
         assert mode.converged
         assert np.abs(mode.theta - first).max() < 0.5
+
+
+@pytest.mark.parametrize("n", [1, 2, 103, 104, 105, 401])
+def test_normal_equations_are_sums_over_frequencies_however_they_are_divided(n):
+    kernel = Kernel(parse("skin:(n3|r3)-tissue:(m2|r1|n1|limb:(m1-(n2|r2)))"))
+    rng = np.random.default_rng(n)
+    theta, frequency = rng.normal(0, 1, len(kernel.elements)), np.geomspace(3, 900, n)
+    model, derivative = kernel.derivative(theta, frequency)
+    z = model * np.exp(rng.normal(0, 0.1, n) + 1j * rng.normal(0, 0.1, n))
+    weight = rng.uniform(0.5, 2, n) / np.abs(z) ** 2
+    parts = np.array([z.real, z.imag])
+    chi, gradient, information = normal_equations(kernel.program, theta, 2 * np.pi * frequency, parts, weight)
+    np.testing.assert_allclose(chi, np.sum(weight * np.abs(model - z) ** 2), rtol=1e-11)
+    expected = np.real(derivative.conj() @ (weight * (model - z)))
+    np.testing.assert_allclose(gradient, expected, rtol=1e-9, atol=1e-11 * np.abs(expected).max())
+    expected = np.real((derivative.conj() * weight) @ derivative.T)
+    np.testing.assert_allclose(information, expected, rtol=1e-9, atol=1e-11 * np.abs(expected).max())

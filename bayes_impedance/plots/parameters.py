@@ -212,7 +212,7 @@ def traces(figure: Figure, result: Result) -> Figure:
             f"{name}\n({scale.unit})" if scale.unit else name, rotation=0, ha="right", va="center"
         )
     figure.supxlabel("draw (each colour is one independent ensemble)", fontsize=10)
-    figure.align_ylabels()
+    figure.align_ylabels(panels[:, 0])  # the others have none, and each would be asked for at every drawing
     return figure
 
 
