@@ -132,6 +132,7 @@ def summary(rows: Sequence[Row]) -> dict[str, tuple[int, int]]:
         "right name, alias set, or the same in the band": count(seen, lambda r: r["named_or_same"]),
         "right name first": count(seen, lambda r: r["first"]),
         "right side, of those detected": count(claimed, lambda r: bool(r["side"])),
+        "... or what is claimed is the same in the band": count(claimed, lambda r: bool(r["side"]) or r["same"]),
         "... or the verdict says that it does not know": count(claimed, lambda r: bool(r["side"]) or r["side_open"]),
         "right place, of those detected": count(claimed, lambda r: r["place"]),
         "band meets that of the change": count(claimed, lambda r: r["band"]),

@@ -12,7 +12,10 @@ logarithms, shapes as they are, all of them free to differ between people. A qua
 .. math:: t_0, \quad t_0 \pm 1.3\, s_k, \quad t_0 + s_k + s_l
 
 (s: columns of a root of the covariance) gives the next centre and covariance, until neither moves. Dispersions between
-people are weighed on a grid, one after the other. What the rig adds follows by regression.
+people are weighed on a grid, one after the other, in turn with the centre until both rest: people who may differ more
+look like others in the mean. In the end the centre is drawn with them: where a dispersion changes by one step of the
+grid, the gradient tells by how much the centre follows, which is taken to be proportional to the square of the
+dispersion; and a dispersion is weighed with the centre that belongs to it. What the rig adds follows by regression.
 
 Only for the body: its additions vary between people as the elements do, by assumption. The rig's are the same for all,
 and a likelihood in which the elements are free does not depend on what distribution people have.
@@ -44,6 +47,8 @@ _SMALLEST_SD, _LARGEST_SD = 1e-4, 0.5
 _NEAR = 0.25  # of a standard deviation: the centre rests
 _STRETCH = 9.0  # largest change of a variance in one step
 _LONGEST = 2.0
+_TURNS, _REST = 6, 0.5  # between centre and dispersions, and of a standard deviation
+_FARTHEST = 3.0
 _SETTLED_STRETCH = 2.0
 
 
@@ -77,17 +82,30 @@ def from_evidence(refitter: Refitter, fit: Refit, posterior: CoefficientPosterio
     old = np.where(surface.linear, np.log(np.maximum(posterior.central, 1e-9)), posterior.central)[:, surface.columns]
     centre, root = surface.base_values(), _root(np.atleast_2d(np.cov(old.T)))
     surface, weights, _ = surface.with_dispersions(centre)
-    for _ in range(2):
+    best = centre
+    for _ in range(_TURNS):
         peak = surface.maximum(centre, root)
         if peak is None:
             return posterior
-        centre, root = peak
-        surface, weights, moved = surface.with_dispersions(centre)
-        if not moved:
+        step, (best, root) = peak[0] - best, peak
+        surface, weights, moved = surface.with_dispersions(best)
+        length = float(np.linalg.norm(np.linalg.solve(root, step)))
+        if not moved and length < _REST:
             break
+        # Where the dispersions follow the centre, both creep along a ridge in ever smaller steps of one direction.
+        centre = best + step * min(1.0, _LONGEST / max(length, 1e-12))
+    slopes = surface.follows(best, root)
     rng = np.random.default_rng(seed)
     n_draws, size = posterior.central.shape
-    drawn = centre + rng.normal(size=(n_draws, centre.size)) @ root.T
+    drawn = best + rng.normal(size=(n_draws, best.size)) @ root.T
+    spreads = []
+    for k, column in enumerate(surface.columns):
+        apart = _DISPERSIONS**2 - surface.fit.model.parameters[column].dispersion ** 2
+        shift = np.clip(np.outer(apart, slopes[k]), -_FARTHEST, _FARTHEST)  # in standard deviations
+        weight = weights[k] * np.exp(0.5 * np.sum(shift**2, axis=1))
+        chosen = rng.choice(_DISPERSIONS.size, n_draws, p=weight / weight.sum())
+        drawn += shift[chosen] @ root.T
+        spreads.append(_DISPERSIONS[chosen])
     central, relative = posterior.central.copy(), posterior.relative_dispersion.copy()
     others = [k for k in range(size) if k not in surface.columns]
     if others:
@@ -96,7 +114,7 @@ def from_evidence(refitter: Refitter, fit: Refit, posterior: CoefficientPosterio
         central[:, others] += (drawn - old) @ slope
     shared = surface.shared_coefficients(fit.model)
     for k, column in enumerate(surface.columns):
-        spread = rng.choice(_DISPERSIONS, n_draws, p=weights[k])
+        spread = spreads[k]
         if surface.linear[column]:
             # A coefficient that is said to be the same for all is what it is for somebody in the middle.
             median = np.exp(drawn[:, k] - 0.5 * np.log1p(spread**2))
@@ -213,9 +231,26 @@ class _Surface:
             weight = np.exp(np.array(heights) - max(heights)) * np.gradient(_DISPERSIONS)
             weights[k] = weight / weight.sum()
             best = int(np.argmax(weights[k]))
-            moved |= abs(np.log(_DISPERSIONS[best] / fit.model.parameters[column].dispersion)) > np.log(1.5)
+            moved |= abs(np.log(_DISPERSIONS[best] / fit.model.parameters[column].dispersion)) > np.log(1.2)
             fit = fits[best]
         return replace(self, fit=fit), weights, moved
+
+    def follows(self, centre: np.ndarray, root: np.ndarray) -> np.ndarray:
+        """By how much the centre moves with the square of each dispersion, in standard deviations: (A, A)."""
+        slopes = np.zeros((centre.size, centre.size))
+        for k, column in enumerate(self.columns):
+            now = self.fit.model.parameters[column].dispersion
+            place = int(np.argmin(np.abs(_DISPERSIONS - now)))
+            ends = _DISPERSIONS[[max(place - 1, 0), min(place + 1, _DISPERSIONS.size - 1)]]
+            gradients = []
+            for dispersion in ends:
+                model = _with_dispersion(self.fit.model, column, float(dispersion))
+                fit = self.refitter.fit(model, self.fit.u, self.fit.population, _ROUNDS, hold_additions=True)
+                there = replace(self, fit=fit)
+                heights = [[there.value(centre + sign * root[:, j]) for sign in (-1, 1)] for j in range(centre.size)]
+                gradients.append(0.5 * (np.array(heights)[:, 1] - np.array(heights)[:, 0]))
+            slopes[k] = (gradients[1] - gradients[0]) / (ends[1] ** 2 - ends[0] ** 2)
+        return slopes
 
     def shared_coefficients(self, model: Model) -> set[int]:
         """Columns of coefficients that a model has as the same for everybody."""
