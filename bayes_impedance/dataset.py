@@ -69,6 +69,11 @@ class Subject:
         mean: ComplexArray = self.z.mean(axis=0)
         return mean
 
+    def at(self, points: np.ndarray) -> Subject:
+        """The same at some of the frequencies, by their numbers or a mask."""
+        noise = None if self.noise_sd is None else self.noise_sd[:, points]
+        return replace(self, frequency_hz=self.frequency_hz[points], z=self.z[:, points], noise_sd=noise)
+
 
 @dataclass(frozen=True, eq=False)
 class Recordings:

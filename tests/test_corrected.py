@@ -41,10 +41,17 @@ def test_an_effect_of_the_rig_is_taken_off_whatever_the_elements(effect) -> None
     with_it = model.kernel.impedance(u, FREQUENCY).reshape(6, 2, -1)
     alone = Kernel(fit.model.network).impedance(u[:, :2], FREQUENCY).reshape(6, 2, -1)
     assert np.abs(with_it / alone - 1).max() > 0.02
-    subjects = tuple(Subject(str(i), FREQUENCY, z, ("1", "2"), None, {}) for i, z in enumerate(with_it))
+    sd = 1e-6 * np.abs(with_it)
+    subjects = tuple(Subject(str(i), FREQUENCY, z, ("1", "2"), sd[i], {}) for i, z in enumerate(with_it))
     freed = without(Recordings("t", "N s/m", "n1|r1", "s", "l", subjects, "", ()), fit, candidate, size)
     for subject, z in zip(freed.subjects, alone, strict=True):
         np.testing.assert_allclose(subject.z, z, rtol=1e-9)
+    # A little noise comes through as it would by the derivative.
+    noisy = tuple(replace(s, z=s.z + s.noise_sd) for s in subjects)
+    moved = without(Recordings("t", "N s/m", "n1|r1", "s", "l", noisy, "", ()), fit, candidate, size)
+    for one, other in zip(freed.subjects, moved.subjects, strict=True):
+        assert one.noise_sd is not None
+        np.testing.assert_allclose(np.abs(other.z - one.z), one.noise_sd, rtol=1e-3)
 
 
 def quiet(*_: object) -> None:

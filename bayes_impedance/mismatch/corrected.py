@@ -24,7 +24,7 @@ from bayes_impedance.mismatch.network_fit import Fitted, fit_network
 from bayes_impedance.mismatch.refit import Refit
 from bayes_impedance.mismatch.screen import Candidate
 from bayes_impedance.mismatch.search import Step
-from bayes_impedance.recordings import Recordings, Subject
+from bayes_impedance.recordings import Recordings
 from bayes_impedance.starts import Progress, thinned_points
 
 _PEOPLE, _FEWEST = 12, 5
@@ -60,22 +60,29 @@ def another_beginning(
         return None
     some = np.unique(np.linspace(0, n - 1, min(n, _PEOPLE)).round().astype(int))
 
-    def evidence(freed: Recordings) -> float:
-        few = replace(freed, subjects=tuple(_thinned(freed.subjects[i]) for i in some))
-        return float(fit_network(few, base.model.network, seed, executor, progress).fit.evidence.sum())
+    def fitted_to(freed: Recordings) -> Refit:
+        return fit_network(freed, base.model.network, seed, executor, lambda *_: None).fit
 
+    def evidence(freed: Recordings) -> float:
+        few = (freed.subjects[i] for i in some)
+        thinned = tuple(s.at(thinned_points(s.frequency_hz.size)) for s in few)
+        return float(fitted_to(replace(freed, subjects=thinned)).evidence.sum())
+
+    sizes = _sizes(step)
     best, most = None, evidence(recordings) + LEAST_GAIN
-    for candidate, size in _sizes(step):
+    for k, (candidate, size) in enumerate(sizes):
+        progress("another beginning", k, len(sizes) + 1)
         value = evidence(without(recordings, base, candidate, size))
         if value > most:
             best, most = (candidate, size), value
+    progress("another beginning", len(sizes), len(sizes) + 1)
     if best is None:
         return None
     candidate, size = best
     # Where elements have taken some of the effect upon themselves, the step falls short.
     if evidence(without(recordings, base, candidate, _LONGER * size)) > most:
         size *= _LONGER
-    end = fit_network(without(recordings, base, candidate, size), base.model.network, seed, executor, progress).fit
+    end = fitted_to(without(recordings, base, candidate, size))
     begin = fitted.refitter.fit(base.model, end.u, end.population, rounds=0)
     trial = try_candidate(fitted.refitter, base, candidate, size, ("shared",), _ROUNDS, begin)[0]
     return begin if trial.gain > _SHARE * known else None
@@ -103,16 +110,19 @@ def without(recordings: Recordings, base: Refit, candidate: Candidate, size: flo
         rows = base.owner == i
         with_it = model.kernel.impedance(u[rows], s.frequency_hz)
         without_it = base.model.kernel.impedance(base.u[rows], s.frequency_hz)
-        subjects.append(replace(s, z=_freed(candidate.effect, s.z, without_it, with_it)))
+        z, stretch = _freed(candidate.effect, s.z, without_it, with_it)
+        subjects.append(replace(s, z=z, noise_sd=None if s.noise_sd is None else s.noise_sd * stretch))
     return replace(recordings, subjects=tuple(subjects))
 
 
-def _freed(effect: Effect, z: np.ndarray, z0: np.ndarray, z1: np.ndarray) -> np.ndarray:
+def _freed(effect: Effect, z: np.ndarray, z0: np.ndarray, z1: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Impedance without the effect, and by what its noise is multiplied."""
     if effect.operation in ADDING:
-        return np.asarray(z - (z1 - z0))
+        return z - (z1 - z0), np.ones(z.shape)
     if effect.connection == "series":
-        return np.asarray(1 / (1 / z - (1 / z1 - 1 / z0)))
-    return np.asarray(z * z0 / z1)
+        freed = 1 / (1 / z - (1 / z1 - 1 / z0))
+        return freed, np.abs(freed / z) ** 2
+    return z * z0 / z1, np.abs(z0 / z1)
 
 
 def _sizes(step: Step) -> list[tuple[Candidate, float]]:
@@ -127,9 +137,3 @@ def _sizes(step: Step) -> list[tuple[Candidate, float]]:
             best[effect.id] = k
     sizes = [(screening.candidates[k], float(screening.size[k])) for k in best.values()]
     return [(c, size) for c, size in sizes if np.isfinite(size) and (c.effect.signed or size > 0)]
-
-
-def _thinned(subject: Subject) -> Subject:
-    points = thinned_points(subject.frequency_hz.size)
-    noise = None if subject.noise_sd is None else subject.noise_sd[:, points]
-    return replace(subject, frequency_hz=subject.frequency_hz[points], z=subject.z[:, points], noise_sd=noise)

@@ -100,9 +100,5 @@ def _trust(fit: Refit, point: Estimate) -> tuple[str, ...]:
 
 def without_hum(recordings: Recordings, hum: Hum) -> Recordings:
     """The recordings without the points that hum has spoilt."""
-    subjects = []
-    for s in recordings.subjects:
-        keep = ~affected_points(s.frequency_hz, hum)
-        noise = None if s.noise_sd is None else s.noise_sd[:, keep]
-        subjects.append(replace(s, frequency_hz=s.frequency_hz[keep], z=s.z[:, keep], noise_sd=noise))
-    return replace(recordings, subjects=tuple(subjects))
+    subjects = tuple(s.at(~affected_points(s.frequency_hz, hum)) for s in recordings.subjects)
+    return replace(recordings, subjects=subjects)

@@ -113,8 +113,7 @@ def from_evidence(refitter: Refitter, fit: Refit, posterior: CoefficientPosterio
         slope = np.linalg.lstsq(old - old.mean(axis=0), apart, rcond=1e-6)[0]
         central[:, others] += (drawn - old) @ slope
     shared = surface.shared_coefficients(fit.model)
-    for k, column in enumerate(surface.columns):
-        spread = spreads[k]
+    for k, (column, spread) in enumerate(zip(surface.columns, spreads, strict=True)):
         if surface.linear[column]:
             # A coefficient that is said to be the same for all is what it is for somebody in the middle.
             median = np.exp(drawn[:, k] - 0.5 * np.log1p(spread**2))
