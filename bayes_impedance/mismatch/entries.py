@@ -155,7 +155,7 @@ def rivals(step: Step) -> list[tuple[Trial, float, bool]]:
 def aliases(step: Step, quick: bool) -> list[dict[str, Any]]:
     """Rivals of what a step has chosen, the closest first, and what would separate them.
 
-    One of the body may be a little ahead (``elpd_behind`` below zero), where the rig comes first because nobody differs.
+    One of the body may be ahead (``elpd_behind`` below zero), where the rig comes first because nobody differs.
 
     Parameters
     ----------
