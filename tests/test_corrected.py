@@ -7,6 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
+from scipy.stats import multivariate_normal, norm
 from test_refit import TOY, Experiment, concealing, entry, toy
 
 from bayes_impedance.kernel import Kernel
@@ -14,11 +16,12 @@ from bayes_impedance.mismatch import diagnose
 from bayes_impedance.mismatch.confirm import Trial, extended, extended_start, gain, is_physical, try_candidate
 from bayes_impedance.mismatch.corrected import another_beginning, without
 from bayes_impedance.mismatch.effects import registered, shape_grid
-from bayes_impedance.mismatch.finalists import same_for_all
+from bayes_impedance.mismatch.equations import quadratic
 from bayes_impedance.mismatch.network_fit import fit_network
 from bayes_impedance.mismatch.refit import Refit
 from bayes_impedance.mismatch.screen import Candidate, person_residuals, screen
 from bayes_impedance.mismatch.search import Step
+from bayes_impedance.mismatch.sides import log_odds_of_differing, same_for_all, sided
 from bayes_impedance.recordings import Recordings, Subject
 
 FREQUENCY = np.geomspace(2, 2000, 41)
@@ -99,6 +102,45 @@ def test_an_explanation_by_the_rig_that_is_first_stays_first() -> None:
     fit = experiment.fit()
     rig = trial_of(experiment, fit, "rig.resonance", "port")
     assert same_for_all(experiment.refitter, fit, [rig], [rig], 1) == [rig]
+
+
+def masses(experiment: Experiment, fit: Refit) -> tuple[Trial, Trial]:
+    """A mass at the port as the rig's and as the body's."""
+    rig, body = (
+        try_candidate(experiment.refitter, fit, Candidate(entry(name), "port", {}), 1e-4, (pooling,))[0]
+        for name, pooling in (("rig.mass", "shared"), ("body.mass", "varying"))
+    )
+    return rig, body
+
+
+@pytest.mark.parametrize("hidden", ["rig.mass", "body.mass"])
+def test_of_one_formula_that_is_first_which_is_more_probable(hidden: str) -> None:
+    experiment = concealing(hidden, "port", 2.0, seed=2, n=16)
+    fit = experiment.fit()
+    rig, body = masses(experiment, fit)
+    assert (log_odds_of_differing(rig.fit, 0) > 0) == (hidden == "body.mass")
+    for ranked in ([rig, replace(body, gain=rig.gain - 1)], [replace(body, gain=rig.gain + 1), rig]):
+        assert sided(experiment.refitter, fit, ranked[:1], ranked, 1)[0].effect.id == hidden
+    other = replace(body, candidate=replace(body.candidate, place="n1"))  # not the same formula there
+    assert sided(experiment.refitter, fit, [rig, other], [rig, other], 1) == [rig, other]
+
+
+def test_odds_of_differing_are_those_of_normal_coefficients() -> None:
+    """With one coefficient alone everybody's estimate is normal, and so are all of them together."""
+    experiment = concealing("rig.mass", "port", 0.3, seed=3, n=12)
+    rig, _ = masses(experiment, experiment.fit())
+    fit = rig.fit
+    h, d, _ = quadratic(fit.model, fit.data, fit.u, fit.equations, fit.population.covariance)
+    estimates, variances = h[:, 0] / d[:, 0, 0], 1 / d[:, 0, 0]
+    mean, prior = abs(fit.u[0, -1]), fit.model.parameters[0].prior_sd
+
+    def density(relative: float) -> float:
+        covariance = np.diag(variances + (relative * mean) ** 2) + prior**2
+        return float(np.exp(multivariate_normal.logpdf(estimates, np.zeros(12), covariance) - offset))
+
+    offset = multivariate_normal.logpdf(estimates, np.zeros(12), np.diag(variances) + prior**2)
+    integral = quad(lambda x: norm.pdf(x) * density(0.35 * 2**x), -8, 8, epsabs=1e-10)[0]
+    assert log_odds_of_differing(fit, 0) == pytest.approx(np.log(integral), abs=1e-3)
 
 
 def strong_high_pass() -> tuple[Experiment, Recordings]:

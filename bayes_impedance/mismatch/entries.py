@@ -17,11 +17,12 @@ from bayes_impedance.mismatch.coefficients import (
     verdict_on_side,
 )
 from bayes_impedance.mismatch.confirm import Trial
-from bayes_impedance.mismatch.finalists import dispersion_of_shared, is_separated
+from bayes_impedance.mismatch.finalists import is_separated
 from bayes_impedance.mismatch.mains import Hum
 from bayes_impedance.mismatch.members import Members, members
 from bayes_impedance.mismatch.proposals import best_sentence, separation
 from bayes_impedance.mismatch.search import Found, Step
+from bayes_impedance.mismatch.sides import dispersion_of_shared
 from bayes_impedance.mismatch.unknown import Realised
 from bayes_impedance.mismatch.wording import number
 
@@ -155,7 +156,7 @@ def rivals(step: Step) -> list[tuple[Trial, float, bool]]:
 def aliases(step: Step, quick: bool) -> list[dict[str, Any]]:
     """Rivals of what a step has chosen, the closest first, and what would separate them.
 
-    One of the body may be ahead (``elpd_behind`` below zero), where the rig comes first because nobody differs.
+    One of the other side may be ahead (``elpd_behind`` below zero): sides go by whether people differ.
 
     Parameters
     ----------

@@ -10,8 +10,7 @@ between them: the one that happens to have the right dispersion would win. Here
 - a coefficient that is absent in some people is not punished for not being normal
   (:mod:`bayes_impedance.mismatch.members`).
 
-Bodies differ, devices do not. Where the best explanation is of the body but the recordings say that everybody has the
-same of it, one of the rig that they cannot tell from it comes first.
+Whose the best one is, the rig's or the body's, is looked at last (:mod:`bayes_impedance.mismatch.sides`).
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayes_impedance.mismatch.coefficients import CoefficientPosterior, coefficient_posterior, verdict_on_side
+from bayes_impedance.mismatch.coefficients import CoefficientPosterior, coefficient_posterior
 from bayes_impedance.mismatch.confirm import LEAST_GAIN, Trial, extended_start, gain, is_physical, starts_of
 from bayes_impedance.mismatch.effects import registered
 from bayes_impedance.mismatch.members import members
@@ -31,10 +30,12 @@ from bayes_impedance.mismatch.refit import Refit, Refitter
 MOST = 4
 _SHARE = 0.6
 _CLOSE = 1.0
-_RIVAL = 10.0
+RIVAL = 10.0
+"""A rival that is further behind is not worth more refits."""
+
 _ROUNDS = 40
 _DISPERSIONS = (0.03, 1.5)
-_FEWEST, _FEWEST_TO_VARY = 10, 3
+FEWEST, _FEWEST_TO_VARY = 10, 3
 
 
 def finalists(refitter: Refitter, fit: Refit, trials: Sequence[Trial], seed: int) -> list[Trial]:
@@ -70,11 +71,11 @@ def ripened(refitter: Refitter, fit: Refit, trial: Trial, seed: int) -> Trial:
         return trial
     best = trial
     if trial.pooling != "shared":
-        best = _better(trial, _of(trial, _ripe(refitter, trial.fit, seed), fit))
+        best = better_of(trial, regrown(trial, _ripe(refitter, trial.fit, seed), fit))
     if trial.pooling != "free" and any(c.link != "linear" for c in effect.coefficients[1:]):
         model = with_pooling(trial.fit.model, last, "free")
         grown = refitter.fit(model, *extended_start(trial.fit, model), 30)
-        free = _of(trial, _ripe(refitter, grown, seed), fit)
+        free = regrown(trial, _ripe(refitter, grown, seed), fit)
         if free.physical and free.gain > best.gain + LEAST_GAIN:
             return free
     return best
@@ -90,54 +91,23 @@ def at_rest(refitter: Refitter, fit: Refit, ranked: Sequence[Trial], seed: int) 
     A person in a local optimum costs as much as a wrong explanation does. The same effect at another place begins where
     the best one has ended, other effects look for better optima on their own.
     """
-    leader = _of(ranked[0], refitter.settle(ranked[0].fit, seed), fit)
+    leader = regrown(ranked[0], refitter.settle(ranked[0].fit, seed), fit)
     result = [leader]
     for trial in ranked[1:]:
         if trial.effect == leader.effect:
             model = with_pooling(trial.fit.model, len(trial.fit.model.additions) - 1, leader.pooling)
-            again = _of(trial, refitter.fit(model, leader.fit.u, leader.fit.population, _ROUNDS), fit)
-            result.append(_better(trial, again))
-        elif trial.gain > ranked[0].gain - _RIVAL:  # the leader's before it was at rest
-            result.append(_better(trial, _of(trial, refitter.settle(trial.fit, seed, tries=2, rounds=1), fit)))
+            again = regrown(trial, refitter.fit(model, leader.fit.u, leader.fit.population, _ROUNDS), fit)
+            result.append(better_of(trial, again))
+        elif trial.gain > ranked[0].gain - RIVAL:  # the leader's before it was at rest
+            result.append(better_of(trial, regrown(trial, refitter.settle(trial.fit, seed, tries=2, rounds=1), fit)))
         else:
             result.append(trial)
     result = in_order(result)
     if result[0] is not leader:
-        result[0] = _better(result[0], _of(result[0], refitter.settle(result[0].fit, seed, tries=3, rounds=2), fit))
+        result[0] = better_of(
+            result[0], regrown(result[0], refitter.settle(result[0].fit, seed, tries=3, rounds=2), fit)
+        )
     return result
-
-
-def same_for_all(
-    refitter: Refitter, fit: Refit, ranked: Sequence[Trial], trials: Sequence[Trial], seed: int
-) -> list[Trial]:
-    """The finalists with an explanation by the rig first, if nothing but the name speaks for the body.
-
-    Parameters
-    ----------
-    refitter : Refitter
-    fit : Refit
-        Without them.
-    ranked : sequence of Trial
-        The finalists, the best first.
-    trials : sequence of Trial
-        All that were tried.
-    seed : int
-    """
-    leader = ranked[0]
-    if leader.effect.side == "rig" or leader.pooling != "shared" or len(refitter.data) < _FEWEST:
-        return list(ranked)
-    last = len(leader.fit.model.additions) - 1
-    if verdict_on_side(dispersion_of_shared(leader.fit, last, seed)) != "rig":
-        return list(ranked)
-    possible = [t for t in (*ranked, *trials) if t.effect.side == "rig" and t.physical and np.isfinite(t.gain)]
-    if not possible:
-        return list(ranked)
-    rig = max(possible, key=lambda t: t.gain)
-    if rig.gain > leader.gain - _RIVAL and rig not in ranked:
-        rig = _better(rig, _of(rig, refitter.settle(rig.fit, seed, tries=2, rounds=1), fit))
-    if is_separated(leader, rig):
-        return list(ranked)
-    return [rig, *(t for t in ranked if t.fit.model.additions[-1].key != rig.fit.model.additions[-1].key)]
 
 
 def is_separated(leader: Trial, rival: Trial) -> bool:
@@ -146,13 +116,6 @@ def is_separated(leader: Trial, rival: Trial) -> bool:
     se = np.sqrt(difference.size) * difference.std(ddof=1) if difference.size > 1 else 0.0
     behind = leader.gain - rival.gain
     return bool(behind > LEAST_GAIN and behind > 2 * se)
-
-
-def dispersion_of_shared(fit: Refit, addition: int, seed: int) -> np.ndarray:
-    """Draws of how much people differ in a coefficient that was fitted as the same for all, relative to it."""
-    model = with_pooling(fit.model, addition, "varying")
-    column = model.columns(addition)[0] - model.n_elements
-    return coefficient_posterior(replace(fit, model=model), seed).relative_dispersion[:, column]
 
 
 def in_order(trials: Sequence[Trial]) -> list[Trial]:
@@ -165,12 +128,14 @@ def in_order(trials: Sequence[Trial]) -> list[Trial]:
     )
 
 
-def _of(trial: Trial, grown: Refit, fit: Refit) -> Trial:
+def regrown(trial: Trial, grown: Refit, fit: Refit) -> Trial:
+    """A trial with another fit of it; `fit` is without it."""
     pooling = grown.model.additions[-1].pooling
     return replace(trial, pooling=pooling, fit=grown, gain=whole_gain(grown, fit), physical=is_physical(grown))
 
 
-def _better(old: Trial, new: Trial) -> Trial:
+def better_of(old: Trial, new: Trial) -> Trial:
+    """The new trial if it is physical and ahead, else the old one."""
     return new if new.physical and new.gain > old.gain else old
 
 
@@ -179,7 +144,7 @@ def whole_gain(grown: Refit, fit: Refit) -> float:
     total = gain(grown, fit)
     last = len(grown.model.additions) - 1
     addition = grown.model.additions[last]
-    if addition.pooling == "shared" or not addition.effect.operation or len(grown.data) < _FEWEST:
+    if addition.pooling == "shared" or not addition.effect.operation or len(grown.data) < FEWEST:
         return total
     who = members(grown, last)
     return total + max(who.gain - 0.5 * float(np.log(len(grown.u))), 0.0) * who.only_some

@@ -16,11 +16,12 @@ import numpy as np
 from bayes_impedance.mismatch.coefficients import CoefficientPosterior
 from bayes_impedance.mismatch.confirm import ALPHA, LEAST_GAIN, Trial, gain, try_shortlist
 from bayes_impedance.mismatch.effects import Effect
-from bayes_impedance.mismatch.finalists import at_rest, finalists, measured, rebuilt, same_for_all, whole_gain
+from bayes_impedance.mismatch.finalists import at_rest, finalists, measured, rebuilt, whole_gain
 from bayes_impedance.mismatch.model import Addition, Model
 from bayes_impedance.mismatch.refit import Refit, Refitter
 from bayes_impedance.mismatch.residuals import PersonResiduals
 from bayes_impedance.mismatch.screen import Screening, person_residuals, screen
+from bayes_impedance.mismatch.sides import sided
 
 MOST_ADDITIONS = 4
 _PEOPLE_PER_ADDITION = 8
@@ -136,7 +137,7 @@ def search(
             trials = try_shortlist(refitter, fit, screening, begin)
             ranked = finalists(refitter, fit, trials, seed)
             ranked = at_rest(refitter, fit, ranked, seed) if ranked else []
-            ranked = same_for_all(refitter, fit, ranked, trials, seed) if ranked else []
+            ranked = sided(refitter, fit, ranked, trials, seed) if ranked else []
             chosen, better = None, None
             for trial in ranked[:_SECOND_CHANCES]:
                 grown, measure = measured(refitter, trial.fit, seed)
