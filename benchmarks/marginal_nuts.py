@@ -23,7 +23,7 @@ from bayes_impedance.posterior import Posterior
 from bayes_impedance.recordings import Recordings
 from bayes_impedance.starts import default_prior, first_fits
 
-_WARMUP, _DRAWS = 200, 300
+_WARMUP, _DRAWS = 300, 900
 _PER_PERSON = 64
 
 

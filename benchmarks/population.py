@@ -4,6 +4,7 @@ The joint rival and its data are those of the tests (`tests/nuts_model.py`): 16 
 elements; the marginal one is in `marginal_nuts.py`. What counts is effective samples per second of the worst population
 parameter. Against the joint posterior the seconds are those that a user waits for, compiling and adaptation included on
 both sides, and all that ours does before it samples; against the marginal one they are those of the sampling alone.
+Point estimates are compared with those of R's nlme, where it is installed (`mixed_effects.py`).
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 def measure(seed: int) -> dict[str, Any]:
     """Effective samples per second of all three, and how far their moments differ."""
     from marginal_nuts import prepared, run_nuts_on
+    from mixed_effects import compare_with_nlme
     from nuts_model import ELEMENTS, POPULATION, Comparison, Moments, compare, from_fit, run_nuts, virtual_recordings
 
     from bayes_impedance.population import fit_population
@@ -72,6 +74,7 @@ def measure(seed: int) -> dict[str, Any]:
         },
         "joint": _row(against_joint, joint.seconds, joint.divergences, ours),
         "marginal": _row(against_marginal, marginal_seconds, marginal_divergences, ours_sampling),
+        "nlme": compare_with_nlme(fit),
         "people": len(recordings.subjects),
         "parameters": len(against_joint),
     }

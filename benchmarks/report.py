@@ -98,7 +98,25 @@ def _population(r: Results) -> list[Row]:
             ),
             ("... ratio of standard deviations", f"{low:.3f} to {high:.3f}", "0.9 to 1.1"),
         ]
-    return rows
+    return rows + _nlme(r.get("nlme"))
+
+
+def _nlme(r: Results | None) -> list[Row]:
+    what = "... by R's nlme, point estimates"
+    if r is None:
+        return [(what, "R or its package nlme was not installed", "")]
+    if "failed" in r:
+        return [(what, f"failed: {r['failed']}", "")]
+    away = r["standard deviations from our mean"]
+    largest = {k: max(abs(v) for name, v in away.items() if name.startswith(k)) for k in ("mu", "tau", "rho")}
+    return [
+        (
+            what,
+            f"{r['seconds']:.0f} s; at most {largest['mu']:.2f} of our standard deviations away in central values, "
+            f"{largest['tau']:.2f} in dispersions of people, {largest['rho']:.2f} of repetitions",
+            "",
+        )
+    ]
 
 
 def _diagnosis(r: Results) -> list[Row]:
