@@ -1,8 +1,8 @@
 """What the commands do: whole jobs from a dataset on disk to files in a folder.
 
-Every file is complete or absent: it is written to a temporary name and renamed. While a fit runs, its chains are kept
-in ``checkpoint`` inside the output folder; a killed run continues from there when it is started again with the same
-arguments, and gives the same numbers as one that was not interrupted.
+Every file is complete or absent: it is written to a temporary name and renamed. While a fit runs, first fits, rounds of
+the point estimate and chains are kept in ``checkpoint`` inside the output folder; a killed run continues from there if
+it is started again with the same arguments, and gives the same numbers as one that was not interrupted.
 """
 
 from __future__ import annotations

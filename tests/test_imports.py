@@ -13,6 +13,7 @@ PACKAGE = Path(bayes_impedance.__file__).parent
 
 ORDER = (
     "errors",
+    "array_file",
     "elements",
     "transfer",
     "network",
