@@ -24,6 +24,8 @@ ORDER = (
     "recording_table",
     "metadata",
     "dataset",
+    "assembly",
+    "stored",
     "recordings",
     "roughness",
     "comparison",
