@@ -112,7 +112,9 @@ def _tables(file: Path, digest: hashlib._Hash) -> Iterator[tuple[RecordingTable,
     else:
         data = read_bytes(file)
         digest.update(data)
-        yield parse_recordings(data, str(file)), ()
+        table = parse_recordings(data, str(file))
+        del data  # the text is larger than the numbers
+        yield table, ()
 
 
 class _Reading:

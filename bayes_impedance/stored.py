@@ -6,9 +6,11 @@ that. Whoever works on a subject, be it a cluster's worker, reads the numbers th
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from socket import gethostname
 from typing import Any
 
 import numpy as np
@@ -31,7 +33,7 @@ class Place:
     digest : str
         Of the files when they were checked.
     rows : ndarray of int, shape (J, F), or None
-        Spreadsheet rows; None for all of them in their order.
+        Spreadsheet rows; None for the first J F in their order.
     shape : tuple of int
         J repetitions, F frequencies.
     polar : bool
@@ -53,11 +55,16 @@ class Place:
 @lru_cache(maxsize=16)
 def _read(place: Place) -> tuple[ComplexArray, FloatArray | None]:
     """Impedance and noise, each of shape (J, F); the last few are remembered: who needs one needs the other soon."""
+    if not place.folder.exists():
+        raise InputError(
+            f"{place.folder}: is not there for {gethostname()}; every worker needs the dataset at this path"
+        )
     cells, digest = parquet_table(place.folder, KNOWN)
     if digest != place.digest:
         raise InputError(f"{place.folder}: has changed since it was checked; begin again when nobody writes to it")
     z, noise_sd = values(cells, place.polar)
-    rows = np.arange(z.size).reshape(place.shape) if place.rows is None else np.searchsorted(cells.row, place.rows)
+    first = np.arange(math.prod(place.shape)).reshape(place.shape)
+    rows = first if place.rows is None else np.searchsorted(cells.row, place.rows)
     return (z * place.factor)[rows], (noise_sd * place.noise_factor)[rows] if place.with_noise else None
 
 

@@ -86,6 +86,10 @@ def _with_gaps(table: pd.DataFrame) -> pd.DataFrame:
     return table[np.arange(len(table)) % 23 != 5].reset_index(drop=True)
 
 
+def _ending_early(table: pd.DataFrame) -> pd.DataFrame:
+    return table.assign(z_im=table.z_im.where(table.repetition != table.repetition.iloc[-1]))
+
+
 def _interleaved(table: pd.DataFrame) -> pd.DataFrame:
     return table.sort_values(
         ["subject", "frequency_hz", "repetition"], ascending=[True, True, False], ignore_index=True
@@ -96,6 +100,7 @@ TABLES: dict[str, Callable[[pd.DataFrame], pd.DataFrame]] = {
     "polar": _polar,
     "noise of some": _noisy,
     "gaps": _with_gaps,
+    "last repetition without values": _ending_early,
     "gaps and noise, interleaved": lambda table: _interleaved(_with_gaps(_noisy(table))),
     "numbers of repetitions": lambda table: table.assign(repetition=table.repetition.astype(int)),
     "as text": lambda table: table.assign(z_re=table.z_re.map(repr)),
@@ -142,6 +147,15 @@ def test_files_that_change_after_the_check_are_refused(dataset: Path) -> None:
     with pytest.raises(InputError, match="has changed since it was checked"):
         _ = recordings.subjects[0].z
     assert read_recordings(folder).sha256 != recordings.sha256
+
+
+def test_a_worker_without_the_dataset_says_so(dataset: Path) -> None:
+    folder = _moved(dataset, partitioned=True)
+    recordings = read_recordings(folder)
+    folder.rename(folder.with_name("elsewhere"))
+    stored._read.cache_clear()
+    with pytest.raises(InputError, match="every worker needs the dataset at this path"):
+        _ = recordings.subjects[0].z
 
 
 def test_names_of_folders_are_names_of_subjects(dataset: Path) -> None:
