@@ -89,8 +89,8 @@ class Recordings:
     subjects : tuple of Subject
         In the order of the file; names differ.
     sha256 : str
-        Digest of the uncompressed recordings.csv, then of subjects.csv and dataset.toml where present; empty if the
-        recordings were not read from files.
+        Digest of the uncompressed recordings.csv (of Parquet, of its files' digests), then of subjects.csv and
+        dataset.toml where present; empty if the recordings were not read from files.
     warnings : tuple of str
         What was changed or left out when reading.
     polar : bool
@@ -125,6 +125,10 @@ class Recordings:
     def names(self) -> tuple[str, ...]:
         """Names of the subjects."""
         return tuple(subject.name for subject in self.subjects)
+
+    def in_memory(self) -> Recordings:
+        """The same, with all numbers of all subjects at hand; of a dataset parted by subject they stay in its files."""
+        return replace(self, subjects=tuple(replace(subject) for subject in self.subjects))
 
     @property
     def repetitions_max(self) -> int:

@@ -23,15 +23,17 @@ errors from being absent, so neither a smaller nor a larger value fits as well.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import Executor
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from operator import attrgetter, methodcaller
+from pathlib import Path
 
 import numpy as np
 
+from bayes_impedance.array_file import load_arrays, save_arrays
 from bayes_impedance.expectation import (
+    Begun,
     PersonFit,
     Sums,
     begin,
@@ -54,7 +56,9 @@ from bayes_impedance.subject import Mode
 DETERMINED_SD = 0.3
 """An element is determined if all recordings together give its logarithm at least this well, without any prior."""
 
-_MAX_ROUNDS = 60
+_MAX_ROUNDS, _FEWEST_ROUNDS = 60, 6
+_AT_REST = -1.0
+"""In place of a distance moved, once the last round from many places is made."""
 _TRIAL_ROUNDS, _TRIAL_POINTS = 10, 100
 _TOLERANCE = 0.02
 _PRIOR_PERSONS = 2.0
@@ -133,23 +137,23 @@ class Estimate:
 
 def estimate(
     kernel: Kernel,
-    likelihoods: tuple[Likelihood, ...],
+    data: Kept,
     first: FirstFits,
     prior: Prior,
     covariates: np.ndarray,
     correlated: bool,
     seed: np.random.SeedSequence,
-    executor: Executor,
     progress: Progress,
     one_person: bool = False,
+    checkpoint: Path | None = None,
 ) -> Estimate:
     """Expectation-maximisation until the population moves by less than 2 % of what is known about it.
 
     Parameters
     ----------
     kernel : Kernel
-    likelihoods : tuple of Likelihood
-        One per person, N of them.
+    data : Kept of Likelihood
+        One per person, N of them. Everybody's fit is kept like these.
     first : FirstFits
     prior : Prior
     covariates : ndarray, shape (N, Q)
@@ -158,34 +162,45 @@ def estimate(
         Full covariance, or diagonal.
     seed : SeedSequence
         Of the last round's additional starts.
-    executor : Executor
-        Keeps everybody's likelihood and fit if it is a :class:`~bayes_impedance.persons.Cluster`.
     progress : callable
     one_person : bool
         Leave the population at the broad prior and estimate only the dispersion between repetitions.
+    checkpoint : Path, optional
+        File that keeps every round; the estimate continues from there.
     """
     n, p = first.theta.shape
-
-    data = Kept.of(executor, likelihoods)
-    repeated = max(d.z.shape[0] for d in likelihoods) > 1
+    repeated = max(data.ask(_most_repetitions)) > 1
 
     def state_from(theta: np.ndarray, data: Kept) -> _State:
         return _State(kernel, data, prior, covariates, correlated, theta, repeated, one_person)
 
-    begun, rivals = first.theta, tuple[float, ...]()
-    if len(first.common) > 1 and not one_person:
+    rounds, moved, rivals = 0, np.inf, tuple[float, ...]()
+    kept = None if checkpoint is None else load_arrays(checkpoint)
+    if kept is not None:
+        state = state_from(first.theta, data)
+        state.restore(kept)
+        rounds, moved, rivals = int(kept["rounds"]), float(kept["moved"]), tuple(kept["rivals"].tolist())
+    elif len(first.common) > 1 and not one_person:
         begun, rivals = _best_common(kernel.elements, state_from, data, first, progress)
-    state = state_from(begun, data)
-    rounds = 0
-    for rounds in range(1, _MAX_ROUNDS + 1):
-        extra = first.alternatives if rounds in (1, 4) else None
-        moved = state.iterate(extra)
+        state = state_from(begun, data)
+    else:
+        state = state_from(first.theta, data)
+
+    def keep() -> None:
+        if checkpoint is not None:
+            save_arrays(checkpoint, state.told() | {"rounds": rounds, "moved": moved, "rivals": np.array(rivals)})
+
+    while moved >= 0 and rounds < _MAX_ROUNDS and not (rounds >= _FEWEST_ROUNDS and moved < _TOLERANCE):
+        rounds += 1
+        moved = state.iterate(first.alternatives if rounds in (1, 4) else None)
         progress("population estimate", rounds, _MAX_ROUNDS)
-        if rounds >= 6 and moved < _TOLERANCE:
-            break
-    # A last round from many places: nobody may be left in a local optimum of the population's own making.
-    spread = np.linalg.cholesky(state.covariance) @ np.random.default_rng(seed).normal(size=(n, p, 4))
-    state.iterate(state.means[:, None, :] + np.swapaxes(spread, 1, 2))
+        keep()
+    if moved >= 0:
+        # A last round from many places: nobody may be left in a local optimum of the population's own making.
+        spread = np.linalg.cholesky(state.covariance) @ np.random.default_rng(seed).normal(size=(n, p, 4))
+        state.iterate(state.means[:, None, :] + np.swapaxes(spread, 1, 2))
+        moved = _AT_REST
+        keep()
     state.iterate(None)
     progress("population estimate", _MAX_ROUNDS, _MAX_ROUNDS)
     outcomes = state.fits.gathered(_outcome)
@@ -206,8 +221,21 @@ def estimate(
     )
 
 
+def _begun_at(_: Likelihood, theta: np.ndarray, deviations: np.ndarray) -> Begun:
+    return Begun(theta, deviations)
+
+
+def _most_repetitions(part: Sequence[Likelihood]) -> int:
+    return max(len(d.z) for d in part)
+
+
 def _outcome(fit: PersonFit) -> tuple[float, bool, np.ndarray]:
     return fit.mode.scale, fit.mode.converged, fit.deviations
+
+
+def _place(fit: PersonFit) -> tuple[np.ndarray, np.ndarray]:
+    """All of a person that the next round begins with."""
+    return fit.theta, fit.deviations
 
 
 def _best_common(
@@ -269,6 +297,25 @@ class _State:
             self.mu, self.covariance = prior.centre.copy(), np.eye(self.mu.size) * prior.centre_sd**2
         self.rho = np.full(self.mu.size, 0.1) if repeated else np.zeros(self.mu.size)
         self.fits = data.each(begin, theta)
+
+    def told(self) -> dict[str, np.ndarray]:
+        """All that the next round depends on."""
+        places = self.fits.gathered(_place)
+        return {
+            "mu": self.mu,
+            "slopes": self.slopes,
+            "covariance": self.covariance,
+            "rho": self.rho,
+            "theta": np.array([theta for theta, _ in places]),
+            "deviations": np.concatenate([deviations for _, deviations in places]),
+            "repetitions": np.array([len(deviations) for _, deviations in places]),
+        }
+
+    def restore(self, told: Mapping[str, np.ndarray]) -> None:
+        """The state that has told this."""
+        self.mu, self.slopes, self.covariance, self.rho = (told[k] for k in ("mu", "slopes", "covariance", "rho"))
+        own = np.split(told["deviations"], np.cumsum(told["repetitions"])[:-1])
+        self.fits = self.data.each(_begun_at, told["theta"], own)
 
     @property
     def means(self) -> np.ndarray:

@@ -1,8 +1,8 @@
 """What the commands do: whole jobs from a dataset on disk to files in a folder.
 
-Every file is complete or absent: it is written to a temporary name and renamed. While a fit runs, its chains are kept
-in ``checkpoint`` inside the output folder; a killed run continues from there when it is started again with the same
-arguments, and gives the same numbers as one that was not interrupted.
+Every file is complete or absent: it is written to a temporary name and renamed. While a fit runs, first fits, rounds of
+the point estimate and chains are kept in ``checkpoint`` inside the output folder; a killed run continues from there if
+it is started again with the same arguments, and gives the same numbers as one that was not interrupted.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def run_dataset(dataset: Path, out: Path, options: FitOptions, resume: bool, pro
     from bayes_impedance.check import check_recordings
 
     result, recordings = _fit(dataset, out, options, resume, progress)
-    _write_pages(result, out, check_recordings(recordings), progress)
+    _write_pages(result, out, check_recordings(recordings.in_memory()), progress)
     return result
 
 
@@ -146,7 +146,7 @@ def compare_dataset(
     """
     from bayes_impedance.recordings import read_recordings
 
-    recordings = _selected(read_recordings(dataset), options)
+    recordings = _selected(read_recordings(dataset), options).in_memory()
     if result is None:
         fit = _fit(dataset, out / "fit", options, resume, progress)[0]
     else:
@@ -199,8 +199,8 @@ def diagnose_dataset(
     """
     from bayes_impedance.recordings import read_recordings
 
-    recordings = _selected(read_recordings(dataset), options)
-    claimed = None if simulation is None else read_recordings(simulation)
+    recordings = _selected(read_recordings(dataset), options).in_memory()
+    claimed = None if simulation is None else read_recordings(simulation).in_memory()
     if claimed is not None and claimed.unit != recordings.unit:
         raise InputError(
             f"{simulation}: unit is {claimed.unit}, of {dataset} {recordings.unit}; compare like with like"
@@ -233,7 +233,7 @@ def check_dataset(dataset: Path) -> tuple[dict[str, Any], tuple[str, ...], tuple
     from bayes_impedance.check import check_recordings, describe
     from bayes_impedance.recordings import read_recordings
 
-    recordings = read_recordings(dataset)
+    recordings = read_recordings(dataset).in_memory()
     return describe(recordings), recordings.warnings, check_recordings(recordings)
 
 

@@ -131,14 +131,14 @@ class Kept:
             parts = [executor.keep(_itself, part) for part in parts]
         return cls(executor, parts)
 
-    def each(self, function: Callable[..., Any], *columns: Kept | np.ndarray) -> Kept:
+    def each(self, function: Callable[..., Any], *columns: Kept | Sequence[Any] | np.ndarray) -> Kept:
         """Results of ``function(own, *row)`` for every person, kept like what they were made of.
 
         Parameters
         ----------
         function : callable
             As in :func:`map_persons`.
-        *columns : Kept or ndarray, shape (N, ...)
+        *columns : Kept, or sequence or ndarray of N entries
             What else there is of every person, kept or here.
         """
         if isinstance(self.executor, Cluster):
@@ -172,7 +172,7 @@ class Kept:
         """Let go of it, to free memory; a cluster remembers how it was made if something depends on it."""
         self.parts = []
 
-    def _rows(self, columns: Sequence[Kept | np.ndarray]) -> list[tuple[Any, ...]]:
+    def _rows(self, columns: Sequence[Kept | Sequence[Any] | np.ndarray]) -> list[tuple[Any, ...]]:
         """Part by part, this and the same persons' parts of the columns."""
         split = [c.parts if isinstance(c, Kept) else [c[rows] for rows in parts_of(len(c))] for c in (self, *columns)]
         return list(zip(*split, strict=True))

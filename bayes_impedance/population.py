@@ -11,7 +11,8 @@ The route, each step of which is a module:
 5. :mod:`~bayes_impedance.sampling`: emcee over the population parameters (:mod:`~bayes_impedance.hierarchy`);
 6. everybody's own posterior, by resampling the draws with the weights each sampled population gives them.
 
-The first four steps take seconds and are repeated when a killed run is resumed; the chains are kept as they grow.
+First fits, every round of the point estimate and the chains are kept as they come, if there is a folder for them; when
+a killed run is resumed, draws are made anew from them, the same ones.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -32,14 +34,17 @@ from bayes_impedance.hierarchy import PopulationParameters, Prior
 from bayes_impedance.kernel import Kernel
 from bayes_impedance.likelihood import Likelihood, find_ridge, marginal_log_likelihood
 from bayes_impedance.network import Network, parse
-from bayes_impedance.persons import executor_of
+from bayes_impedance.noise import NoiseModel
+from bayes_impedance.persons import Kept, executor_of, map_persons
 from bayes_impedance.posterior import Posterior
-from bayes_impedance.recordings import Recordings
+from bayes_impedance.recordings import Recordings, Subject
 from bayes_impedance.sampling import QUICK, Chains, SamplerSettings, sample
-from bayes_impedance.starts import FirstFits, Progress, default_prior, first_fits
+from bayes_impedance.starts import FirstFits, Progress, default_prior, first_fits, noise_of
 
 IDENTIFIED_SD = 1.0
 """A central value is reported if its logarithm is known better than this in the end: within a factor e."""
+
+_FIRST_FITS, _POINT_ESTIMATE = "first_fits.npz", "point_estimate.npz"
 
 _MOST_NUMBERS, _FEWEST_SETS = 30_000_000, 100
 """Numbers that describe persons in a result, a quarter of a gigabyte; sets of each ensemble that are kept at least."""
@@ -161,7 +166,8 @@ def fit_population(
     progress : callable, optional
         Called with stage, done, total.
     checkpoint : Path, optional
-        Folder where the chains are kept as they grow; an interrupted fit with the same arguments continues from there.
+        Folder where first fits, point estimate and chains are kept as they come; an interrupted fit with the same
+        arguments continues from there.
     executor : Executor, optional
         Does what is done person by person: processes, a cluster's workers, whatever has the standard interface. Threads
         of this process if not given; the result is the same.
@@ -193,18 +199,22 @@ def fit_population(
     own = executor_of(workers) if executor is None else nullcontext(executor)
     with threadpool_limits(1), own as executor:
         with clock.measure("modes"):
-            first = first_fits(kernel, recordings, prior, seeds[0], executor, progress)
+            first = FirstFits.load(checkpoint / _FIRST_FITS) if checkpoint is not None else None
+            if first is None:
+                first = first_fits(kernel, recordings, prior, seeds[0], executor, progress)
+                if checkpoint is not None:
+                    first.save(checkpoint / _FIRST_FITS)
             point = estimate(
                 kernel,
-                initial_likelihoods(recordings, first, len(kernel.elements)),
+                initial_likelihoods(recordings, first, len(kernel.elements), executor),
                 first,
                 prior,
                 covariates,
                 settings.covariance == "full",
                 seeds[1],
-                executor,
                 progress,
                 one_person=one,
+                checkpoint=None if checkpoint is None else checkpoint / _POINT_ESTIMATE,
             )
         if one:
             return _one_person(
@@ -232,6 +242,8 @@ def fit_population(
             parameters = posterior.coordinates.unpack(flat)
             person_draws, person_likelihood = posterior.marginal.persons(parameters, seeds[4])
             diagnostics = diagnose(recordings, point, chains, posterior.marginal, parameters, posterior.redrawn)
+            scaled = partial(_scaled_noise, first.model)
+            noise = tuple(map_persons(executor, scaled, recordings.subjects, point.scale))
     shape = (settings.sampler.ensembles, -1, len(recordings.subjects))
     identified = point.determined & (parameters.mu.std(axis=0) < IDENTIFIED_SD)
     return PopulationFit(
@@ -246,7 +258,7 @@ def fit_population(
         person_draws.reshape(*shape, len(kernel.elements)),
         person_likelihood.reshape(*shape),
         point.deviations,
-        tuple(n * s for n, s in zip(first.noise, point.scale, strict=True)),
+        noise,
         point.scale,
         identified,
         diagnostics,
@@ -305,7 +317,7 @@ def _one_person(
         theta.reshape(ensembles, -1, 1, p),
         marginal_log_likelihood(kernel, likelihood, ridge, theta).reshape(ensembles, -1, 1),
         (likelihood.deviations,),
-        (first.noise[0] * mode.scale,),
+        (_scaled_noise(first.model, recordings.subjects[0], mode.scale),),
         np.array([mode.scale]),
         point.determined & (theta.std(axis=0) < IDENTIFIED_SD),
         diagnostics,
@@ -360,12 +372,21 @@ def require_enough_points(recordings: Recordings, kernel: Kernel) -> None:
             )
 
 
-def initial_likelihoods(recordings: Recordings, first: FirstFits, n_elements: int) -> tuple[Likelihood, ...]:
-    """Everybody's likelihood with the noise of the first fits, and no deviations between repetitions yet."""
-    return tuple(
-        Likelihood.make(s.frequency_hz, s.z, noise, np.zeros((len(s.repetitions), n_elements)))
-        for s, noise in zip(recordings.subjects, first.noise, strict=True)
-    )
+def initial_likelihoods(recordings: Recordings, first: FirstFits, n_elements: int, executor: Executor) -> Kept:
+    """Everybody's likelihood with the noise of the first fits, and no deviations between repetitions yet.
+
+    They are made where the executor keeps them, by whoever has or reads the recordings there.
+    """
+    return Kept.of(executor, recordings.subjects).each(partial(_likelihood, first.model, n_elements))
+
+
+def _likelihood(model: NoiseModel | None, n_elements: int, subject: Subject) -> Likelihood:
+    nothing = np.zeros((len(subject.repetitions), n_elements))
+    return Likelihood.make(subject.frequency_hz, subject.z, noise_of(subject, model), nothing)
+
+
+def _scaled_noise(model: NoiseModel | None, subject: Subject, scale: float) -> np.ndarray:
+    return noise_of(subject, model) * scale
 
 
 class _Clock:

@@ -136,7 +136,8 @@ def predict(fit: PopulationFit, *, n_draws: int = 1000, n_replicates: int = 200,
 
     centre = Band.of(kernel.impedance(fit.parameters.mu[rows], frequency))
     person = Band.of(kernel.impedance(_people(fit, rows, rng, with_repetitions=False), frequency))
-    recorded = _recordings(fit, rows, frequency, rng)
+    noise = _relative_noise(fit, frequency)
+    recorded = _recordings(fit, rows, frequency, noise, rng)
     recording = Band.of(recorded)
 
     network = kernel.impedance(np.median(fit.parameters.mu, axis=0), frequency)
@@ -158,7 +159,7 @@ def predict(fit: PopulationFit, *, n_draws: int = 1000, n_replicates: int = 200,
         magnitude,
         phase,
         errors,
-        _replicate(fit, frequency, observed, magnitude, phase, errors["population_network"], n_replicates, rng),
+        _replicate(fit, frequency, observed, noise, magnitude, phase, errors["population_network"], n_replicates, rng),
         np.array([coverage(m, b[1], b[3]) for m, b in zip(measured, bands, strict=True)]),
         np.array([coverage(m, b[0], b[4]) for m, b in zip(measured, bands, strict=True)]),
         own[0],
@@ -188,11 +189,13 @@ def _people(fit: PopulationFit, rows: np.ndarray, rng: np.random.Generator, with
     return np.asarray(theta)
 
 
-def _recordings(fit: PopulationFit, rows: np.ndarray, frequency: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Mean recordings of new people, with noise, complex, (S, F)."""
+def _recordings(
+    fit: PopulationFit, rows: np.ndarray, frequency: np.ndarray, noise: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """Mean recordings of new people, with somebody's relative noise (N, F), complex, (S, F)."""
     z = fit.kernel.impedance(_people(fit, rows, rng, with_repetitions=True), frequency)
     who = rng.integers(len(fit.recordings.subjects), size=rows.size)
-    sd = np.abs(z) * _relative_noise(fit, frequency)[who]
+    sd = np.abs(z) * noise[who]
     return np.asarray(z + sd * (rng.normal(size=z.shape) + 1j * rng.normal(size=z.shape)))
 
 
@@ -209,6 +212,7 @@ def _replicate(
     fit: PopulationFit,
     frequency: np.ndarray,
     observed: np.ndarray,
+    noise: np.ndarray,
     magnitude: np.ndarray,
     phase: np.ndarray,
     seen: ErrorCurves,
@@ -220,7 +224,7 @@ def _replicate(
     total = fit.parameters.mu.shape[0]
     errors = []
     for row in rng.choice(total, n_replicates, replace=total < n_replicates):
-        z = _recordings(fit, np.full(n, row), frequency, rng)
+        z = _recordings(fit, np.full(n, row), frequency, noise, rng)
         z[missing] = np.nan
         errors.append(error_curves(magnitude, phase, z))
     m, p = np.array([e.magnitude for e in errors]), np.array([e.phase_deg for e in errors])

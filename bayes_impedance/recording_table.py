@@ -16,7 +16,7 @@ from bayes_impedance.tables import ComplexArray, FloatArray, IntArray, Table, en
 
 CARTESIAN = ("z_re", "z_im")
 POLAR = ("magnitude", "phase_deg")
-_KNOWN = ("subject", "repetition", "frequency_hz", *CARTESIAN, *POLAR, "noise_sd")
+KNOWN = ("subject", "repetition", "frequency_hz", *CARTESIAN, *POLAR, "noise_sd")
 _REMEDY = {
     "subject": "add it, with a name for each person or object measured",
     "repetition": "add it, with 1 in every row if each subject was measured once",
@@ -104,16 +104,20 @@ def parse_recordings(data: bytes, file: str) -> RecordingTable:
     InputError
         If a column is missing, a value is impossible, or the frequencies of one recording repeat or are not sorted.
     """
-    cells = parse_csv(data, file, _KNOWN)
+    return check_cells(parse_csv(data, file, KNOWN))
+
+
+def check_cells(cells: Table, may_be_empty: bool = False) -> RecordingTable:
+    """The checks of :func:`parse_recordings`; a table without any usable row is refused, or empty if it may be."""
+    file = cells.file
     value_columns, warnings = _check_columns(cells)
     polar = value_columns == POLAR
     subject_names, subject = encode(names(cells, "subject"))
     repetition_names, repetition = encode(names(cells, "repetition"))
-    first, second = (numbers(cells, column) for column in value_columns)
     if polar:
-        _refuse(cells, first < 0, lambda i: _magnitude_message(first[i]))
-        first, second = first * np.cos(np.deg2rad(second)), first * np.sin(np.deg2rad(second))
-    noise_sd = numbers(cells, "noise_sd") if "noise_sd" in cells.columns else np.full(first.size, np.nan)
+        magnitude = numbers(cells, POLAR[0])
+        _refuse(cells, magnitude < 0, lambda i: _magnitude_message(magnitude[i]))
+    z, noise_sd = values(cells, polar)
     frequency_hz = numbers(cells, "frequency_hz")
     _refuse(
         cells,
@@ -132,18 +136,27 @@ def parse_recordings(data: bytes, file: str) -> RecordingTable:
         subject=subject,
         repetition=repetition,
         frequency_hz=frequency_hz,
-        z=first + 1j * second,
+        z=z,
         noise_sd=noise_sd,
         row=cells.row,
         polar=polar,
         warnings=warnings,
     )
-    table = _drop_incomplete(table)
+    table = _drop_incomplete(table, may_be_empty)
     # A stable sort keeps the file's order of frequencies, which is checked below.
     table = table.take(np.lexsort((table.repetition, table.subject)))
     _check_duplicates(table)
     _check_sorted(table)
     return table
+
+
+def values(cells: Table, polar: bool) -> tuple[ComplexArray, FloatArray]:
+    """Impedance in the file's unit and sign, complex, shape (N,), and noise_sd, NaN where none is given."""
+    first, second = (numbers(cells, column) for column in (POLAR if polar else CARTESIAN))
+    if polar:
+        first, second = first * np.cos(np.deg2rad(second)), first * np.sin(np.deg2rad(second))
+    noise_sd = numbers(cells, "noise_sd") if "noise_sd" in cells.columns else np.full(first.size, np.nan)
+    return first + 1j * second, noise_sd
 
 
 def _magnitude_message(value: float) -> str:
@@ -163,13 +176,13 @@ def _check_columns(cells: Table) -> tuple[tuple[str, str], tuple[str, ...]]:
     value_columns = POLAR if polar else CARTESIAN
     for name in ("subject", "repetition", "frequency_hz", *value_columns):
         if name not in found:
-            guess = similar(name, [other for other in found if other not in _KNOWN])
+            guess = similar(name, [other for other in found if other not in KNOWN])
             remedy = f'{_REMEDY[name]}, or rename "{guess}" if it is that' if guess else _REMEDY[name]
             raise InputError(f'{cells.file}, row 1: column "{name}" is missing (found: {", ".join(found)}); {remedy}')
     used = {"subject", "repetition", "frequency_hz", "noise_sd", *value_columns}
     ignored = tuple(
         f'{cells.file}: column "{name}" is not used'
-        + (f"; values are taken from {' and '.join(value_columns)}" if name in _KNOWN else "")
+        + (f"; values are taken from {' and '.join(value_columns)}" if name in KNOWN else "")
         for name in found
         if name not in used
     )
@@ -183,7 +196,7 @@ def _refuse(cells: Table, wrong: npt.NDArray[np.bool_], message: Callable[[int],
         raise InputError(f"{cells.file}, row {cells.row[first]}: {message(first)}")
 
 
-def _drop_incomplete(table: RecordingTable) -> RecordingTable:
+def _drop_incomplete(table: RecordingTable, may_be_empty: bool) -> RecordingTable:
     """Leave out rows without a value; noise_sd counts only for subjects that have it at all."""
     has_noise = np.zeros(len(table.subject_names), dtype=bool)
     has_noise[table.subject[np.isfinite(table.noise_sd)]] = True
@@ -191,7 +204,7 @@ def _drop_incomplete(table: RecordingTable) -> RecordingTable:
     complete &= np.isfinite(table.noise_sd) | ~has_noise[table.subject]
     if complete.all():
         return table
-    if not complete.any():
+    if not complete.any() and not may_be_empty:
         raise InputError(
             f"{table.file}: no row has a finite number in every column (row {table.row[0]} is the first); fill them in"
         )

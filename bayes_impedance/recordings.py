@@ -13,18 +13,18 @@ import io
 import json
 import math
 import os
-from dataclasses import replace
-from functools import reduce
-from itertools import pairwise
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
+from bayes_impedance.assembly import signed_factor, subjects_of
 from bayes_impedance.dataset import Recordings, Subject
 from bayes_impedance.errors import InputError
 from bayes_impedance.metadata import SIGNS, Metadata, parse_metadata
-from bayes_impedance.parquet import SUFFIX, parquet_as_csv
-from bayes_impedance.recording_table import CARTESIAN, RecordingTable, parse_recordings
+from bayes_impedance.parquet import SUFFIX, parquet_table, partitions
+from bayes_impedance.recording_table import CARTESIAN, KNOWN, RecordingTable, check_cells, parse_recordings
+from bayes_impedance.stored import Place, StoredSubject
 from bayes_impedance.tables import CovariateTable, IntArray, parse_covariates, read_bytes
 
 __all__ = ["Recordings", "Subject", "read_recordings", "write_recordings"]
@@ -32,10 +32,6 @@ __all__ = ["Recordings", "Subject", "read_recordings", "write_recordings"]
 RECORDINGS_FILES = ("recordings.csv", "recordings.csv.gz", "recordings.parquet")
 SUBJECTS_FILE = "subjects.csv"
 METADATA_FILE = "dataset.toml"
-#: Fewer frequencies than this make no curve.
-MINIMUM_POINTS = 3
-#: Repetitions of one subject must share at least this part of the frequencies of the longest.
-MINIMUM_COMMON = 0.5
 #: Above this part of points with Re z of the wrong sign, the sign convention itself is taken to be wrong.
 WRONG_SIGN = 0.6
 
@@ -53,7 +49,9 @@ def read_recordings(path: str | os.PathLike[str]) -> Recordings:
     Returns
     -------
     Recordings
-        Complete rows only, repetitions of one subject on their common frequencies, SI units, passive positive.
+        Complete rows only, repetitions of one subject on their common frequencies, SI units, passive positive. Of a
+        Parquet table that is parted by subject (``recordings.parquet/subject=A/part-0.parquet``) every part is read and
+        checked, and its numbers are read again by whoever needs them: they are not held.
 
     Raises
     ------
@@ -66,34 +64,142 @@ def read_recordings(path: str | os.PathLike[str]) -> Recordings:
     is_dataset = given.is_dir() and given.suffix != SUFFIX
     folder = given if is_dataset else given.parent if given.name in RECORDINGS_FILES else None
     file = _recordings_file(folder) if folder is not None else given
-    data = parquet_as_csv(file) if file.suffix == SUFFIX else read_bytes(file)
-    digest = hashlib.sha256(data)
-    table = parse_recordings(data, str(file))
+    digest = hashlib.sha256()
     metadata = Metadata(title=(folder.resolve().name if folder else given.name.split(".")[0]) or "recordings")
     covariates = CovariateTable({}, (), ())
+    described = []
     subjects_file = (folder or given.parent) / SUBJECTS_FILE
     if folder is not None and subjects_file.exists():
-        content = read_bytes(subjects_file)
-        digest.update(content)
-        covariates = _match_covariates(parse_covariates(content, str(subjects_file)), table, str(subjects_file))
+        described.append(read_bytes(subjects_file))
+        covariates = parse_covariates(described[-1], str(subjects_file))
     metadata_file = (folder or given.parent) / METADATA_FILE
     if folder is not None and metadata_file.exists():
-        content = read_bytes(metadata_file)
+        described.append(read_bytes(metadata_file))
+        metadata = parse_metadata(described[-1], str(metadata_file), metadata.title)
+    reading = _Reading(file, metadata, covariates)
+    for table, place in _tables(file, digest):
+        reading.add(table, *place)
+    for content in described:
         digest.update(content)
-        metadata = parse_metadata(content, str(metadata_file), metadata.title)
-    _check_sign(table, metadata.sign, str(metadata_file))
-    subjects, warnings = _assemble(table, metadata, covariates)
+    unused = reading.match_covariates(str(subjects_file))
+    reading.check_sign(str(metadata_file))
     return Recordings(
         title=metadata.title,
         unit=metadata.unit,
         network=metadata.network,
         source=metadata.source,
         licence=metadata.licence,
-        subjects=subjects,
+        subjects=tuple(reading.subjects),
         sha256=digest.hexdigest(),
-        warnings=table.warnings + covariates.warnings + metadata.warnings + warnings,
-        polar=table.polar,
+        warnings=(*reading.of_table, *covariates.warnings, *unused, *metadata.warnings, *reading.of_subjects),
+        polar=reading.polar,
     )
+
+
+def _tables(file: Path, digest: hashlib._Hash) -> Iterator[tuple[RecordingTable, tuple[Path, str] | tuple[()]]]:
+    """The whole table, or one for each subject with folder and digest, where it can be read again."""
+    parted = partitions(file, "subject") if file.suffix == SUFFIX else []
+    for name, folder in parted:
+        cells, own = parquet_table(folder, KNOWN, {"subject": name})
+        digest.update(own.encode())
+        yield check_cells(cells, may_be_empty=True), (folder.resolve(), own)
+    if parted:
+        return
+    if file.suffix == SUFFIX:
+        cells, own = parquet_table(file, KNOWN)
+        digest.update(own.encode())
+        yield check_cells(cells), ()
+    else:
+        data = read_bytes(file)
+        digest.update(data)
+        table = parse_recordings(data, str(file))
+        del data  # the text is larger than the numbers
+        yield table, ()
+
+
+class _Reading:
+    """Subjects as they are read, and what is checked when all are there."""
+
+    def __init__(self, file: Path, metadata: Metadata, covariates: CovariateTable) -> None:
+        self.file, self.metadata, self.covariates = file, metadata, covariates
+        self.subjects: list[Subject] = []
+        self.named: dict[str, str] = {}
+        self.of_table: list[str] = []
+        self.said: set[str] = set()
+        self.of_subjects: list[str] = []
+        if metadata.sign != SIGNS[0]:
+            self.of_subjects.append(f'{file}: z was multiplied by -1 because the sign is "{metadata.sign}"')
+        self.polar, self.first_row = False, 0
+        self.rows = self.negative = self.positive = 0
+
+    def add(self, table: RecordingTable, folder: Path | None = None, digest: str = "") -> None:
+        """Take in everybody of a table; with a folder to read them from again, without their numbers."""
+        self._warn(table, folder)
+        self.polar |= table.polar
+        for name in table.subject_names:
+            if name in self.named:
+                raise InputError(f'{table.file}: subject "{name}" has another partition too; put them into one')
+            self.named[name] = table.file
+        used, starts = np.unique(table.subject, return_index=True)
+        for i, row in zip(used, np.minimum.reduceat(table.row, starts) if used.size else (), strict=True):
+            self.named[table.subject_names[i]] = f"{table.file}, row {row}"
+        self.first_row = self.first_row or int(table.row[:1].sum())
+        self.rows += table.z.size
+        self.negative += int(np.sum(table.z.real < 0))
+        self.positive += int(np.sum(table.z.real > 0))
+        for subject, rows, warning in subjects_of(table, self.metadata, self.covariates):
+            self.of_subjects += [warning] if warning else []
+            self.subjects.append(subject if folder is None else self._stored(subject, table, rows, folder, digest))
+
+    def _stored(self, subject: Subject, table: RecordingTable, rows: IntArray, folder: Path, digest: str) -> Subject:
+        own = table.row[rows]
+        # Row 2 is the first; most tables are in order and complete, which needs no numbers to tell.
+        simple = np.array_equal(own.ravel(), np.arange(own.size) + 2)
+        shared = self.subjects[-1].frequency_hz if self.subjects else subject.frequency_hz
+        grid = shared if np.array_equal(shared, subject.frequency_hz) else subject.frequency_hz
+        factors = signed_factor(self.metadata), self.metadata.factor
+        noise = subject.noise_sd is not None
+        return StoredSubject(
+            subject, grid, Place(folder, digest, None if simple else own, rows.shape, table.polar, *factors, noise)
+        )
+
+    def _warn(self, table: RecordingTable, folder: Path | None) -> None:
+        """What holds for many partitions is said of the first."""
+        for warning in table.warnings:
+            said = warning.partition(": ")[2] if folder is not None else warning
+            self.of_table += [warning] if said not in self.said else []
+            self.said.add(said)
+
+    def match_covariates(self, file: str) -> tuple[str, ...]:
+        """Refuse subjects without covariates; warn of covariates without recordings."""
+        given = self.covariates.values
+        absent = [s.name for s in self.subjects if s.name not in given]
+        if absent and self.covariates.covariates:
+            raise InputError(
+                f'{file}: subject "{absent[0]}" ({self.named[absent[0]]}) is missing here'
+                f"{f' and so are {len(absent) - 1} more' if len(absent) > 1 else ''}; "
+                "add a row, with empty cells for what is not known"
+            )
+        surplus = [name for name in given if name not in self.named]
+        if not surplus:
+            return ()
+        more = f" and {len(surplus) - 5} more" if len(surplus) > 5 else ""
+        return (f"{file}: no recordings of {', '.join(surplus[:5])}{more}; the covariates are not used",)
+
+    def check_sign(self, metadata_file: str) -> None:
+        """Refuse data that contradict their declared sign, because a negated impedance fits nothing but fails late."""
+        if not self.rows:
+            raise InputError(f"{self.file}: no partition has a row with a finite number in every column; fill them in")
+        declared_positive = self.metadata.sign == SIGNS[0]
+        wrong = (self.negative if declared_positive else self.positive) / self.rows
+        if wrong > WRONG_SIGN:
+            remedy = SIGNS[1] if declared_positive else SIGNS[0]
+            kind = "negative" if declared_positive else "positive"
+            raise InputError(
+                f"{self.file}: {wrong:.0%} of the rows (the first is row {self.first_row}) have a {kind} real part "
+                f'although the sign is "{self.metadata.sign}"; write sign = "{remedy}" in {metadata_file}, beside a '
+                "file named recordings.csv"
+            )
 
 
 def _recordings_file(folder: Path) -> Path:
@@ -109,103 +215,6 @@ def _recordings_file(folder: Path) -> Path:
             f"{folder}: the folder has both {' and '.join(file.name for file in found)}; delete the wrong one"
         )
     return found[0]
-
-
-def _match_covariates(covariates: CovariateTable, table: RecordingTable, file: str) -> CovariateTable:
-    """Refuse subjects without covariates; warn of covariates without recordings."""
-    used = [table.subject_names[i] for i in np.unique(table.subject)]
-    absent = [name for name in used if name not in covariates.values]
-    if absent and covariates.covariates:
-        row = table.row[table.subject == table.subject_names.index(absent[0])].min()
-        raise InputError(
-            f'{file}: subject "{absent[0]}" ({table.file}, row {row}) is missing here'
-            f"{f' and so are {len(absent) - 1} more' if len(absent) > 1 else ''}; "
-            "add a row, with empty cells for what is not known"
-        )
-    surplus = [name for name in covariates.values if name not in table.subject_names]
-    if not surplus:
-        return covariates
-    more = f" and {len(surplus) - 5} more" if len(surplus) > 5 else ""
-    warning = f"{file}: no recordings of {', '.join(surplus[:5])}{more}; the covariates are not used"
-    return replace(covariates, warnings=(*covariates.warnings, warning))
-
-
-def _check_sign(table: RecordingTable, sign: str, metadata_file: str) -> None:
-    """Refuse data that contradict their declared sign, because a negated impedance fits nothing but fails late."""
-    declared_positive = sign == SIGNS[0]
-    wrong = float(np.mean(table.z.real < 0 if declared_positive else table.z.real > 0))
-    if wrong > WRONG_SIGN:
-        remedy = SIGNS[1] if declared_positive else SIGNS[0]
-        raise InputError(
-            f"{table.file}: {wrong:.0%} of the rows (the first is row {table.row[0]}) have a "
-            f'{"negative" if declared_positive else "positive"} real part although the sign is "{sign}"; '
-            f'write sign = "{remedy}" in {metadata_file}, beside a file named recordings.csv'
-        )
-
-
-def _assemble(
-    table: RecordingTable, metadata: Metadata, covariates: CovariateTable
-) -> tuple[tuple[Subject, ...], tuple[str, ...]]:
-    """Turn rows into subjects, in SI units and passive positive."""
-    negate = metadata.sign != SIGNS[0]
-    z = table.z * (-metadata.factor if negate else metadata.factor)
-    noise_sd = table.noise_sd * metadata.factor
-    warnings = [f'{table.file}: z was multiplied by -1 because the sign is "{metadata.sign}"'] if negate else []
-    subjects = []
-    bounds = np.flatnonzero(np.diff(table.subject, prepend=-1, append=len(table.subject_names)))
-    for start, stop in pairwise(bounds.tolist()):
-        rows, reduced = _common_rows(table, start, stop)
-        if reduced:
-            warnings.append(reduced)
-        name = table.subject_names[table.subject[start]]
-        noise = noise_sd[rows]
-        subjects.append(
-            Subject(
-                name=name,
-                frequency_hz=table.frequency_hz[rows[0]],
-                z=z[rows],
-                repetitions=tuple(table.repetition_names[i] for i in table.repetition[rows[:, 0]]),
-                noise_sd=None if np.isnan(noise).any() else noise,
-                covariates=covariates.values.get(name, {}),
-            )
-        )
-    return tuple(subjects), tuple(warnings)
-
-
-def _common_rows(table: RecordingTable, start: int, stop: int) -> tuple[IntArray, str | None]:
-    """Return the indices of one subject's rows at the frequencies that all repetitions have.
-
-    Returns
-    -------
-    rows : ndarray of int, shape (J, F)
-    warning : str or None
-        What was left out.
-    """
-    bounds = start + np.flatnonzero(np.diff(table.repetition[start:stop], prepend=-1, append=-2))
-    parts = [np.arange(i, j) for i, j in pairwise(bounds.tolist())]
-    grids = [table.frequency_hz[part] for part in parts]
-    name = table.subject_names[table.subject[start]]
-    where = f'{table.file}, row {table.row[start:stop].min()}: subject "{name}"'
-    longest = max(grid.size for grid in grids)
-    warning = None
-    if not all(np.array_equal(grid, grids[0]) for grid in grids):
-        common = reduce(lambda one, other: np.intersect1d(one, other, assume_unique=True), grids)
-        if common.size < MINIMUM_COMMON * longest:
-            raise InputError(
-                f"{where} has repetitions of up to {longest} frequencies, of which only {common.size} are in all; "
-                "give its repetitions the same frequencies, or make them different subjects"
-            )
-        parts = [part[np.isin(grid, common)] for part, grid in zip(parts, grids, strict=True)]
-        warning = (
-            f"{where} has repetitions on different frequencies and was reduced to the {common.size} that all have "
-            f"(of up to {longest})"
-        )
-    if parts[0].size < MINIMUM_POINTS:
-        raise InputError(
-            f"{where} has {parts[0].size} usable frequencies, but at least {MINIMUM_POINTS} are needed; "
-            "complete it, or delete its rows"
-        )
-    return np.array(parts), warning
 
 
 def write_recordings(

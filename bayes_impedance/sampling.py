@@ -1,4 +1,4 @@
-r"""Ensemble sampling of a few dozen dimensions: the only user of emcee.
+r"""Ensemble sampling of a few dozen dimensions by emcee.
 
 **Moves.** Affine-invariant moves slow down in proportion to the dimension, and a full covariance of eight elements has
 52. Here the posterior is close to normal in its coordinates, so most steps are proposals of the mixed preconditioned
@@ -28,13 +28,14 @@ from typing import Any
 
 import numpy as np
 
+from bayes_impedance.chain_file import read_chain, write_chain
 from bayes_impedance.starts import Progress
 
 LogProbability = Callable[[np.ndarray], np.ndarray]
 
 _STEP_LENGTHS = (0.6, 0.8)
 _KEPT_DRAWS = 500
-_BURN_IN, _PIECE = "burn_in.npz", 25
+_PIECE, _KEPT_SHARE = 25, 0.1
 
 
 @dataclass(frozen=True)
@@ -164,11 +165,11 @@ def autocorrelation_time(chain: np.ndarray) -> np.ndarray:
 
 
 class _Ensemble:
-    """One independent ensemble: adapts, samples, and can be taken up again from its files.
+    """One independent ensemble: adapts, samples, and can be taken up again from its file.
 
-    Chains are kept in pieces, each written whole to a temporary name and renamed, with the state of the random numbers
-    at its end: whenever the process is killed, the pieces that exist are complete, and continuing from them repeats
-    what was lost exactly. (A single HDF5 file that is open at that moment is not always readable.)
+    The chain grows in memory and is written whole from time to time (:mod:`~bayes_impedance.chain_file`). Whenever the
+    process is killed, the file is complete, and continuing from the state of the random numbers at its end repeats what
+    was lost exactly.
     """
 
     def __init__(
@@ -177,13 +178,15 @@ class _Ensemble:
         centre: np.ndarray,
         covariance: np.ndarray,
         seed: np.random.SeedSequence,
-        folder: Path | None,
+        file: Path | None,
     ) -> None:
         self.log_probability = log_probability
         self.n_dimensions = centre.size
         self.n_walkers = 2 * max(centre.size, 16)
-        self.centre, self.covariance, self.folder = centre, covariance, folder
+        self.centre, self.covariance, self.file = centre, covariance, file
         self.seed = seed
+        self.adapted: dict[str, Any] = {}
+        self.kept = -1
         self.sampler: Any = None
         self.state: Any = None
 
@@ -193,19 +196,16 @@ class _Ensemble:
 
         backend = emcee.backends.Backend()
         backend.reset(self.n_walkers, self.n_dimensions)
-        kept = _load(self.folder / _BURN_IN) if self.folder is not None else None
-        if kept is None:
-            kept = self._burn_in(stages, progress)
-            if self.folder is not None:
-                self.folder.mkdir(parents=True, exist_ok=True)
-                _save(self.folder / _BURN_IN, kept)
-        else:
-            self._restore(backend)
-        self.sampler = self._sampler(kept["mean"], kept["covariance"], backend)
+        adapted = read_chain(self.file, backend) if self.file is not None else None
+        if adapted is not None:
+            self.kept = backend.iteration
+        self.adapted = adapted or self._burn_in(stages, progress)
+        self.sampler = self._sampler(self.adapted["mean"], self.adapted["covariance"], backend)
         if backend.iteration:
             self.state = backend.get_last_sample()
         else:
-            self.state = emcee.State(kept["coordinates"], random_state=_unpacked(kept))
+            self.state = emcee.State(self.adapted["coordinates"], random_state=self.adapted["random_state"])
+        self.keep()
 
     def _burn_in(self, stages: tuple[int, ...], progress: Callable[[int], None]) -> dict[str, Any]:
         import emcee
@@ -226,7 +226,7 @@ class _Ensemble:
             coordinates, random_state = state.coords, state.random_state
             recent = sampler.get_chain(discard=n_steps // 2, flat=True)
             mean, covariance = recent.mean(axis=0), _refined(covariance, np.atleast_2d(np.cov(recent.T)))
-        return {"mean": mean, "covariance": covariance, "coordinates": coordinates, **_packed(random_state)}
+        return {"mean": mean, "covariance": covariance, "coordinates": coordinates, "random_state": random_state}
 
     def _sampler(self, mean: np.ndarray, covariance: np.ndarray, backend: Any) -> Any:
         import emcee
@@ -242,36 +242,21 @@ class _Ensemble:
 
     def run_to(self, n_steps: int, progress: Callable[[int], None]) -> None:
         """Sample until the ensemble has this many steps."""
-        while (begun := self.sampler.backend.iteration) < n_steps:
-            # Pieces end at fixed steps, wherever an earlier run was interrupted.
-            piece = min(_PIECE - begun % _PIECE, n_steps - begun)
+        backend = self.sampler.backend
+        while backend.iteration < n_steps:
+            piece = min(_PIECE, n_steps - backend.iteration)
             for state in self.sampler.sample(self.state, iterations=piece, skip_initial_state_check=True):
                 self.state = state
-            if self.folder is not None:
-                self._keep(begun)
+            # The file is written anew each time: all of that together should grow with the chain, not with its square.
+            if backend.iteration - self.kept >= max(_PIECE, _KEPT_SHARE * backend.iteration):
+                self.keep()
             progress(piece)
 
-    def _keep(self, begun: int) -> None:
-        backend = self.sampler.backend
-        piece = {
-            "chain": backend.chain[begun : backend.iteration],
-            "log_probability": backend.log_prob[begun : backend.iteration],
-            "accepted": backend.accepted,
-            **_packed(backend.random_state),
-        }
-        assert self.folder is not None  # asked by the caller
-        _save(self.folder / f"{begun:06d}.npz", piece)
-
-    def _restore(self, backend: Any) -> None:
-        assert self.folder is not None  # there was a burn-in to load
-        while (piece := _load(self.folder / f"{backend.iteration:06d}.npz")) is not None:
-            begun, length = backend.iteration, len(piece["chain"])
-            backend.grow(length, None)
-            backend.chain[begun : begun + length] = piece["chain"]
-            backend.log_prob[begun : begun + length] = piece["log_probability"]
-            backend.accepted = piece["accepted"]
-            backend.iteration = begun + length
-            backend.random_state = _unpacked(piece)
+    def keep(self) -> None:
+        """Write what is not in the file yet."""
+        if self.file is not None and self.kept < self.sampler.backend.iteration:
+            write_chain(self.file, self.sampler.backend, self.adapted)
+            self.kept = self.sampler.backend.iteration
 
 
 def sample(
@@ -297,16 +282,22 @@ def sample(
     seed : SeedSequence
     progress : callable
     checkpoint : Path, optional
-        Folder that keeps the chains as they grow; what is found there is continued.
+        Folder that keeps the chains as they grow, ``ensemble_0.h5`` and so on, which emcee's ``HDFBackend`` reads; what
+        is found there is continued.
 
     Returns
     -------
     Chains
         Compare ``rhat`` and ``effective`` with what was required: nothing is raised when they fall short.
+
+    Raises
+    ------
+    InputError
+        If the folder keeps chains of another number of dimensions.
     """
     covariance = np.diag(scale**2) if scale.ndim == 1 else scale
     ensembles = [
-        _Ensemble(log_probability, centre, covariance, child, checkpoint / f"ensemble_{i}" if checkpoint else None)
+        _Ensemble(log_probability, centre, covariance, child, checkpoint / f"ensemble_{i}.h5" if checkpoint else None)
         for i, child in enumerate(seed.spawn(settings.ensembles))
     ]
     total = settings.ensembles * sum(settings.burn_in)
@@ -326,6 +317,8 @@ def sample(
             list(pool.map(lambda e, n=length: e.run_to(n, lambda n: count(n, "sampling")), ensembles))
             chains = _collect(ensembles)
             if settings.satisfied_by(chains) or length >= settings.longest:
+                for ensemble in ensembles:
+                    ensemble.keep()
                 progress("sampling", total, total)
                 return chains
             length += settings.chunk
@@ -368,26 +361,3 @@ def _refined(covariance: np.ndarray, sampled: np.ndarray) -> np.ndarray:
     """
     width = np.sqrt(np.diag(sampled) / np.diag(covariance))
     return np.asarray(0.8 * covariance * np.outer(width, width) + 0.2 * sampled)
-
-
-def _packed(random_state: Any) -> dict[str, Any]:
-    """The state of numpy's RandomState as arrays."""
-    _, keys, position, has_normal, normal = random_state
-    return {"keys": keys, "position": position, "has_normal": has_normal, "normal": normal}
-
-
-def _unpacked(kept: dict[str, Any]) -> Any:
-    return ("MT19937", kept["keys"], int(kept["position"]), int(kept["has_normal"]), float(kept["normal"]))
-
-
-def _save(file: Path, arrays: dict[str, Any]) -> None:
-    temporary = file.with_suffix(".tmp.npz")
-    np.savez(temporary, **arrays)
-    temporary.replace(file)
-
-
-def _load(file: Path) -> dict[str, Any] | None:
-    if not file.exists():
-        return None
-    with np.load(file, allow_pickle=False) as data:
-        return {name: data[name] for name in data.files}

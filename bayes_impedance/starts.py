@@ -12,9 +12,11 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
+from bayes_impedance.array_file import load_arrays, save_arrays
 from bayes_impedance.elements import band_scale
 from bayes_impedance.hierarchy import Prior
 from bayes_impedance.kernel import Kernel
@@ -57,17 +59,31 @@ class FirstFits:
         Everybody's best other solutions.
     common : ndarray, shape (C, N, P)
         Solutions that everybody could share, the most promising first: in each, all searches began at one point.
-    noise : tuple of ndarray, shape (J, F)
-        Standard deviation of the noise of each person's recordings, before the person's own scale.
     model : NoiseModel or None
-        The common noise; None if every recording came with its own.
+        The common noise; None if every recording came with its own. :func:`noise_of` has that of one person.
     """
 
     theta: np.ndarray
     alternatives: np.ndarray
     common: np.ndarray
-    noise: tuple[np.ndarray, ...]
     model: NoiseModel | None
+
+    def save(self, file: Path) -> None:
+        """Keep for a run that is resumed."""
+        model = {} if self.model is None else {f"noise_{name}": value for name, value in vars(self.model).items()}
+        save_arrays(file, {"theta": self.theta, "alternatives": self.alternatives, "common": self.common, **model})
+
+    @classmethod
+    def load(cls, file: Path) -> FirstFits | None:
+        """What was kept; None if there is nothing, or it is damaged."""
+        kept = load_arrays(file)
+        if kept is None:
+            return None
+        model = None
+        if "noise_sd" in kept:
+            relative, floor = bool(kept["noise_relative"]), float(kept["noise_floor"])
+            model = NoiseModel(kept["noise_frequency_hz"], kept["noise_sd"], relative, floor)
+        return cls(kept["theta"], kept["alternatives"], kept["common"], model)
 
 
 def default_prior(elements: Sequence[str], recordings: Recordings) -> Prior:
@@ -128,8 +144,7 @@ def first_fits(
     if any(subject.noise_sd is None for subject in subjects):
         unknown = [i for i, subject in enumerate(subjects) if subject.noise_sd is None]
         model = _noise(kernel, [subjects[i] for i in unknown], theta[unknown], executor)
-    noise = tuple(_noise_of(subject, model) for subject in subjects)
-    return FirstFits(theta, alternatives, _common_solutions(ends, regret), noise, model)
+    return FirstFits(theta, alternatives, _common_solutions(ends, regret), model)
 
 
 def _try_all(
@@ -239,10 +254,11 @@ def _disagreement(kernel: Kernel, known: NoiseModel | None, subject: Subject, th
     return scatter_of_repetitions(frequency, subject.z, kernel.derivative(theta, frequency)[1], sd)
 
 
-def _noise_of(subject: Subject, model: NoiseModel | None) -> np.ndarray:
+def noise_of(subject: Subject, model: NoiseModel | None) -> np.ndarray:
+    """Standard deviation of the noise of a person's recordings, before the person's own scale, shape (J, F)."""
     if subject.noise_sd is not None:
         return subject.noise_sd
-    assert model is not None  # made above whenever someone needs it
+    assert model is not None  # made whenever someone needs it
     magnitude = np.exp(np.mean(np.log(np.abs(subject.z)), axis=0))
     return np.tile(model.at(subject.frequency_hz, magnitude), (len(subject.repetitions), 1))
 

@@ -13,7 +13,7 @@ import gzip
 import io
 import re
 import zlib
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -39,14 +39,14 @@ _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 
 @dataclass(frozen=True)
 class Table:
-    """Cells of a CSV file by column, blank rows left out.
+    """Cells of a file by column, blank rows left out.
 
     Attributes
     ----------
     file : str
         Name to use in messages.
     columns : dict of str to ndarray of str, shape (N,)
-        Cells by column name; names have no surrounding space.
+        Cells by column name; names have no surrounding space. Where the file has numbers, ndarray of numbers.
     row : ndarray of int, shape (N,)
         Spreadsheet row of each record; the header is row 1.
     """
@@ -153,6 +153,22 @@ def parse_csv(data: bytes, file: str, known: Collection[str]) -> Table:
     return Table(file, columns, row[filled] + 1)
 
 
+def table_of(columns: Sequence[tuple[str, Cells]], file: str, known: Collection[str]) -> Table:
+    """Columns that need no splitting, of str or of numbers, as a table; errors are those of `parse_csv`."""
+    header = [name.strip() for name, _ in columns]
+    header = [name.lower() if name.lower() in known else name for name in header]
+    if not header:
+        raise InputError(f"{file}: the file is empty; it needs columns and rows of data")
+    _check_header(header, [], file)
+    filled = np.zeros(len(columns[0][1]), dtype=bool)
+    for _, cells in columns:
+        filled |= cells != "" if cells.dtype == object else ~np.isnan(cells)
+    if not filled.any():
+        raise InputError(f"{file}: there are columns but no rows of data; add the data, or delete the file")
+    row = np.flatnonzero(filled)
+    return Table(file, {name: c[row] for name, (_, c) in zip(header, columns, strict=True) if name}, row + 2)
+
+
 def _check_header(header: list[str], records: list[list[str]], file: str) -> None:
     """Refuse a first row that does not hold column names separated by commas."""
     if not any(header):
@@ -208,8 +224,10 @@ def names(table: Table, column: str) -> Cells:
     InputError
         If a name is missing or contains a control character.
     """
-    cells = np.empty(table.row.size, dtype=object)
-    cells[:] = list(map(str.strip, table.columns[column]))
+    cells, given = np.empty(table.row.size, dtype=object), table.columns[column]
+    if given.dtype != object:
+        given = np.array(["" if value != value else str(value) for value in given.tolist()], dtype=object)
+    cells[:] = list(map(str.strip, given))
     empty = np.flatnonzero(cells == "")
     if empty.size:
         raise InputError(
@@ -245,6 +263,8 @@ def numbers(table: Table, column: str) -> FloatArray:
     cells = table.columns[column]
     values: FloatArray
     try:
+        if cells.dtype != object:
+            return np.where(np.isfinite(cells), cells, np.nan).astype(np.float64)
         # Python's float also reads 1_000, which no other program means as a number.
         if "_" in "".join(cells):
             raise ValueError

@@ -39,9 +39,9 @@ def prepared(recordings: Recordings, network: str, seed: int) -> Posterior:
     repetitions = np.array([len(s.repetitions) for s in recordings.subjects])
     with ThreadPoolExecutor(2) as executor:
         first = first_fits(kernel, recordings, prior, seeds[0], executor, quiet)
-        likelihoods = initial_likelihoods(recordings, first, p)
+        likelihoods = initial_likelihoods(recordings, first, p, executor)
         nothing = np.zeros((n, 0))
-        point = estimate(kernel, likelihoods, first, prior, nothing, True, seeds[1], executor, quiet)
+        point = estimate(kernel, likelihoods, first, prior, nothing, True, seeds[1], quiet)
         posterior = Posterior(repetitions, kernel, prior, True, _PER_PERSON, point, nothing)
         posterior.draw(seeds[3], executor, quiet)
     return posterior

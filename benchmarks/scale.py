@@ -4,6 +4,9 @@ Virtual fingertips with 101 frequencies and three repetitions. Everybody's fits 
 asked for sums; this process keeps the recordings, the sampler's walkers and the result. With ``--kill`` a worker is
 killed while the chains grow, and the result is compared with that of an undisturbed run.
 
+With ``--files csv`` or ``--files parquet`` the people are written as a dataset in a temporary folder, by a process of
+its own, and read from there; as Parquet parted by subject nobody's numbers stay in this process.
+
 Run from the repository's root: ``python benchmarks/scale.py --people 100 1000 10000``; results go to ``scale.json``.
 """
 
@@ -16,7 +19,11 @@ import resource
 import signal
 import time
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from multiprocessing import get_context
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -24,7 +31,7 @@ from report import replace_between
 
 from bayes_impedance.persons import Cluster
 from bayes_impedance.population import FitSettings, PopulationFit, fit_population
-from bayes_impedance.recordings import Recordings
+from bayes_impedance.recordings import Recordings, read_recordings, write_recordings
 from bayes_impedance.sampling import SamplerSettings
 from bayes_impedance.simulate import FINGERTIP, simulate_recordings
 
@@ -89,6 +96,47 @@ def people(n: int) -> Recordings:
     return simulate_recordings(FINGERTIP, n, _REPETITIONS, np.geomspace(5, 5000, _POINTS), 1).recordings
 
 
+def write_people(n: int, folder: Path, files: str) -> None:
+    """The same people as a dataset."""
+    recordings = people(n)
+    write_recordings(recordings if files == "csv" else recordings.select(recordings.names[:1]), folder)
+    if files == "csv":
+        return
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    (folder / "recordings.csv").unlink()
+    (folder / "subjects.csv").unlink(missing_ok=True)
+    for s in recordings.subjects:
+        part = folder / "recordings.parquet" / f"subject={s.name}"
+        part.mkdir(parents=True)
+        columns = {
+            "repetition": np.repeat(s.repetitions, s.frequency_hz.size),
+            "frequency_hz": np.tile(s.frequency_hz, len(s.repetitions)),
+            "z_re": s.z.real.ravel(),
+            "z_im": s.z.imag.ravel(),
+        }
+        pq.write_table(pa.table(columns), part / "part-0.parquet")
+
+
+@contextmanager
+def read_people(n: int, files: str | None) -> Iterator[tuple[Recordings, dict[str, Any]]]:
+    """The people, and what it took to read them."""
+    if files is None:
+        yield people(n), {}
+        return
+    with TemporaryDirectory() as folder:
+        writer = get_context("spawn").Process(target=write_people, args=(n, Path(folder), files))
+        writer.start()
+        writer.join()
+        before, started = peak_megabytes(), time.perf_counter()
+        recordings = read_recordings(folder)
+        told = {"files": files, "seconds to read": time.perf_counter() - started}
+        told["peak MB before reading"], told["peak MB after reading"] = before, peak_megabytes()
+        print(json.dumps(told), flush=True)
+        yield recordings, told
+
+
 def table(rows: list[dict[str, Any]]) -> str:
     """One line for each fit."""
     head = [
@@ -122,23 +170,25 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--people", type=int, nargs="+", default=[100, 1000, 10000])
     parser.add_argument("--workers", type=int, nargs="+", default=[2])
     parser.add_argument("--draws", type=int, default=256)
+    parser.add_argument("--files", choices=("csv", "parquet"), help="write the people to files and read them there")
     parser.add_argument("--kill", action="store_true", help="repeat each fit with a worker killed in the middle")
     parser.add_argument("-o", "--out", type=Path, default=HERE / "scale.json")
     options = parser.parse_args(arguments)
     rows = json.loads(options.out.read_text(encoding="utf-8")) if options.out.is_file() else []
     for n in options.people:
-        recordings = people(n)
-        for workers in options.workers:
-            row, fit = measured(recordings, workers, options.draws)
-            rows.append(row)
-            print(json.dumps({k: v for k, v in row.items() if not isinstance(v, list)}), flush=True)
-            if options.kill:
-                again, other = measured(recordings, workers, options.draws, kill=True)
-                same = np.array_equal(fit.parameters.mu, other.parameters.mu)
-                rows.append(again | {"same numbers as undisturbed": bool(same)})
-                print(f"a worker killed: {again['killed']}, the same numbers: {same}", flush=True)
-            options.out.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
-    replace_between(HERE / "README.md", "scale", table(rows))
+        with read_people(n, options.files) as (recordings, told):
+            for workers in options.workers:
+                row, fit = measured(recordings, workers, options.draws)
+                rows.append(row | told)
+                print(json.dumps({k: v for k, v in row.items() if not isinstance(v, list)}), flush=True)
+                if options.kill:
+                    again, other = measured(recordings, workers, options.draws, kill=True)
+                    same = np.array_equal(fit.parameters.mu, other.parameters.mu)
+                    rows.append(again | told | {"same numbers as undisturbed": bool(same)})
+                    print(f"a worker killed: {again['killed']}, the same numbers: {same}", flush=True)
+                options.out.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    if options.files is None:
+        replace_between(HERE / "README.md", "scale", table(rows))
 
 
 if __name__ == "__main__":

@@ -209,7 +209,7 @@ def test_killed_and_resumed_gives_the_same_bytes(dataset: Path, finished: Path, 
     killed = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert killed.returncode == -9, killed.stderr
     assert not (tmp_path / "result.nc").exists()
-    assert list((tmp_path / "checkpoint").glob("ensemble_*/burn_in.npz"))
+    assert list((tmp_path / "checkpoint").glob("ensemble_*.h5"))
     assert main(["run", str(dataset), "-o", str(tmp_path), "--quick", "--seed", "4", "--resume"]) == 0
     assert (tmp_path / "result.nc").read_bytes() == (finished / "result.nc").read_bytes()
     assert not (tmp_path / "checkpoint").exists()

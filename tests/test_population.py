@@ -1,5 +1,6 @@
 """The fit as a whole: it finds the truth, says what it cannot know, and gives the same numbers twice."""
 
+import contextlib
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +15,7 @@ from bayes_impedance.population import FitSettings, PopulationFit, fit_populatio
 from bayes_impedance.recordings import Recordings, Subject
 from bayes_impedance.sampling import SamplerSettings
 from bayes_impedance.simulate import Simulation, simulate_recordings
-from bayes_impedance.starts import default_prior, first_fits
+from bayes_impedance.starts import FirstFits, default_prior, first_fits, noise_of
 
 
 def test_truth_lies_inside_wide_intervals(small_fit: PopulationFit, small_simulation: Simulation) -> None:
@@ -63,9 +64,9 @@ def test_noise_is_estimated_for_those_whose_recordings_come_without(small_simula
     prior = default_prior(kernel.elements, recordings)
     with ThreadPoolExecutor(1) as executor:
         first = first_fits(kernel, recordings, prior, np.random.SeedSequence(1), executor, lambda *_: None)
-    assert np.array_equal(first.noise[1], given)
     assert first.model is not None
-    assert np.all(first.noise[0] < given.max())
+    assert np.array_equal(noise_of(subjects[1], first.model), given)
+    assert np.all(noise_of(subjects[0], first.model) < given.max())
 
 
 def test_same_seed_same_numbers_whatever_the_threads(small_simulation: Simulation) -> None:
@@ -96,7 +97,8 @@ def test_an_interrupted_fit_continues_to_the_same_result(small_simulation: Simul
     with pytest.raises(KilledError):
         fit_population(recordings, settings=SHORT, seed=7, progress=stop_in_sampling, checkpoint=tmp_path)
     assert calls["burn-in"] > 0
-    calls["burn-in"] = 0
+    assert calls["first fits"] > 0
+    calls = {"burn-in": 0, "first fits": 0, "common solutions": 0, "population estimate": 0}
     again = fit_population(
         recordings,
         settings=SHORT,
@@ -104,8 +106,64 @@ def test_an_interrupted_fit_continues_to_the_same_result(small_simulation: Simul
         progress=lambda stage, done, total: calls.update({stage: calls.get(stage, 0) + 1}),
         checkpoint=tmp_path,
     )
-    assert calls["burn-in"] == 1  # the stage is announced, but no step of it is made again
+    # The stages are announced, but no step of them is made again.
+    assert (calls["burn-in"], calls["first fits"], calls["common solutions"]) == (1, 0, 0)
+    assert calls["population estimate"] == 1
     assert np.array_equal(whole.parameters.mu, again.parameters.mu)
+    assert np.array_equal(whole.person_draws, again.person_draws)
+
+
+VERY_SHORT = replace(SHORT, draws=64, sampler=SamplerSettings(ensembles=2, burn_in=(20,), chunk=20, longest=20))
+
+
+@pytest.fixture(scope="module")
+def five(small_simulation: Simulation) -> tuple[Recordings, PopulationFit]:
+    """Five people and their fit, not interrupted."""
+    recordings = small_simulation.recordings.select(small_simulation.recordings.names[:5])
+    return recordings, fit_population(recordings, settings=VERY_SHORT, seed=7)
+
+
+@pytest.mark.parametrize(
+    ("stage", "times"),
+    [("first fits", 2), ("common solutions", 1), *(("population estimate", n) for n in (1, 3, 4, 7)), ("draws", 3)],
+)
+def test_a_fit_interrupted_before_sampling_continues_to_the_same_result(
+    five: tuple[Recordings, PopulationFit], tmp_path: Path, stage: str, times: int
+) -> None:
+    recordings, whole = five
+    reached = 0
+
+    class KilledError(Exception):
+        pass
+
+    def stop(now: str, _done: int, _total: int) -> None:
+        nonlocal reached
+        reached += now == stage
+        if reached == times:
+            raise KilledError
+
+    with contextlib.suppress(KilledError):
+        fit_population(recordings, settings=VERY_SHORT, seed=7, progress=stop, checkpoint=tmp_path)
+    assert reached == times  # or the test shows nothing
+    assert (tmp_path / "first_fits.npz").exists() == (stage != "first fits")
+    again = fit_population(recordings, settings=VERY_SHORT, seed=7, checkpoint=tmp_path)
+    assert np.array_equal(whole.parameters.mu, again.parameters.mu)
+    assert np.array_equal(whole.person_draws, again.person_draws)
+    assert np.array_equal(whole.noise[0], again.noise[0])
+
+
+def test_damaged_first_fits_and_point_estimate_are_made_anew(
+    five: tuple[Recordings, PopulationFit], tmp_path: Path
+) -> None:
+    recordings, whole = five
+    fit_population(recordings, settings=VERY_SHORT, seed=7, checkpoint=tmp_path)
+    for file in tmp_path.glob("ensemble_*.h5"):
+        file.unlink()
+    for name in ("first_fits.npz", "point_estimate.npz"):
+        content = (tmp_path / name).read_bytes()
+        (tmp_path / name).write_bytes(content[: len(content) // 2])
+    assert FirstFits.load(tmp_path / "first_fits.npz") is None
+    again = fit_population(recordings, settings=VERY_SHORT, seed=7, checkpoint=tmp_path)
     assert np.array_equal(whole.person_draws, again.person_draws)
 
 

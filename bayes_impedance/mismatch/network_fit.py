@@ -53,11 +53,9 @@ def fit_network(
     seeds = np.random.SeedSequence(seed).spawn(2)
     one = len(recordings.subjects) == 1
     first = first_fits(kernel, recordings, prior, seeds[0], executor, progress)
-    likelihoods = initial_likelihoods(recordings, first, len(kernel.elements))
+    likelihoods = initial_likelihoods(recordings, first, len(kernel.elements), executor)
     no_covariates = np.zeros((len(recordings.subjects), 0))
-    point = estimate(
-        kernel, likelihoods, first, prior, no_covariates, True, seeds[1], executor, progress, one_person=one
-    )
+    point = estimate(kernel, likelihoods, first, prior, no_covariates, True, seeds[1], progress, one_person=one)
     refitter = Refitter(point.likelihoods, executor, one)
     model = build(tree, (), scales_of(recordings), ())
     u = np.concatenate([m.theta + d.deviations for m, d in zip(point.modes, point.likelihoods, strict=True)])
