@@ -33,6 +33,7 @@ ORDER = (
     "hierarchy",
     "draws",
     "marginal",
+    "processes",
     "persons",
     "starts",
     "expectation",
