@@ -93,16 +93,17 @@ class Processes(Executor):
         """After an error nobody waits for what is left to do."""
         if kind is not None:
             self._abandoned.set()
+            self.shutdown(wait=False, cancel_futures=True)
             for worker in self._workers:
                 worker.stop()
-        self.shutdown(cancel_futures=kind is not None)
+        self.shutdown()
 
     def _cancel(self) -> None:
         try:
             while True:
                 task = self._tasks.get_nowait()
-                if task is not None:
-                    task.future.cancel()
+                if task is not None and task.future.cancel():
+                    task.future.set_running_or_notify_cancel()  # who waits for it hears of it
         except Empty:
             return
 

@@ -25,10 +25,11 @@ from bayes_impedance.persons import Lent
 
 _FREEDOM = 5.0
 
-_RECORDINGS = 64
-"""In a piece, if they are many: some milliseconds of work, which is what a task costs a cluster."""
+_SMALL_PIECE, _LARGE_PIECE = 4_000, 25_000
+"""Points (recordings times frequencies): a third of a millisecond of work, below which threads do not help; and two, of
+which there are many if people are many: a task costs a cluster some milliseconds."""
 
-_FEWEST_PIECES, _MOST_PIECES = 4, 64
+_FEW_PIECES, _MOST_PIECES = 4, 64
 
 
 @dataclass(frozen=True)
@@ -112,7 +113,9 @@ class Stack:
             groups.append((data[own[0]].omega, z, weight))
         rows = np.concatenate([np.flatnonzero(owner == i) for own in people.values() for i in own])
         edges = np.r_[0, np.cumsum([len(z) for _, z, _ in groups])]
-        n = int(np.clip(len(rows) // _RECORDINGS, min(_FEWEST_PIECES, len(rows)), _MOST_PIECES))
+        points = sum(weight.size for _, _, weight in groups)
+        few = min(_FEW_PIECES, 1 + points // _SMALL_PIECE)
+        n = min(int(np.clip(points // _LARGE_PIECE, few, _MOST_PIECES)), len(rows))
         pieces = []
         for piece in np.array_split(np.arange(len(rows)), n):
             blocks = []
