@@ -38,7 +38,6 @@ from bayes_impedance.mismatch.model import Model
 from bayes_impedance.mismatch.places import INSIDE, local_impedances
 from bayes_impedance.mismatch.refit import Refit
 from bayes_impedance.mismatch.residuals import PersonResiduals
-from bayes_impedance.persons import map_persons
 
 _DRAWS = 6_000
 
@@ -208,7 +207,7 @@ def screen(
     own_directions = [directions[k] for k in grid_of]
     size = -(-n // _MOST_SUMS)
     chunks = [[column[i : i + size] for i in range(0, n, size)] for column in (residuals, own_directions, u)]
-    shares = map_persons(executor, partial(_shares, fit.model, candidates, added), *chunks)
+    shares = executor.map(partial(_shares, fit.model, candidates, added), *chunks)
 
     gram, score, information, total = np.zeros((c + len(added),) * 2), [], [], np.zeros(c + len(added))
     for b, m, before, own in shares:
