@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayes_impedance.errors import InputError
+from bayes_impedance.errors import InputError, WorkerError
 from bayes_impedance.progress import Bars
 
 if TYPE_CHECKING:
@@ -32,6 +32,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except InputError as error:
         _tell(f"error: {error}", sys.stderr)
         return BAD_INPUT
+    except WorkerError as error:
+        _tell(f"error: {error}", sys.stderr)
+        return FAILED
     except KeyboardInterrupt:
         _tell("\ninterrupted; the same command with --resume continues a fit where it was", sys.stderr)
         return FAILED
@@ -115,8 +118,7 @@ def _fit_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=_seed, default=1, help="default: 1; the same seed gives the same result")
     parser.add_argument("--quick", action="store_true", help="fewer draws: a first look")
     parser.add_argument("--resume", action="store_true", help="continue a fit that was interrupted")
-    parser.add_argument("--workers", type=_count, default=2, metavar="N", help="threads (default: 2)")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="Dask scheduler, whose workers fit people (extra: dask)")
+    _worker_arguments(parser)
 
 
 def _diagnose_arguments(parser: argparse.ArgumentParser) -> None:
@@ -131,7 +133,15 @@ def _diagnose_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--subject", action="append", default=[], metavar="NAME", help="use only this one; repeatable")
     parser.add_argument("--seed", type=_seed, default=1, help="default: 1; the same seed gives the same verdict")
     parser.add_argument("--quick", action="store_true", help="without held-out frequencies and without proposals")
-    parser.add_argument("--workers", type=_count, default=2, metavar="N", help="threads (default: 2)")
+    _worker_arguments(parser)
+
+
+def _worker_arguments(parser: argparse.ArgumentParser) -> None:
+    """Who does what is done person by person; the result is the same."""
+    parser.add_argument(
+        "--workers", type=_count, metavar="N", help="local processes that fit people (default: two threads of this one)"
+    )
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="Dask scheduler, whose workers fit people (extra: dask)")
 
 
 def _export_arguments(parser: argparse.ArgumentParser) -> None:
@@ -157,7 +167,7 @@ def _export_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--grid", type=_count, default=40, metavar="N", help="gains on each axis (default: 40)")
     parser.add_argument("--no-pictures", dest="pictures", action="store_false", help="tables only")
     parser.add_argument("--seed", type=_seed, default=1, help="default: 1; the same seed gives the same users")
-    parser.add_argument("--workers", type=_count, default=2, metavar="N", help="threads (default: 2)")
+    parser.add_argument("--workers", type=_count, default=2, metavar="N", help="threads of the map (default: 2)")
 
 
 def _count(text: str) -> int:
@@ -242,6 +252,7 @@ def _diagnose(options: argparse.Namespace) -> int:
         seed=options.seed,
         quick=options.quick,
         workers=options.workers,
+        scheduler=options.scheduler,
     )
     with Bars() as bars:
         diagnosis = diagnose_dataset(options.dataset, options.out, chosen, options.simulation, bars)

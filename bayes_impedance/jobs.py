@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 CHECKPOINT_FOLDER, PICTURE_FOLDER, TRUTH_FILE = "checkpoint", "pictures", "truth.json"
 VERDICT_FILE = "verdict.json"
 
+_THREADS = 2
+
 
 @dataclass(frozen=True)
 class FitOptions:
@@ -49,8 +51,9 @@ class FitOptions:
     seed : int
     quick : bool
         Fewer draws and shorter chains: for a first look.
-    workers : int
-        Threads; does not change the result.
+    workers : int or None
+        Processes of this machine that do what is done person by person, and threads of this process that sample; None
+        for two threads that do all. Does not change the result.
     scheduler : str or None
         Address of a Dask scheduler whose workers do what is done person by person; does not change the result.
     """
@@ -61,8 +64,13 @@ class FitOptions:
     subjects: tuple[str, ...] = ()
     seed: int = 1
     quick: bool = False
-    workers: int = 2
+    workers: int | None = None
     scheduler: str | None = None
+
+    @property
+    def threads(self) -> int:
+        """Threads of this process, which sample: ensembles share what is in its memory."""
+        return _THREADS if self.workers is None else self.workers
 
     def settings(self) -> FitSettings:
         """Settings of the fit."""
@@ -90,6 +98,8 @@ def fit_dataset(dataset: Path, out: Path, options: FitOptions, resume: bool, pro
     ------
     InputError
         If the input cannot be used, or `resume` meets the checkpoint of another fit.
+    WorkerError
+        If processes or a cluster's workers die again and again; what was sampled is kept for `resume`.
     """
     return _fit(dataset, out, options, resume, progress)[0]
 
@@ -187,7 +197,7 @@ def diagnose_dataset(
     out : Path
         Folder for the results.
     options : FitOptions
-        Network, subjects, seed and workers; the diagnosis has no shorter form.
+        Network, covariance, subjects, seed, quick, workers and scheduler.
     simulation : Path or None
         Dataset of a simulated population that claims to describe the recordings.
     progress : callable
@@ -196,6 +206,8 @@ def diagnose_dataset(
     ------
     InputError
         If the input cannot be used.
+    WorkerError
+        If processes or a cluster's workers die again and again.
     """
     from bayes_impedance.recordings import read_recordings
 
@@ -207,19 +219,21 @@ def diagnose_dataset(
         )
 
     from bayes_impedance.mismatch import diagnose
+    from bayes_impedance.persons import executor_of
     from bayes_impedance.report.diagnosis import write_diagnosis_report
 
     network = options.network if options.network is not None or claimed is None else recordings.network
-    diagnosis = diagnose(
-        recordings,
-        network or (claimed.network if claimed is not None else None),
-        simulation=claimed,
-        diagonal=options.covariance == "diagonal",
-        quick=options.quick,
-        seed=options.seed,
-        workers=options.workers,
-        progress=progress,
-    )
+    with executor_of(options.threads, options.workers, options.scheduler) as executor:
+        diagnosis = diagnose(
+            recordings,
+            network or (claimed.network if claimed is not None else None),
+            simulation=claimed,
+            diagonal=options.covariance == "diagonal",
+            quick=options.quick,
+            seed=options.seed,
+            progress=progress,
+            executor=executor,
+        )
     out.mkdir(parents=True, exist_ok=True)
     progress("pictures and report", 0, 1)
     write_diagnosis_report(diagnosis, out)
@@ -316,13 +330,13 @@ def _fit(dataset: Path, out: Path, options: FitOptions, resume: bool, progress: 
     settings = options.settings()
     checkpoint = _checkpoint(out, recordings, options, resume)
     try:
-        with executor_of(options.workers, options.scheduler) as executor:
+        with executor_of(options.threads, options.workers, options.scheduler) as executor:
             fit = fit_population(
                 recordings,
                 options.network,
                 settings=settings,
                 seed=options.seed,
-                workers=options.workers,
+                workers=options.threads,
                 progress=progress,
                 checkpoint=checkpoint,
                 executor=executor,

@@ -1,28 +1,35 @@
 """What is done person by person, on any executor of the standard interface.
 
-Threads of this process, processes of this machine (``ProcessPoolExecutor``) and the workers of a Dask cluster
-(``Client.get_executor()``) are all the same here: a function of a module is sent out with the data of some persons, and
-the results come back in the persons' order. So the result does not depend on who has worked, and a cluster that loses a
-worker repeats what was lost.
+Threads of this process, processes of this machine (:class:`~bayes_impedance.processes.Processes`, or a pool of the
+standard library) and the workers of a Dask cluster (``Client.get_executor()``) are all the same here: a function of a
+module is sent out with the data of some persons, and the results come back in the persons' order. So the result does
+not depend on who has worked, and what was lost with a process or a cluster's worker is repeated.
 
 What is known of everybody may stay where it was worked out (:class:`Kept`): with a cluster's workers, or in this
 process. It lies in parts of some dozens to hundreds of persons, which are asked for sums, and only the sums travel.
 Parts depend on the number of persons alone and are summed in order, so sums do not depend on who has worked either. A
 cluster makes again what a lost worker had kept, from what it had been made of, back to the recordings.
+
+What is asked hundreds of times may be lent (:class:`Lent`): threads use it as it is, a cluster keeps it, and any other
+process remembers what it has been sent once.
 """
 
 from __future__ import annotations
 
-from collections import deque
+from collections import OrderedDict, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
+from enum import Enum
 from functools import partial
+from threading import Lock
 from typing import Any, TypeVar
+from uuid import uuid4
 
 import numpy as np
 
-from bayes_impedance.errors import InputError
+from bayes_impedance.errors import InputError, WorkerError
+from bayes_impedance.processes import Processes
 
 Result = TypeVar("Result")
 
@@ -33,29 +40,36 @@ _RETRIES, _PATIENCE = 5, "15s"
 
 _MOST_PARTS, _SMALLEST_PART, _LARGEST_PART = 8, 128, 512
 
+_MOST_REMEMBERED = 256_000_000
+"""Bytes of lent data that a process remembers; one that does not remember is sent them again."""
+
 
 @contextmanager
-def executor_of(workers: int, scheduler: str | None = None) -> Iterator[Executor]:
-    """Threads of this process, or a Dask cluster's workers.
+def executor_of(threads: int = 2, processes: int | None = None, scheduler: str | None = None) -> Iterator[Executor]:
+    """Threads of this process, processes of this machine, or a Dask cluster's workers.
 
     Parameters
     ----------
-    workers : int
-        Threads.
+    threads : int
+        Used if nothing else is asked for.
+    processes : int, optional
+        Processes of this machine.
     scheduler : str, optional
-        Address of a Dask scheduler, ``tcp://host:8786``; then the number of threads does not matter.
+        Address of a Dask scheduler, ``tcp://host:8786``; it comes first.
 
     Raises
     ------
     InputError
         If ``distributed`` is not installed, or no scheduler answers.
+    WorkerError
+        If the same task has lost its worker again and again.
     """
     if scheduler is None:
-        with ThreadPoolExecutor(workers) as executor:
+        with ThreadPoolExecutor(threads) if processes is None else Processes(processes) as executor:
             yield executor
         return
     try:
-        from distributed import Client
+        from distributed import Client, KilledWorker
     except ImportError:
         raise InputError(
             'a scheduler needs the package distributed: pip install "bayes_impedance[dask]", or leave out --scheduler'
@@ -68,7 +82,13 @@ def executor_of(workers: int, scheduler: str | None = None) -> Iterator[Executor
             "or leave out --scheduler"
         ) from None
     with client:
-        yield Cluster(client)
+        try:
+            yield Cluster(client)
+        except KilledWorker:
+            raise WorkerError(
+                "the same task has lost one of the cluster's workers after the other, killed by somebody or for want "
+                "of memory; give workers more memory, or leave out --scheduler"
+            ) from None
 
 
 class Cluster(Executor):
@@ -176,6 +196,97 @@ class Kept:
         """Part by part, this and the same persons' parts of the columns."""
         split = [c.parts if isinstance(c, Kept) else [c[rows] for rows in parts_of(len(c))] for c in (self, *columns)]
         return list(zip(*split, strict=True))
+
+
+class Lent:
+    """Data that tasks need again and again: in this process as they are, elsewhere kept where they have been once.
+
+    Where a task travels, the data are known by a name. A process that does not know the name says so, and is sent them;
+    a lost worker's successor does the same. A :class:`Cluster` keeps the data with one of its workers and does there
+    what needs them.
+
+    Parameters
+    ----------
+    data : object
+        Must not be changed any more.
+    """
+
+    def __init__(self, data: Any) -> None:
+        self.data = data
+        self.name = uuid4().hex
+        self._sent = False
+        self._kept: tuple[Cluster, Any] | None = None
+
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
+        return _recalled, (self.name,)
+
+    @staticmethod
+    def ask(executor: Executor, function: Callable[..., Result], rows: Sequence[tuple[Lent, Any]]) -> list[Result]:
+        """Results of ``function(data, task)`` for every pair of what is lent and a task, in order."""
+        if isinstance(executor, Cluster):
+            return executor.ask(function, [(lent._with(executor), task) for lent, task in rows])
+        lents, tasks = [lent for lent, _ in rows], [task for _, task in rows]
+        call = partial(_with_lent, function)
+        answers = list(executor.map(call, [lent if lent._sent else _Whole(lent) for lent in lents], tasks))
+        unknown = [k for k, answer in enumerate(answers) if answer is _Answer.NOT_KNOWN]
+        if unknown:
+            again = executor.map(call, [_Whole(lents[k]) for k in unknown], [tasks[k] for k in unknown])
+            for k, answer in zip(unknown, again, strict=True):
+                answers[k] = answer
+        for lent in lents:
+            lent._sent = True
+        return [answer for answer in answers if not isinstance(answer, _Answer)]
+
+    def _with(self, cluster: Cluster) -> Any:
+        """What the cluster knows the data by."""
+        if self._kept is None or self._kept[0] is not cluster:
+            self._kept = cluster, cluster.keep(_itself, self.data)
+        return self._kept[1]
+
+
+class _Answer(Enum):
+    NOT_KNOWN = "not known"
+
+
+class _Whole:
+    """What is lent, on the way to a process that may not know it."""
+
+    def __init__(self, lent: Lent) -> None:
+        self.name, self.data = lent.name, lent.data
+
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
+        return _learned, (self.name, self.data)
+
+
+_remembered: OrderedDict[str, Lent] = OrderedDict()
+_remembering = Lock()
+
+
+def _learned(name: str, data: Any) -> Lent:
+    """What has just arrived; the longest not asked for is forgotten if there is too much."""
+    lent = Lent(data)
+    with _remembering:
+        _remembered[name] = lent
+        while len(_remembered) > 1 and sum(_size(known.data) for known in _remembered.values()) > _MOST_REMEMBERED:
+            _remembered.popitem(last=False)
+    return lent
+
+
+def _recalled(name: str) -> Lent:
+    with _remembering:
+        if name not in _remembered:
+            return Lent(_Answer.NOT_KNOWN)
+        _remembered.move_to_end(name)
+        return _remembered[name]
+
+
+def _size(data: Any) -> int:
+    """Bytes of the arrays in nested tuples or lists."""
+    return sum(_size(part) for part in data) if isinstance(data, tuple | list) else getattr(data, "nbytes", 0)
+
+
+def _with_lent(function: Callable[[Any, Any], Result], lent: Lent | _Whole, task: Any) -> Result | _Answer:
+    return _Answer.NOT_KNOWN if lent.data is _Answer.NOT_KNOWN else function(lent.data, task)
 
 
 def parts_of(n: int) -> list[slice]:

@@ -162,7 +162,7 @@ def fit_population(
     seed : int
         The same seed and data give the same numbers on one machine.
     workers : int
-        Threads; the result does not depend on their number.
+        Threads of this process; the result does not depend on their number. Ensembles are always sampled by them.
     progress : callable, optional
         Called with stage, done, total.
     checkpoint : Path, optional

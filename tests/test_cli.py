@@ -136,7 +136,7 @@ def test_the_result_is_an_ordinary_arviz_file(finished: Path) -> None:
     assert len(figure.axes) == 25
 
 
-def test_the_same_seed_gives_the_same_bytes(dataset: Path, finished: Path, tmp_path: Path) -> None:
+def test_the_same_seed_gives_the_same_bytes_with_processes(dataset: Path, finished: Path, tmp_path: Path) -> None:
     assert main(["run", str(dataset), "-o", str(tmp_path), "--quick", "--seed", "4", "--workers", "1"]) == 0
     assert (tmp_path / "result.nc").read_bytes() == (finished / "result.nc").read_bytes()
     one, two = (json.loads((f / "summary.json").read_text(encoding="utf-8")) for f in (tmp_path, finished))

@@ -36,6 +36,7 @@ ORDER = (
     "hierarchy",
     "draws",
     "marginal",
+    "processes",
     "persons",
     "starts",
     "expectation",

@@ -23,6 +23,7 @@ from bayes_impedance.network import parse
 from bayes_impedance.persons import Cluster, Kept, map_persons, parts_of
 from bayes_impedance.population import FitSettings, PopulationFit, _kept_sets, fit_population
 from bayes_impedance.posterior import noise_within
+from bayes_impedance.processes import Processes
 from bayes_impedance.recordings import Recordings
 from bayes_impedance.sampling import Chains, SamplerSettings
 from bayes_impedance.simulate import VirtualPopulation, simulate_recordings
@@ -112,6 +113,19 @@ def test_processes_give_the_same(alone: PopulationFit) -> None:
         _require_same(alone, fit_population(people(), settings=SETTINGS, seed=2, executor=executor))
 
 
+def test_processes_of_which_one_is_killed_give_the_same(alone: PopulationFit) -> None:
+    killed: list[int] = []
+
+    def progress(stage: str, done: int, _total: int) -> None:
+        if stage == "population estimate" and done >= 2 and not killed:
+            killed.append(executor.pids[0])
+            os.kill(killed[0], signal.SIGKILL)
+
+    with Processes(2) as executor:
+        _require_same(alone, fit_population(people(), settings=SETTINGS, seed=2, executor=executor, progress=progress))
+        assert killed[0] not in executor.pids
+
+
 @pytest.mark.parametrize(
     ("kept", "stage"), [(False, "population estimate"), (True, "population estimate"), (True, "sampling")]
 )
@@ -199,8 +213,9 @@ def test_a_result_of_many_persons_keeps_fewer_sets(people: int, kept: int) -> No
     assert (chosen[0], chosen[-1]) == (0, 499)
 
 
+@pytest.mark.parametrize("command", ["fit", "diagnose"])
 def test_a_scheduler_that_does_not_answer_is_one_sentence(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("distributed", reason="distributed is not installed (extra: dask)")
     from bayes_impedance.recordings import write_recordings
@@ -209,7 +224,9 @@ def test_a_scheduler_that_does_not_answer_is_one_sentence(
     write_recordings(people(), tmp_path / "data")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        status = main(["fit", str(tmp_path / "data"), "-o", str(tmp_path / "out"), "--scheduler", "tcp://127.0.0.1:9"])
+        status = main(
+            [command, str(tmp_path / "data"), "-o", str(tmp_path / "out"), "--scheduler", "tcp://127.0.0.1:9"]
+        )
     assert status == 2
     said = capsys.readouterr().err
     assert "no Dask scheduler answers at 'tcp://127.0.0.1:9'" in said

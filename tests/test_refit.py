@@ -14,6 +14,7 @@ import pytest
 from conftest import DATA
 
 import bayes_impedance.mismatch.coefficients as coefficients_module
+import bayes_impedance.mismatch.equations as equations_module
 from bayes_impedance.kernel import Kernel
 from bayes_impedance.likelihood import SCALE_SHAPE, Likelihood
 from bayes_impedance.mismatch.coefficients import coefficient_posterior, reported, unit_of, verdict_on_side
@@ -210,6 +211,30 @@ def test_equations_are_the_residuals_and_their_slopes() -> None:
         np.testing.assert_allclose(found.chi[m], np.sum(np.abs(residual) ** 2), rtol=1e-10)
         np.testing.assert_allclose(found.gradient[m], (slope.conj() @ residual).real, rtol=1e-8)
         np.testing.assert_allclose(found.information[m], (slope.conj() @ slope.T).real, rtol=1e-10)
+
+
+def test_in_how_many_pieces_recordings_are_lent_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two frequency grids among seven people, whose pieces end inside of people; some of the people asked again."""
+    first, second = toy(*TOY, seed=1, n=4), toy(*TOY, seed=2, n=3, frequency_hz=np.geomspace(3, 900, 29), repetitions=3)
+    data = (first.data[0], *second.data[:2], *first.data[1:], second.data[2])
+    u = np.tile(first.u[0] + 0.1, (len(owners(data)), 1))
+    u += np.random.default_rng(1).normal(0, 0.1, u.shape)
+    some = np.arange(7) % 3 == 0
+    found = []
+    for few in (1, 4, 100):
+        monkeypatch.setattr(equations_module, "_SMALL_PIECE", 1)
+        monkeypatch.setattr(equations_module, "_FEW_PIECES", few)
+        monkeypatch.setattr(equations_module, "_MOST_PIECES", 100)
+        stack = Stack.of(data)
+        assert len(stack.pieces) == min(few, len(u))
+        assert sorted(np.concatenate([rows for rows, _ in stack.pieces])) == list(range(len(u)))
+        whole = equations_at(first.model, stack, u, Serial())
+        again = equations_at(first.model, stack, u + 0.01, Serial(), some, whole)
+        found.append((whole.chi, whole.gradient, whole.information, again.chi, again.gradient, again.information))
+        np.testing.assert_array_equal(again.chi == whole.chi, ~some[owners(data)])
+    for other in found[1:]:
+        for one, two in zip(found[0], other, strict=True):
+            np.testing.assert_array_equal(one, two)
 
 
 FREE = 1e6 * np.eye(3)

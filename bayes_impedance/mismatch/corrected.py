@@ -13,7 +13,7 @@ only be roughly right: the elements that are found are a beginning for refits of
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor
 from dataclasses import replace
 
 import numpy as np
@@ -32,7 +32,7 @@ _LONGER, _ROUNDS, _SHARE = 2.0, 40, 0.6
 
 
 def another_beginning(
-    fitted: Fitted, step: Step, known: float, seed: int, executor: ThreadPoolExecutor, progress: Progress
+    fitted: Fitted, step: Step, known: float, seed: int, executor: Executor, progress: Progress
 ) -> Refit | None:
     """The network alone, where it ends without the effect of the rig that harms it most; None if that promises nothing.
 
@@ -46,7 +46,7 @@ def another_beginning(
     known : float
         Gain of what was found without it: the effect alone must come near that from its new beginning.
     seed : int
-    executor : ThreadPoolExecutor
+    executor : Executor
     progress : callable
 
     Returns

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from concurrent.futures import Executor
+from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -37,6 +37,7 @@ from bayes_impedance.mismatch.surface import from_evidence
 from bayes_impedance.mismatch.unknown import Realised, realise, structure_remains
 from bayes_impedance.mismatch.verdict import FEW_PEOPLE, Evidence, make_verdict
 from bayes_impedance.network import Network
+from bayes_impedance.persons import executor_of
 from bayes_impedance.recordings import Recordings
 from bayes_impedance.starts import Progress
 
@@ -51,7 +52,7 @@ class _Job:
     diagonal: bool
     quick: bool
     seed: int
-    executor: ThreadPoolExecutor
+    executor: Executor
     progress: Progress
 
 
@@ -66,6 +67,7 @@ def diagnose(
     seed: int = 1,
     workers: int = 2,
     progress: Progress = lambda *_: None,
+    executor: Executor | None = None,
 ) -> Diagnosis:
     """Find what a network leaves out of recordings.
 
@@ -91,6 +93,9 @@ def diagnose(
         Threads; the verdict does not depend on their number.
     progress : callable, optional
         Called with stage, done, total.
+    executor : Executor, optional
+        Does what is done person by person and recording by recording: processes, a cluster's workers, whatever has the
+        standard interface. Threads of this process if not given; the verdict is the same.
 
     Returns
     -------
@@ -105,7 +110,8 @@ def diagnose(
 
     clock = _Clock()
     candidates = tuple(registered() if effects is None else effects)
-    with threadpool_limits(1), ThreadPoolExecutor(workers) as executor:
+    own = executor_of(workers) if executor is None else nullcontext(executor)
+    with threadpool_limits(1), own as executor:
         job = _Job(candidates, diagonal, quick, seed, executor, progress)
         claimed = None
         if simulation is not None:

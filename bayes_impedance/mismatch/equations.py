@@ -21,9 +21,15 @@ import numpy as np
 from bayes_impedance.kernel import Program, compiled
 from bayes_impedance.likelihood import SCALE_SHAPE, Likelihood, normal_equations
 from bayes_impedance.mismatch.model import Model
+from bayes_impedance.persons import Lent
 
 _FREEDOM = 5.0
-_PIECES = 4
+
+_SMALL_PIECE, _LARGE_PIECE = 4_000, 25_000
+"""Points (recordings times frequencies): a third of a millisecond of work, below which threads do not help; and two, of
+which there are many if people are many: a task costs a cluster some milliseconds."""
+
+_FEW_PIECES, _MOST_PIECES = 4, 64
 
 
 @dataclass(frozen=True)
@@ -77,18 +83,21 @@ def counts(data: Sequence[Likelihood]) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Stack:
-    """All recordings, those with the same frequencies one after the other: few long tasks instead of many short ones.
+    """All recordings, those with the same frequencies one after the other, in a few long pieces of about equal work.
+
+    Pieces are lent (:class:`~bayes_impedance.persons.Lent`): the data do not travel each time.
 
     Attributes
     ----------
     owner : ndarray, shape (M,)
         Person of every recording.
-    groups : tuple of (rows, omega, z, weight)
-        Numbers (R,) of the recordings in a group, and their data of shape (F,), (R, 2, F) and (R, F).
+    pieces : tuple of (rows, Lent)
+        Numbers (R,) of the recordings in a piece, and their data: a tuple of (omega, z, weight) with shapes (F,),
+        (R', 2, F) and (R', F), in the order of the rows.
     """
 
     owner: np.ndarray
-    groups: tuple[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], ...]
+    pieces: tuple[tuple[np.ndarray, Lent], ...]
 
     @classmethod
     def of(cls, data: Sequence[Likelihood]) -> Stack:
@@ -99,11 +108,23 @@ class Stack:
             people.setdefault(d.omega.tobytes(), []).append(i)
         groups = []
         for own in people.values():
-            rows = np.concatenate([np.flatnonzero(owner == i) for i in own])
             z = np.ascontiguousarray(np.concatenate([data[i].z for i in own]))
             weight = np.ascontiguousarray(np.concatenate([data[i].weight for i in own]))
-            groups.append((rows, data[own[0]].omega, z, weight))
-        return cls(owner, tuple(groups))
+            groups.append((data[own[0]].omega, z, weight))
+        rows = np.concatenate([np.flatnonzero(owner == i) for own in people.values() for i in own])
+        edges = np.r_[0, np.cumsum([len(z) for _, z, _ in groups])]
+        points = sum(weight.size for _, _, weight in groups)
+        few = min(_FEW_PIECES, 1 + points // _SMALL_PIECE)
+        n = min(int(np.clip(points // _LARGE_PIECE, few, _MOST_PIECES)), len(rows))
+        pieces = []
+        for piece in np.array_split(np.arange(len(rows)), n):
+            blocks = []
+            for (omega, z, weight), begin, end in zip(groups, edges[:-1], edges[1:], strict=True):
+                inside = slice(max(piece[0] - begin, 0), max(min(piece[-1] + 1, end) - begin, 0))
+                if inside.start < inside.stop:
+                    blocks.append((omega, z[inside], weight[inside]))
+            pieces.append((rows[piece], Lent(tuple(blocks))))
+        return cls(owner, tuple(pieces))
 
 
 @compiled
@@ -114,7 +135,24 @@ def _recordings(
     chi, gradient, information = np.empty(n), np.empty((n, p)), np.empty((n, p, p))
     for k in range(n):
         j = chosen[k]
-        chi[k], gradient[k], information[k] = normal_equations(program, u[j], omega, z[j], weight[j])
+        chi[k], gradient[k], information[k] = normal_equations(program, u[k], omega, z[j], weight[j])
+    return chi, gradient, information
+
+
+def _piece(
+    blocks: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], task: tuple[Program, np.ndarray, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Chi-square, gradient and information of the chosen recordings of a piece, u in their order."""
+    program, u, chosen = task
+    found, begin = [], 0
+    for omega, z, weight in blocks:
+        own = (chosen >= begin) & (chosen < begin + len(z))
+        if own.any():
+            found.append(_recordings(program, u[own], omega, z, weight, chosen[own] - begin))
+        begin += len(z)
+    if len(found) == 1:
+        return found[0]  # type: ignore[no-any-return]
+    chi, gradient, information = (np.concatenate(parts) for parts in zip(*found, strict=True))
     return chi, gradient, information
 
 
@@ -136,14 +174,13 @@ def equations_at(
     else:
         result = Equations(known.chi.copy(), known.gradient.copy(), known.information.copy())
         wanted = people[stack.owner]
-    tasks = []
-    for rows, omega, z, weight in stack.groups:
-        own = np.ascontiguousarray(u[rows])
+    where, tasks = [], []
+    for rows, lent in stack.pieces:
         chosen = np.flatnonzero(wanted[rows])
-        for piece in np.array_split(chosen, min(_PIECES, max(len(chosen), 1))):
-            if piece.size:
-                tasks.append((rows[piece], (model.kernel.program, own, omega, z, weight, piece)))
-    for (rows, _), found in zip(tasks, executor.map(lambda task: _recordings(*task[1]), tasks), strict=True):
+        if chosen.size:
+            where.append(rows[chosen])
+            tasks.append((lent, (model.kernel.program, u[rows[chosen]], chosen)))
+    for rows, found in zip(where, Lent.ask(executor, _piece, tasks), strict=True):
         result.chi[rows], result.gradient[rows], result.information[rows] = found
     return result
 

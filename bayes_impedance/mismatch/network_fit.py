@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,7 +43,7 @@ class Fitted:
 
 
 def fit_network(
-    recordings: Recordings, network: Network | str | None, seed: int, executor: ThreadPoolExecutor, progress: Progress
+    recordings: Recordings, network: Network | str | None, seed: int, executor: Executor, progress: Progress
 ) -> Fitted:
     """Fit the network to everybody, every person from many starts: an unconverged fit looks like missing physics."""
     tree = network_of(recordings, network)

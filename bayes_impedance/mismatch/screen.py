@@ -27,17 +27,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.special import gammaincc, gammaln, log_ndtr
 
 from bayes_impedance.likelihood import SCALE_SHAPE
 from bayes_impedance.mismatch.effects import ADDING, Effect, direction, shape_grid
+from bayes_impedance.mismatch.model import Model
 from bayes_impedance.mismatch.places import INSIDE, local_impedances
 from bayes_impedance.mismatch.refit import Refit
 from bayes_impedance.mismatch.residuals import PersonResiduals
 
 _DRAWS = 6_000
+
+_MOST_SUMS = 128
+"""Sums of products of all signatures that travel, each of a person or, of more people, of some."""
+
 _SHARPER = 1.5
 _SMALLEST_LOG = -600.0
 
@@ -197,27 +203,47 @@ def screen(
     frequencies = [residuals[grid_of.index(k)].frequency_hz for k in range(len(grids))]
     directions = [_constant_directions(fit, candidates, frequency) for frequency in frequencies]
 
-    def share(i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        person = residuals[i]
-        constant = directions[grid_of[i]]
-        g = _signatures(fit, candidates, constant, added, person, fit.u[starts[i] : starts[i + 1]])
-        before = np.einsum("jcf,jcf->c", g, g)
-        g -= np.matmul(np.matmul(g, person.basis), np.swapaxes(person.basis, 1, 2))
-        b = np.einsum("jcf,jf->c", g, person.white)
-        m = np.einsum("jcf,jcf->c", g, g)
-        # For the correlations one recording of everybody is enough; the lengths are exact.
-        return b, m, before, (g[0] @ g[0].T) * len(person.white)
+    u = [fit.u[starts[i] : starts[i + 1]] for i in range(n)]
+    own_directions = [directions[k] for k in grid_of]
+    size = -(-n // _MOST_SUMS)
+    chunks = [[column[i : i + size] for i in range(0, n, size)] for column in (residuals, own_directions, u)]
+    shares = executor.map(partial(_shares, fit.model, candidates, added), *chunks)
 
     gram, score, information, total = np.zeros((c + len(added),) * 2), [], [], np.zeros(c + len(added))
-    for b, m, before, own in executor.map(share, range(n)):
+    for b, m, before, own in shares:
         gram += own
         score.append(b)
         information.append(m)
         total += before
-    b, m = np.array(score), np.array(information)
+    b, m = np.concatenate(score), np.concatenate(information)
     length = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     gram *= np.outer(np.sqrt(m.sum(axis=0)) / length, np.sqrt(m.sum(axis=0)) / length)
     return _pooled(candidates, b, m, gram, total, c, seed)
+
+
+def _shares(
+    model: Model,
+    candidates: Sequence[Candidate],
+    added: np.ndarray,
+    persons: Sequence[PersonResiduals],
+    directions: Sequence[Sequence[np.ndarray | None]],
+    u: Sequence[np.ndarray],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Some persons' b and m, shape (n, C + A), and over them the sums of the signatures' squares and of their products.
+
+    The products, (C + A)^2 numbers, are what is large of it.
+    """
+    score, information = [], []
+    squares, products = np.zeros(len(candidates) + added.size), np.zeros((len(candidates) + added.size,) * 2)
+    for person, constant, own in zip(persons, directions, u, strict=True):
+        g = _signatures(model, candidates, constant, added, person, own)
+        squares += np.einsum("jcf,jcf->c", g, g)
+        g -= np.matmul(np.matmul(g, person.basis), np.swapaxes(person.basis, 1, 2))
+        score.append(np.einsum("jcf,jf->c", g, person.white))
+        information.append(np.einsum("jcf,jcf->c", g, g))
+        # For the correlations one recording of everybody is enough; the lengths are exact.
+        products += (g[0] @ g[0].T) * len(person.white)
+    return np.array(score), np.array(information), squares, products
 
 
 def _pooled(
@@ -301,7 +327,7 @@ def _constant_directions(
 
 
 def _signatures(
-    fit: Refit,
+    model: Model,
     candidates: Sequence[Candidate],
     constant: Sequence[np.ndarray | None],
     added: np.ndarray,
@@ -310,7 +336,7 @@ def _signatures(
 ) -> np.ndarray:
     """Whitened signatures of a person's recordings, shape (J, C + A, 2 F), those of what was added before last."""
     omega = 2 * np.pi * person.frequency_hz
-    local = local_impedances(fit.model, u, omega)
+    local = local_impedances(model, u, omega)
     result = np.empty((len(u), len(candidates) + added.size, 2 * omega.size))
     n = omega.size
     felt = {name: place.adjoint / person.sd for name, place in local.items()}
@@ -319,11 +345,11 @@ def _signatures(
         spot = INSIDE if inside else candidate.place
         d = constant[k]
         if d is None:
-            d = direction(candidate.effect, candidate.shape, fit.model.scales, omega, local[spot].z)
+            d = direction(candidate.effect, candidate.shape, model.scales, omega, local[spot].z)
         dz = d * felt[spot]
         result[:, k, :n], result[:, k, n:] = dz.real, dz.imag
     if added.size:
-        dz = fit.model.kernel.derivative(u, person.frequency_hz)[1][:, added] / person.sd[:, None]
+        dz = model.kernel.derivative(u, person.frequency_hz)[1][:, added] / person.sd[:, None]
         result[:, len(candidates) :, :n], result[:, len(candidates) :, n:] = dz.real, dz.imag
     return result
 

@@ -16,7 +16,7 @@ recordings' own fit have swallowed in part stands out there.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -139,7 +139,7 @@ def claim_of(
     network: Network | str | None,
     effects: Sequence[Effect],
     seed: int,
-    executor: ThreadPoolExecutor,
+    executor: Executor,
     progress: Progress,
 ) -> Claim:
     """What a simulation itself is made of.
@@ -152,7 +152,7 @@ def claim_of(
     effects : sequence of Effect
         Candidates.
     seed : int
-    executor : ThreadPoolExecutor
+    executor : Executor
     progress : callable
     """
     fitted = fit_network(simulation, network, seed, executor, progress)
