@@ -133,7 +133,7 @@ def _diagnose(
         recordings = claimed.without_rest(recordings)
     with clock.measure("fit"):
         fitted = fit_network(recordings, network, seed, executor, progress)
-        with_hum = person_residuals(fitted.fit, recordings.names)
+        with_hum = person_residuals(fitted.fit, recordings.names, executor)
         hum = find_mains(with_hum, _MAINS_ALPHA) or find_skirts(with_hum, _MAINS_ALPHA)
         clean, spoilt = recordings, None
         if hum is not None:
@@ -167,7 +167,7 @@ def _diagnose(
         before = snapshot("before", clean, found.base, found.steps[0].residuals, seed)
         after = None
         if final is not found.base:
-            after = snapshot("after", clean, final, person_residuals(final, recordings.names), seed)
+            after = snapshot("after", clean, final, person_residuals(final, recordings.names, executor), seed)
         progress("confirming", 3, 3)
     changed = None if final is found.base else final
     if not final.settled and final is not found.base:
@@ -244,7 +244,7 @@ def _look(fitted: Fitted, base: Refit, begin: Refit | None, job: _Job, clock: _C
         progress("locating", 1, 2)
         last = first
         if found.final.model.additions:
-            residuals = tuple(person_residuals(found.final, names))
+            residuals = tuple(person_residuals(found.final, names, executor))
             last = locate(residuals, seed)
         one_ports = missing_one_ports(found.base, found.steps[0].residuals)
         progress("locating", 2, 2)

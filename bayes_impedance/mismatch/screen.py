@@ -32,12 +32,14 @@ from functools import partial
 import numpy as np
 from scipy.special import gammaincc, gammaln, log_ndtr
 
-from bayes_impedance.likelihood import SCALE_SHAPE
+from bayes_impedance.kernel import Kernel
+from bayes_impedance.likelihood import SCALE_SHAPE, Likelihood
 from bayes_impedance.mismatch.effects import ADDING, Effect, direction, shape_grid
 from bayes_impedance.mismatch.model import Model
 from bayes_impedance.mismatch.places import INSIDE, local_impedances
 from bayes_impedance.mismatch.refit import Refit
 from bayes_impedance.mismatch.residuals import PersonResiduals
+from bayes_impedance.persons import map_persons
 
 _DRAWS = 6_000
 
@@ -114,22 +116,34 @@ class Screening:
         return np.array([c.effect.signed for c in self.candidates], dtype=bool) | (self.size > 0)
 
 
-def person_residuals(fit: Refit, names: Sequence[str]) -> list[PersonResiduals]:
-    """Residuals of a fitted model, whitened, with the elements' tangent spaces."""
-    result = []
-    start = 0
-    kernel, n_elements = fit.model.kernel, fit.model.n_elements
-    for d, name in zip(fit.data, names, strict=True):
-        rows = slice(start, start + d.z.shape[0])
-        start = rows.stop
-        frequency = d.omega / (2 * np.pi)
-        z, dz = kernel.derivative(fit.u[rows], frequency)
-        difference = (d.z[:, 0] + 1j * d.z[:, 1] - z) * np.sqrt(d.weight)
-        basis = orthonormal(np.swapaxes(_stacked(dz[:, :n_elements] * np.sqrt(d.weight)[:, None]), 1, 2))
-        own = sharper_weight(own_weight(_stacked(difference), basis), difference)
-        sd = 1 / np.sqrt(d.weight * own)
-        result.append(PersonResiduals(name, frequency, z, sd, _stacked(difference) * np.sqrt(own), basis))
-    return result
+def person_residuals(fit: Refit, names: Sequence[str], executor: Executor | None = None) -> list[PersonResiduals]:
+    """Residuals of a fitted model, whitened, with the elements' tangent spaces.
+
+    Parameters
+    ----------
+    fit : Refit
+    names : sequence of str
+        Of the people.
+    executor : Executor, optional
+        Works person by person; here, one after the other, if not given.
+    """
+    ends = np.cumsum([d.z.shape[0] for d in fit.data])[:-1]
+    function = partial(_residuals_of, fit.model.kernel, fit.model.n_elements)
+    rows = np.split(fit.u, ends)
+    if executor is None:
+        return [function(*person) for person in zip(fit.data, names, rows, strict=True)]
+    return list(map_persons(executor, function, fit.data, names, rows))
+
+
+def _residuals_of(kernel: Kernel, n_elements: int, d: Likelihood, name: str, u: np.ndarray) -> PersonResiduals:
+    """One person's, at u (J, P)."""
+    frequency = d.omega / (2 * np.pi)
+    z, dz = kernel.derivative(u, frequency)
+    difference = (d.z[:, 0] + 1j * d.z[:, 1] - z) * np.sqrt(d.weight)
+    basis = orthonormal(np.swapaxes(_stacked(dz[:, :n_elements] * np.sqrt(d.weight)[:, None]), 1, 2))
+    own = sharper_weight(own_weight(_stacked(difference), basis), difference)
+    sd = 1 / np.sqrt(d.weight * own)
+    return PersonResiduals(name, frequency, z, sd, _stacked(difference) * np.sqrt(own), basis)
 
 
 def own_weight(white: np.ndarray, basis: np.ndarray) -> float:

@@ -127,11 +127,11 @@ def search(
     number = repeats = 0
     while number <= most:
         progress("looking for what is missing", number, most + 1)
-        residuals = tuple(person_residuals(fit, names))
+        residuals = tuple(person_residuals(fit, names, executor))
         if begin is None:
             screening = screen(fit, residuals, effects, seed, executor)
         else:
-            screening = screen(begin, person_residuals(begin, names), effects, seed, executor)
+            screening = screen(begin, person_residuals(begin, names, executor), effects, seed, executor)
         step = Step(fit, residuals, screening, (), None)
         if number < most and step.log_p < np.log(ALPHA):
             trials = try_shortlist(refitter, fit, screening, begin)

@@ -158,7 +158,7 @@ def claim_of(
     fitted = fit_network(simulation, network, seed, executor, progress)
     found = search(fitted.refitter, fitted.fit, simulation.names, effects, seed, executor, progress)
     final = found.final
-    p_value = locate(tuple(person_residuals(final, simulation.names)), seed).p_value
+    p_value = locate(tuple(person_residuals(final, simulation.names, executor)), seed).p_value
     if not structure_remains(found, p_value):
         return Claim(simulation, found, ())
     rest = []
