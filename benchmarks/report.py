@@ -73,32 +73,43 @@ def _one_curve(r: Results) -> list[Row]:
     ]
 
 
-def _population(r: Results) -> list[Row]:
-    ours = r["ours"]
-    rows = [
-        (
-            f"population of {r['people']}, worst of {r['parameters']} parameters",
-            f"{ours['per second']:.0f} effective samples per second ({ours['seconds']:.1f} s)",
-            "",
+def _population(results: Results) -> list[Row]:
+    rows: list[Row] = []
+    for r in (results["few"], results["many"]):
+        ours = r["ours"]
+        rows.append(
+            (
+                f"population of {r['people']}, worst of {r['parameters']} parameters",
+                f"{ours['per second']:.0f} effective samples per second ({ours['seconds']:.1f} s)",
+                "",
+            )
         )
+        for name, goal in (("joint", "at least 30"), ("marginal", "")):
+            rows += _nuts(name, goal, r[name]) if name in r else []
+        rows += _nlme(r["nlme"]) if "nlme" in r else []
+    return rows
+
+
+def _nuts(name: str, goal: str, row: Results) -> list[Row]:
+    low, high = row["ratio of standard deviations"]
+    who, ratio, error = row["farthest from one"]
+    return [
+        (
+            f"... by NUTS on the {name} posterior",
+            f"{row['per second']:.2f} ({row['seconds']:.0f} s); ours {row['times as many by ours']:.1f} times",
+            goal,
+        ),
+        (
+            "... largest difference of means",
+            f"{row['largest difference of means, in standard deviations']:.3f} standard deviations",
+            "at most 0.15",
+        ),
+        (
+            "... ratio of standard deviations",
+            f"{low:.3f} to {high:.3f}; farthest: {who}, {ratio:.3f} ± {error:.3f}",
+            "0.9 to 1.1",
+        ),
     ]
-    for name, goal in (("joint", "at least 30"), ("marginal", "")):
-        row = r[name]
-        low, high = row["ratio of standard deviations"]
-        rows += [
-            (
-                f"... by NUTS on the {name} posterior",
-                f"{row['per second']:.2f} ({row['seconds']:.0f} s); ours {row['times as many by ours']:.1f} times",
-                goal,
-            ),
-            (
-                "... largest difference of means",
-                f"{row['largest difference of means, in standard deviations']:.3f} standard deviations",
-                "at most 0.15",
-            ),
-            ("... ratio of standard deviations", f"{low:.3f} to {high:.3f}", "0.9 to 1.1"),
-        ]
-    return rows + _nlme(r.get("nlme"))
 
 
 def _nlme(r: Results | None) -> list[Row]:
@@ -179,8 +190,10 @@ def draw(results: Results, path: Path) -> None:
         ]
     if "population" in results:
         bars += [
-            (f"effective sample: NUTS, {name} posterior", results["population"][name]["times as many by ours"])
+            (f"effective sample: NUTS, {name} posterior, {r['people']} people", r[name]["times as many by ours"])
+            for r in (results["population"]["few"], results["population"]["many"])
             for name in ("joint", "marginal")
+            if name in r
         ]
     if not bars:
         return

@@ -298,6 +298,12 @@ def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
         assert f"    {command} " in text
 
 
+def test_the_package_is_the_command() -> None:
+    command = [sys.executable, "-m", "bayes_impedance", "--help"]
+    found = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert found.stdout.startswith("usage: bayes-impedance")
+
+
 def test_real_recordings_run_to_the_end_and_say_how_bad_the_fit_is(
     real_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -62,6 +62,7 @@ ORDER = (
     "export",
     "progress",
     "cli",
+    "__main__",
 )
 
 
