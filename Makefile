@@ -17,7 +17,7 @@ help:
 	@echo "make demo      estimate the shipped population of 71 virtual fingertips; the report goes to $(OUT)"
 	@echo "make test      run the tests, and a fixed part of the slow statistical checks"
 	@echo "make test-all  run every slow check too (about an hour)"
-	@echo "make bench     speed against peers, in one run (about half an hour; leave the machine alone)"
+	@echo "make bench     speed against peers, in one run (about an hour; leave the machine alone)"
 	@echo "make lint      ruff and mypy"
 	@echo "make clean     remove what these commands made"
 

@@ -399,7 +399,3 @@ def _is_range(value: object) -> bool:
 
 def _tell(text: str, stream: Any = None) -> None:
     (stream or sys.stdout).write(text + "\n")
-
-
-if __name__ == "__main__":
-    sys.exit(main())

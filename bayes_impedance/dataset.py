@@ -5,6 +5,7 @@ z = F/v in SI units with exp(+jwt), counted so that a passive load has Re z >= 0
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -68,6 +69,14 @@ class Subject:
         """Complex mean over the repetitions, shape (F,)."""
         mean: ComplexArray = self.z.mean(axis=0)
         return mean
+
+    @property
+    def digest(self) -> str:
+        """What changes with the name of the subject or of a repetition, and with any number but the covariates."""
+        digest = hashlib.sha256(repr((self.name, self.repetitions)).encode())
+        for numbers in (self.frequency_hz, self.z, self.noise_sd):
+            digest.update(b"none" if numbers is None else np.ascontiguousarray(numbers).tobytes())
+        return digest.hexdigest()
 
     def at(self, points: np.ndarray) -> Subject:
         """The same at some of the frequencies, by their numbers or a mask."""

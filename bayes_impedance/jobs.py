@@ -12,7 +12,7 @@ import math
 import shutil
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -328,7 +328,9 @@ def _fit(dataset: Path, out: Path, options: FitOptions, resume: bool, progress: 
     from bayes_impedance.result import make_result, save_result
 
     settings = options.settings()
-    checkpoint = _checkpoint(out, recordings, options, resume)
+    checkpoint = out / CHECKPOINT_FOLDER
+    if checkpoint.exists() and not resume:
+        shutil.rmtree(checkpoint)
     try:
         with executor_of(options.threads, options.workers, options.scheduler) as executor:
             fit = fit_population(
@@ -341,9 +343,10 @@ def _fit(dataset: Path, out: Path, options: FitOptions, resume: bool, progress: 
                 checkpoint=checkpoint,
                 executor=executor,
             )
-    except InputError:  # there is nothing to resume
-        shutil.rmtree(checkpoint)
-        if not any(out.iterdir()):
+    except InputError:
+        if not resume and checkpoint.exists():
+            shutil.rmtree(checkpoint)
+        if out.exists() and not any(out.iterdir()):
             out.rmdir()
         raise
     started = time.perf_counter()
@@ -359,29 +362,6 @@ def _fit(dataset: Path, out: Path, options: FitOptions, resume: bool, progress: 
 
 def _selected(recordings: Recordings, options: FitOptions) -> Recordings:
     return recordings.select(options.subjects) if options.subjects else recordings
-
-
-def _checkpoint(out: Path, recordings: Recordings, options: FitOptions, resume: bool) -> Path:
-    """An empty folder for the chains, or that of the interrupted fit with the same arguments."""
-    folder = out / CHECKPOINT_FOLDER
-    identity = {
-        "version": version("bayes_impedance"),
-        "data_sha256": recordings.sha256,
-        **{k: v for k, v in asdict(options).items() if k not in ("workers", "scheduler")},
-    }
-    text = json.dumps(identity, indent=2, default=list) + "\n"
-    file = folder / "fit.json"
-    if resume and file.is_file():
-        if file.read_text(encoding="utf-8") != text:
-            raise InputError(
-                f"{folder}: is of other data or other options; repeat those, or start anew without --resume"
-            )
-        return folder
-    if folder.exists():
-        shutil.rmtree(folder)
-    folder.mkdir(parents=True)
-    _write_text(file, text)
-    return folder
 
 
 def _write_pages(result: Result, out: Path, findings: Sequence[Finding], progress: Progress) -> None:

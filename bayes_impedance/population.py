@@ -23,10 +23,12 @@ from concurrent.futures import Executor
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
+from bayes_impedance.checkpoint import claim
 from bayes_impedance.diagnostics import Diagnostics, diagnose
 from bayes_impedance.empirical_bayes import Estimate, estimate
 from bayes_impedance.errors import InputError
@@ -44,7 +46,7 @@ from bayes_impedance.starts import FirstFits, Progress, default_prior, first_fit
 IDENTIFIED_SD = 1.0
 """A central value is reported if its logarithm is known better than this in the end: within a factor e."""
 
-_FIRST_FITS, _POINT_ESTIMATE = "first_fits.npz", "point_estimate.npz"
+_POINT_ESTIMATE = "point_estimate.npz"
 
 _MOST_NUMBERS, _FEWEST_SETS = 30_000_000, 100
 """Numbers that describe persons in a result, a quarter of a gigabyte; sets of each ensemble that are kept at least."""
@@ -180,7 +182,8 @@ def fit_population(
     Raises
     ------
     InputError
-        If there is no network, a covariate is unknown or incomplete, or somebody has fewer points than elements.
+        If there is no network, a covariate is unknown or incomplete, somebody has fewer points than elements, or
+        `checkpoint` is of another fit.
     """
     from threadpoolctl import threadpool_limits
 
@@ -193,17 +196,17 @@ def fit_population(
     require_enough_points(recordings, kernel)
     prior = default_prior(kernel.elements, recordings)
     seeds = np.random.SeedSequence(seed).spawn(5)
+    if checkpoint is not None:
+        same_for_any = replace(settings, sampler=replace(settings.sampler, workers=0))
+        others = version("bayes_impedance"), str(kernel.network), same_for_any, seed, covariates.tolist()
+        claim(checkpoint, recordings, *others)
     clock = _Clock()
     one = len(recordings.subjects) == 1
     # The linear algebra library must not start threads of its own inside ours.
     own = executor_of(workers) if executor is None else nullcontext(executor)
     with threadpool_limits(1), own as executor:
         with clock.measure("modes"):
-            first = FirstFits.load(checkpoint / _FIRST_FITS) if checkpoint is not None else None
-            if first is None:
-                first = first_fits(kernel, recordings, prior, seeds[0], executor, progress)
-                if checkpoint is not None:
-                    first.save(checkpoint / _FIRST_FITS)
+            first = first_fits(kernel, recordings, prior, seeds[0], executor, progress, checkpoint)
             point = estimate(
                 kernel,
                 initial_likelihoods(recordings, first, len(kernel.elements), executor),

@@ -203,8 +203,8 @@ def _failure(error: Exception) -> bytes:
     error.add_note(f"in a worker process:\n{traceback.format_exc()}")
     try:
         answer = pickle.dumps((False, error))
-        pickle.loads(answer)  # some exceptions leave but do not arrive
-    except Exception:
+        pickle.loads(answer)
+    except Exception:  # of any kind: classes of exceptions fail to leave or to arrive in ways of their own
         answer = pickle.dumps((False, RuntimeError(traceback.format_exc())))
     return answer
 

@@ -8,15 +8,17 @@ population are alike, and parts of a network that could change places should be 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 
 from bayes_impedance.array_file import load_arrays, save_arrays
+from bayes_impedance.checkpoint import forget_pieces, in_pieces
 from bayes_impedance.elements import band_scale
 from bayes_impedance.hierarchy import Prior
 from bayes_impedance.kernel import Kernel
@@ -34,6 +36,8 @@ from bayes_impedance.persons import map_persons
 from bayes_impedance.recordings import Recordings, Subject
 from bayes_impedance.subject import all_modes, find_mode
 
+Result = TypeVar("Result")
+
 Progress = Callable[[str, int, int], None]
 """Called with the name of a stage, what is done, and the total."""
 
@@ -45,6 +49,8 @@ _START_SPREAD = 2.0
 _KEPT = 4
 _FIRST_STEPS, _FOLLOWED = 15, 24
 _COMMON = 5
+
+_WHOLE = "first_fits.npz"
 
 
 @dataclass(frozen=True)
@@ -101,6 +107,7 @@ def first_fits(
     seed: np.random.SeedSequence,
     executor: Executor,
     progress: Progress,
+    checkpoint: Path | None = None,
 ) -> FirstFits:
     """Fit everybody under the broad prior and estimate the noise.
 
@@ -115,7 +122,11 @@ def first_fits(
     executor : Executor
         Runs what can be done person by person.
     progress : callable
+    checkpoint : Path, optional
+        Folder where everybody's fits are kept as they come, and from which they are taken up.
     """
+    if checkpoint is not None and (whole := FirstFits.load(checkpoint / _WHOLE)) is not None:
+        return whole
     subjects = recordings.subjects
     n_elements = len(kernel.elements)
     precision = np.eye(n_elements) / prior.centre_sd**2
@@ -124,27 +135,42 @@ def first_fits(
     spread = np.random.default_rng(seed).normal(0, _START_SPREAD, (n_starts, n_elements))
     random_starts = np.vstack([np.zeros(n_elements), spread]) + prior.centre
 
-    search = partial(search_modes, kernel, starts=random_starts, prior=prior, n=_KEPT)
-    found = map_persons(executor, search, [_thinned(subjects[i], n_elements) for i in searched])
-    candidates = np.vstack(list(_watched(found, "searching", len(searched), progress)))
-    try_all = partial(_try_all, kernel, candidates, prior.centre, precision)
-    tried = list(_watched(map_persons(executor, try_all, subjects), "first fits", len(subjects), progress))
-    ends, objectives = np.array([t[0] for t in tried]), np.array([t[1] for t in tried])
+    def everybody(
+        stage: str, function: Callable[..., tuple[np.ndarray, ...]], persons: Sequence[Any], *others: np.ndarray
+    ) -> list[tuple[np.ndarray, ...]]:
+        """One column for each array that the function returns, worked out or taken up."""
+
+        def rows_from(first: int) -> Iterator[tuple[np.ndarray, ...]]:
+            return map_persons(executor, function, persons[first:], *(other[first:] for other in others))
+
+        rows = in_pieces(checkpoint, stage.replace(" ", "_"), len(persons), rows_from)
+        return list(_watched(rows, stage, len(persons), progress))
+
+    search = partial(_searched, kernel, random_starts, prior)
+    found = everybody("searching", search, [_thinned(subjects[i], n_elements) for i in searched])
+    candidates = np.vstack([own for (own,) in found])
+    tried = everybody("first fits", partial(_try_all, kernel, candidates, prior.centre, precision), subjects)
+    ends, objectives, alternatives = (np.array(column) for column in zip(*tried, strict=True))
     regret = objectives - objectives.min(axis=1, keepdims=True)
     common = int(np.argmin(np.minimum(regret, 50).sum(axis=0)))  # capped: one odd person must not decide
     own = np.where(regret[:, common] < 8, common, np.argmin(regret, axis=1))
     start = ends[np.arange(len(subjects)), own]
-    alternatives = np.array([t[2] for t in tried])
 
-    provisional = partial(_provisional, kernel, prior.centre, precision)
-    theta = np.array(
-        list(_watched(map_persons(executor, provisional, subjects, start), "noise", len(subjects), progress))
-    )
+    provisional = everybody("noise", partial(_provisional, kernel, prior.centre, precision), subjects, start)
+    theta = np.array([own for (own,) in provisional])
     model = None
     if any(subject.noise_sd is None for subject in subjects):
         unknown = [i for i, subject in enumerate(subjects) if subject.noise_sd is None]
         model = _noise(kernel, [subjects[i] for i in unknown], theta[unknown], executor)
-    return FirstFits(theta, alternatives, _common_solutions(ends, regret), model)
+    fits = FirstFits(theta, alternatives, _common_solutions(ends, regret), model)
+    if checkpoint is not None:
+        fits.save(checkpoint / _WHOLE)
+        forget_pieces(checkpoint, "searching", "first_fits", "noise")
+    return fits
+
+
+def _searched(kernel: Kernel, starts: np.ndarray, prior: Prior, likelihood: Likelihood) -> tuple[np.ndarray]:
+    return (search_modes(kernel, likelihood, starts, prior, _KEPT),)
 
 
 def _try_all(
@@ -157,9 +183,9 @@ def _try_all(
 
 def _provisional(
     kernel: Kernel, centre: np.ndarray, precision: np.ndarray, subject: Subject, start: np.ndarray
-) -> np.ndarray:
+) -> tuple[np.ndarray]:
     likelihood = _averaged(subject, centre.size, slice(None))
-    return find_mode(kernel, likelihood, start[None], centre, precision).theta
+    return (find_mode(kernel, likelihood, start[None], centre, precision).theta,)
 
 
 def search_modes(kernel: Kernel, likelihood: Likelihood, starts: np.ndarray, prior: Prior, n: int) -> np.ndarray:
@@ -263,7 +289,7 @@ def noise_of(subject: Subject, model: NoiseModel | None) -> np.ndarray:
     return np.tile(model.at(subject.frequency_hz, magnitude), (len(subject.repetitions), 1))
 
 
-def _watched(results, stage: str, total: int, progress: Progress):  # type: ignore[no-untyped-def]
+def _watched(results: Iterable[Result], stage: str, total: int, progress: Progress) -> Iterator[Result]:
     """Pass results on, reporting progress."""
     for i, result in enumerate(results):
         progress(stage, i + 1, total)

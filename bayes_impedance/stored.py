@@ -99,3 +99,8 @@ class StoredSubject(Subject):
     def noise_sd(self) -> FloatArray | None:
         """Standard deviation of the noise, shape (J, F), where the data give it."""
         return _read(self.place)[1] if self.place.with_noise else None
+
+    @property
+    def digest(self) -> str:
+        """The same for the files, which need not be read for it."""
+        return f"{self.name} {self.repetitions} {self.place.digest}"

@@ -48,7 +48,7 @@ def _one(command: str, out: Path, environment: dict[str, str]) -> dict[str, floa
         "u = resource.getrusage(resource.RUSAGE_CHILDREN)\n"
         "print(json.dumps([done.returncode, s, u.ru_utime + u.ru_stime, u.ru_maxrss, done.stderr[-500:]]))\n"
     )
-    arguments = [sys.executable, "-m", "bayes_impedance.cli", command, str(DATASET), "-o", str(out)]
+    arguments = [sys.executable, "-m", "bayes_impedance", command, str(DATASET), "-o", str(out)]
     answer = subprocess.run(
         [sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=True, env=environment
     )

@@ -20,6 +20,14 @@ SMALL = VirtualPopulation(
     correlation={("n3", "r3"): -0.5, ("r1", "n1"): -0.4},
 )
 
+THREE_ELEMENTS = VirtualPopulation(
+    network="m1|r1|n1",
+    central={"m1": 1e-4, "r1": 3.0, "n1": 1e-3},
+    between_persons={"m1": 0.2, "r1": 0.3, "n1": 0.2},
+    between_repetitions={"m1": 0.05, "r1": 0.05, "n1": 0.05},
+)
+"""For what does not depend on the network, in a second."""
+
 SHORT = FitSettings(
     draws=128,
     sampler=SamplerSettings(ensembles=2, burn_in=(30, 40, 60), chunk=60, longest=600, effective=400.0, rhat=1.02),

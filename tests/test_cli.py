@@ -218,7 +218,7 @@ def test_killed_and_resumed_gives_the_same_bytes(dataset: Path, finished: Path, 
 def test_resuming_something_else_is_refused(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "checkpoint"
     folder.mkdir()
-    (folder / "fit.json").write_text("{}\n", encoding="utf-8")
+    (folder / "belongs_to.txt").write_text("somebody else\n", encoding="utf-8")
     assert main(["run", str(dataset), "-o", str(tmp_path), "--resume"]) == 2
     assert "other data or other options" in capsys.readouterr().err
     assert folder.exists()

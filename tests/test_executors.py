@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import THREE_ELEMENTS
 from test_processes import die_at_once
 
 from bayes_impedance import processes
@@ -29,19 +30,12 @@ from bayes_impedance.mismatch.effects import registered
 from bayes_impedance.persons import Cluster, executor_of
 from bayes_impedance.processes import Processes
 from bayes_impedance.recordings import Recordings, read_recordings, write_recordings
-from bayes_impedance.simulate import VirtualPopulation, simulate_recordings
-
-POPULATION = VirtualPopulation(
-    network="m1|r1|n1",
-    central={"m1": 1e-4, "r1": 3.0, "n1": 1e-3},
-    between_persons={"m1": 0.2, "r1": 0.3, "n1": 0.2},
-    between_repetitions={"m1": 0.05, "r1": 0.05, "n1": 0.05},
-)
+from bayes_impedance.simulate import simulate_recordings
 
 
 def delayed() -> Recordings:
     """Ten people, two of them on a grid of their own, with a skew between the channels."""
-    given = simulate_recordings(POPULATION, 10, 2, np.geomspace(5, 5000, 41), 4).recordings
+    given = simulate_recordings(THREE_ELEMENTS, 10, 2, np.geomspace(5, 5000, 41), 4).recordings
     subjects = [replace(s, z=s.z * np.exp(-2j * np.pi * s.frequency_hz * 2e-5)) for s in given.subjects]
     subjects[3:5] = [s.at(np.arange(41) != 7) for s in subjects[3:5]]
     return replace(given, subjects=tuple(subjects))

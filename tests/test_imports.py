@@ -27,6 +27,7 @@ ORDER = (
     "assembly",
     "stored",
     "recordings",
+    "checkpoint",
     "roughness",
     "comparison",
     "check",

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import THREE_ELEMENTS
 
 from bayes_impedance import stored
 from bayes_impedance.check import check_recordings
@@ -18,7 +19,7 @@ from bayes_impedance.population import FitSettings, PopulationFit, fit_populatio
 from bayes_impedance.predictive import predict
 from bayes_impedance.recordings import Recordings, read_recordings, write_recordings
 from bayes_impedance.sampling import SamplerSettings
-from bayes_impedance.simulate import FINGERTIP, VirtualPopulation, simulate_recordings
+from bayes_impedance.simulate import FINGERTIP, simulate_recordings
 from bayes_impedance.stored import StoredSubject
 
 pytest.importorskip("pyarrow", reason="pyarrow is not installed (extra: parquet)")
@@ -234,17 +235,11 @@ def test_check_finds_the_same(dataset: Path) -> None:
 
 
 SETTINGS = FitSettings(draws=64, sampler=SamplerSettings(ensembles=2, burn_in=(20,), chunk=20, longest=20))
-FEW = VirtualPopulation(
-    network="m1|r1|n1",
-    central={"m1": 1e-4, "r1": 3.0, "n1": 1e-3},
-    between_persons={"m1": 0.2, "r1": 0.3, "n1": 0.2},
-    between_repetitions={"m1": 0.05, "r1": 0.05, "n1": 0.05},
-)
 
 
 def test_fits_of_all_kinds_of_files_are_the_same(tmp_path: Path) -> None:
     """On threads of this process, and on a cluster whose workers read the files."""
-    people = simulate_recordings(FEW, 7, 2, np.geomspace(5, 5000, 41), 4).recordings
+    people = simulate_recordings(THREE_ELEMENTS, 7, 2, np.geomspace(5, 5000, 41), 4).recordings
     csv = write_recordings(people, tmp_path / "csv")
     whole = _moved(csv, partitioned=False, name="whole")
     parted = _moved(csv, partitioned=True, name="parted")

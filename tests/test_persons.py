@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import THREE_ELEMENTS
 
 from bayes_impedance import kept_draws, persons
 from bayes_impedance.cli import main
@@ -26,19 +27,13 @@ from bayes_impedance.posterior import noise_within
 from bayes_impedance.processes import Processes
 from bayes_impedance.recordings import Recordings
 from bayes_impedance.sampling import Chains, SamplerSettings
-from bayes_impedance.simulate import VirtualPopulation, simulate_recordings
+from bayes_impedance.simulate import simulate_recordings
 
 SETTINGS = FitSettings(draws=128, sampler=SamplerSettings(ensembles=2, burn_in=(20,), chunk=20, longest=20))
-POPULATION = VirtualPopulation(
-    network="m1|r1|n1",
-    central={"m1": 1e-4, "r1": 3.0, "n1": 1e-3},
-    between_persons={"m1": 0.2, "r1": 0.3, "n1": 0.2},
-    between_repetitions={"m1": 0.05, "r1": 0.05, "n1": 0.05},
-)
 
 
 def people() -> Recordings:
-    return simulate_recordings(POPULATION, 9, 2, np.geomspace(5, 5000, 41), 4).recordings
+    return simulate_recordings(THREE_ELEMENTS, 9, 2, np.geomspace(5, 5000, 41), 4).recordings
 
 
 @pytest.fixture(scope="module", autouse=True)

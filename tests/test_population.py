@@ -4,11 +4,13 @@ import contextlib
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from conftest import SHORT, SMALL
 
+from bayes_impedance import checkpoint, starts
 from bayes_impedance.errors import InputError
 from bayes_impedance.kernel import Kernel
 from bayes_impedance.population import FitSettings, PopulationFit, fit_population, network_of
@@ -150,6 +152,72 @@ def test_a_fit_interrupted_before_sampling_continues_to_the_same_result(
     assert np.array_equal(whole.parameters.mu, again.parameters.mu)
     assert np.array_equal(whole.person_draws, again.person_draws)
     assert np.array_equal(whole.noise[0], again.noise[0])
+
+
+def test_first_fits_continue_from_the_last_piece(
+    five: tuple[Recordings, PopulationFit], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Killed after the third of five persons, of whom two make a piece: nobody of the first piece is fitted again."""
+    monkeypatch.setattr(checkpoint, "_SMALLEST_PIECE", 2)
+    recordings, whole = five
+    tried: list[str] = []
+    really = starts._try_all
+
+    def counted(kernel: Any, candidates: Any, centre: Any, precision: Any, subject: Subject) -> Any:
+        tried.append(subject.name)
+        return really(kernel, candidates, centre, precision, subject)
+
+    monkeypatch.setattr(starts, "_try_all", counted)
+
+    class KilledError(Exception):
+        pass
+
+    def stop(now: str, done: int, _total: int) -> None:
+        if now == "first fits" and done == 3:
+            raise KilledError
+
+    with pytest.raises(KilledError):
+        fit_population(recordings, settings=VERY_SHORT, seed=7, progress=stop, checkpoint=tmp_path)
+    assert sorted(f.name for f in tmp_path.glob("*.npz")) == [
+        "first_fits_00000000.npz",
+        *(f"searching_{k:08d}.npz" for k in (0, 2, 4)),
+    ]
+    tried.clear()
+    again = fit_population(recordings, settings=VERY_SHORT, seed=7, checkpoint=tmp_path)
+    assert sorted(tried) == sorted(recordings.names[2:])
+    assert not list(tmp_path.glob("*_0*.npz"))
+    assert np.array_equal(whole.person_draws, again.person_draws)
+
+
+@pytest.mark.parametrize("other", ["a number", "a subject", "seed", "network", "settings"])
+def test_a_folder_of_another_fit_is_refused(five: tuple[Recordings, PopulationFit], tmp_path: Path, other: str) -> None:
+    recordings, _ = five
+    checkpoint.claim(tmp_path, recordings, VERY_SHORT, 7, "m1|r1|n1")
+    checkpoint.claim(tmp_path, recordings, VERY_SHORT, 7, "m1|r1|n1")
+    settings, seed, network = VERY_SHORT, 7, "m1|r1|n1"
+    if other == "a number":
+        first = recordings.subjects[0]
+        z = first.z.copy()
+        z[0, 0] *= 1 + 1e-15
+        recordings = replace(recordings, subjects=(replace(first, z=z), *recordings.subjects[1:]))
+    elif other == "a subject":
+        recordings = recordings.select(recordings.names[1:])
+    elif other == "seed":
+        seed = 8
+    elif other == "network":
+        network = "m1|r1"
+    else:
+        settings = replace(VERY_SHORT, draws=65)
+    with pytest.raises(InputError, match="other data or other options"):
+        checkpoint.claim(tmp_path, recordings, settings, seed, network)
+
+
+def test_a_checkpoint_of_another_seed_is_refused(five: tuple[Recordings, PopulationFit], tmp_path: Path) -> None:
+    recordings, _ = five
+    fit_population(recordings, settings=VERY_SHORT, seed=7, checkpoint=tmp_path, workers=1)
+    fit_population(recordings, settings=VERY_SHORT, seed=7, checkpoint=tmp_path, workers=2)  # does not matter
+    with pytest.raises(InputError, match="other data or other options"):
+        fit_population(recordings, settings=VERY_SHORT, seed=8, checkpoint=tmp_path)
 
 
 def test_damaged_first_fits_and_point_estimate_are_made_anew(

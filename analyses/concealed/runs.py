@@ -32,7 +32,7 @@ def diagnose(recordings: Recordings, seed: int, through_command: bool = False) -
     with tempfile.TemporaryDirectory() as folder:
         dataset, out = Path(folder) / "dataset", Path(folder) / "out"
         write_recordings(recordings, dataset, significant_digits=8)
-        command = [sys.executable, "-m", "bayes_impedance.cli", "diagnose", str(dataset), "-o", str(out), "--quick"]
+        command = [sys.executable, "-m", "bayes_impedance", "diagnose", str(dataset), "-o", str(out), "--quick"]
         done = subprocess.run([*command, "--seed", str(seed)], capture_output=True, text=True, check=False)
         verdict = out / "verdict.json"
         if not verdict.is_file():  # with a verdict, an exit status of 1 says "not reliable": that is a result
