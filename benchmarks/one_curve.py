@@ -3,14 +3,18 @@
 All get the mean curve of each person of `data/fingertip_71`, the same weights (1 % of the magnitude) and no hint: they
 begin where each element's impedance meets the data's magnitude in mid-band. lmfit (Levenberg-Marquardt on log elements)
 and ours may also begin at other places drawn around it, impedance.py is used as its documentation does, once and in
-elements themselves. The optimum counts as found if chi-square is within 1 % + 1 of the lowest that anybody found.
+elements themselves. The optimum counts as found if chi-square is within 1 % + 1 of the lowest that anybody found. A
+search that has not ended after twenty seconds is stopped, and counts as those seconds and as not found: one of
+impedance.py's was still walking after forty minutes.
 """
 
 from __future__ import annotations
 
+import signal
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +33,7 @@ from bayes_impedance.subject import find_mode
 DATASET = Path(__file__).resolve().parents[1] / "data" / "fingertip_71"
 _STARTS, _SPREAD, _NOISE = 769, 2.0, 0.01
 _LMFIT_STARTS = 20
+_LONGEST_S = 20.0
 _SLOW = (f"lmfit, {_LMFIT_STARTS} starts", "impedance.py")
 
 Fit = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
@@ -53,27 +58,48 @@ def measure(people_of_slow: int) -> dict[str, Any]:
     some = set(np.linspace(0, len(people) - 1, people_of_slow).round().astype(int).tolist())
     chi = {name: np.full(len(people), np.inf) for name in programs}
     seconds: dict[str, list[float]] = {name: [] for name in programs}
+    stopped = dict.fromkeys(programs, 0)
     _ours(kernel, prior, order, people[0].frequency_hz, people[0].mean, starts)  # compiling does not count
     for i, person in enumerate(people):
         for name, fit in programs.items():
             if name in _SLOW and i not in some:
                 continue
             started = time.perf_counter()
-            with warnings.catch_warnings(), np.errstate(all="ignore"):
-                warnings.simplefilter("ignore")
-                found = fit(person.frequency_hz, person.mean, starts)
+            try:
+                with warnings.catch_warnings(), np.errstate(all="ignore"), _at_most(_LONGEST_S):
+                    warnings.simplefilter("ignore")
+                    found = fit(person.frequency_hz, person.mean, starts)
+                chi[name][i] = _chi_square(found, person.frequency_hz, person.mean)
+            except TimeoutError:
+                stopped[name] += 1
             seconds[name].append(time.perf_counter() - started)
-            chi[name][i] = _chi_square(found, person.frequency_hz, person.mean)
     lowest = np.min(list(chi.values()), axis=0)
     return {
         name: {
             "found": int(np.sum(chi[name] <= 1.01 * lowest + 1)),
             "people": len(seconds[name]),
+            "stopped": stopped[name],
             "seconds": spread(np.array(seconds[name])),
             "times ours": float(np.median(seconds[name]) / np.median(seconds["ours"])),
         }
         for name in programs
     }
+
+
+@contextmanager
+def _at_most(seconds: float) -> Iterator[None]:
+    """Raise TimeoutError inside if it takes longer."""
+
+    def stop(*_: object) -> None:
+        raise TimeoutError
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
 
 
 def _chi_square(theta: np.ndarray, frequency: np.ndarray, z: np.ndarray) -> float:

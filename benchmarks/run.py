@@ -77,7 +77,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS), metavar="PART", help=", ".join(PARTS))
     parser.add_argument("--seed", type=int, default=3, help="of the population")
     parser.add_argument("--rounds", type=int, default=3, help="warm runs of each command")
-    parser.add_argument("--slow-people", type=int, default=12, help="how many people the slow programs are to fit")
+    parser.add_argument("--slow-people", type=int, default=71, help="how many people the slow programs are to fit")
     parser.add_argument("--part", choices=PARTS, help=argparse.SUPPRESS)
     parser.add_argument("-o", "--out", type=Path, default=HERE)
     options = parser.parse_args(arguments)

@@ -11,25 +11,13 @@ from bayes_impedance.mismatch.coefficients import CoefficientPosterior, coeffici
 from bayes_impedance.mismatch.confirm import extended_start
 from bayes_impedance.mismatch.model import Addition, build
 from bayes_impedance.mismatch.refit import Refit, Refitter
-from bayes_impedance.mismatch.surface import FEWEST, _design, _quadratic_through, from_evidence
+from bayes_impedance.mismatch.surface import FEWEST, from_evidence
 
 
 def both(fit: Refit, seed: int = 1) -> tuple[CoefficientPosterior, CoefficientPosterior]:
     """The posterior from the expansion, and from the evidence."""
     quadratic = coefficient_posterior(fit, seed)
     return quadratic, from_evidence(Refitter(fit.data, Serial()), fit, quadratic, seed)
-
-
-def test_a_quadratic_is_found_again() -> None:
-    rng = np.random.default_rng(1)
-    for size in (1, 2, 3, 5):
-        slope, root = rng.normal(size=size), rng.normal(size=(size, size))
-        bent = root @ root.T + np.eye(size)
-        x = np.array(_design(size))
-        heights = 7.0 + x @ slope - 0.5 * np.einsum("kp,pq,kq->k", x, bent, x)
-        gradient, curvature = _quadratic_through(x, heights)
-        np.testing.assert_allclose(gradient, slope, atol=1e-6)
-        np.testing.assert_allclose(curvature, bent, atol=1e-6)
 
 
 def test_masses_of_people_are_covered_as_the_closed_form_covers_them() -> None:

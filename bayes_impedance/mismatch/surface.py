@@ -13,9 +13,11 @@ logarithms, shapes as they are, all of them free to differ between people. A qua
 
 (s: columns of a root of the covariance) gives the next centre and covariance, until neither moves. Dispersions between
 people are weighed on a grid, one after the other, in turn with the centre until both rest: people who may differ more
-look like others in the mean. In the end the centre is drawn with them: where a dispersion changes by one step of the
-grid, the gradient tells by how much the centre follows, which is taken to be proportional to the square of the
-dispersion; and a dispersion is weighed with the centre that belongs to it. What the rig adds follows by regression.
+look like others in the mean. Then the evidence is interpolated around the centre and drawn from
+(:mod:`bayes_impedance.mismatch.surrogate`), as it is at once where no quadratic comes to rest. Each draw is moved with
+a dispersion of its own: where a dispersion changes by one step of the grid, the gradient tells by how much the centre
+follows, which is taken to be proportional to the square of the dispersion; and a dispersion is weighed with the centre
+that belongs to it. What the rig adds follows by regression.
 
 Only for the body: its additions vary between people as the elements do, by assumption. The rig's are the same for all,
 and a likelihood in which the elements are free does not depend on what distribution people have.
@@ -30,8 +32,9 @@ import numpy as np
 from bayes_impedance.mismatch.coefficients import CoefficientPosterior
 from bayes_impedance.mismatch.confirm import extended_start
 from bayes_impedance.mismatch.finalists import with_pooling
-from bayes_impedance.mismatch.model import Addition, Model
+from bayes_impedance.mismatch.model import ELEMENT_SD, Addition, Model
 from bayes_impedance.mismatch.refit import Refit, Refitter
+from bayes_impedance.mismatch.surrogate import design, explored, quadratic_through
 
 FEWEST = 10
 """Fewer people say too little about what they differ by."""
@@ -41,8 +44,8 @@ MOST_PARAMETERS = 4
 
 _DISPERSIONS = np.array([0.003, 0.01, 0.03, 0.08, 0.15, 0.22, 0.3, 0.4, 0.55])
 _STARTS = (0.25, 0.08)  # of a coefficient and of a shape
-_AXIS, _DIAGONAL = 1.3, 1.0
 _ROUNDS, _STEPS = 30, 5
+_FEW_DRAWS = 500
 _SMALLEST_SD, _LARGEST_SD = 1e-4, 0.5
 _NEAR = 0.25  # of a standard deviation: the centre rests
 _STRETCH = 9.0  # largest change of a variance in one step
@@ -74,7 +77,7 @@ def from_evidence(refitter: Refitter, fit: Refit, posterior: CoefficientPosterio
     Returns
     -------
     CoefficientPosterior
-        The same one where there are too few people, nothing or too much of the body's, or no maximum near.
+        The same one where there are too few people, or nothing or too much of the body's.
     """
     surface = _Surface.of(refitter, fit)
     if surface is None:
@@ -83,21 +86,24 @@ def from_evidence(refitter: Refitter, fit: Refit, posterior: CoefficientPosterio
     centre, root = surface.base_values(), _root(np.atleast_2d(np.cov(old.T)))
     surface, weights, _ = surface.with_dispersions(centre)
     best = centre
-    for _ in range(_TURNS):
+    for turn in range(_TURNS):
         peak = surface.maximum(centre, root)
+        bent = peak is None  # or without an end
         if peak is None:
-            return posterior
+            draws = explored(surface.value, centre, root, seed, _FEW_DRAWS).draws
+            peak = draws.mean(axis=0), _root(np.atleast_2d(np.cov(draws.T)))
         step, (best, root) = peak[0] - best, peak
         surface, weights, moved = surface.with_dispersions(best)
         length = float(np.linalg.norm(np.linalg.solve(root, step)))
-        if not moved and length < _REST:
+        if (not moved and length < _REST) or (bent and turn >= 1):
             break
         # Where the dispersions follow the centre, both creep along a ridge in ever smaller steps of one direction.
-        centre = best + step * min(1.0, _LONGEST / max(length, 1e-12))
-    slopes = surface.follows(best, root)
+        centre = best + step * min(1.0, _LONGEST / max(length, 1e-12)) * (not bent)
     rng = np.random.default_rng(seed)
     n_draws, size = posterior.central.shape
-    drawn = best + rng.normal(size=(n_draws, best.size)) @ root.T
+    drawn = explored(surface.value, best, root, seed, n_draws).draws
+    best, root = drawn.mean(axis=0), _root(np.atleast_2d(np.cov(drawn.T)))
+    slopes = surface.follows(best, root)
     spreads = []
     for k, column in enumerate(surface.columns):
         apart = _DISPERSIONS**2 - surface.fit.model.parameters[column].dispersion ** 2
@@ -190,23 +196,23 @@ class _Surface:
         return self.refitter.fit(fit.model, u, population, _ROUNDS, hold_additions=True)
 
     def value(self, values: np.ndarray) -> float:
-        """Log posterior density up to a constant: flat in the logarithm of a coefficient."""
+        """Log posterior density up to a constant; the prior of a coefficient's logarithm is that of an element's."""
         prior = 0.0
         for column, value in zip(self.columns, values, strict=True):
-            if not self.linear[column]:
-                p = self.fit.model.parameters[column]
-                prior -= 0.5 * ((value - p.centre) / p.prior_sd) ** 2
+            p = self.fit.model.parameters[column]
+            centre, sd = (0.0, ELEMENT_SD) if self.linear[column] else (p.centre, p.prior_sd)
+            prior -= 0.5 * ((value - centre) / sd) ** 2
         return float(self.at(values).evidence.sum()) + prior
 
     def maximum(self, centre: np.ndarray, root: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Centre and root of the covariance of a normal distribution in place of the posterior; None if not found."""
         points, heights = list[np.ndarray](), list[float]()
         for _ in range(_STEPS):
-            for offset in _design(centre.size):
+            for offset in design(centre.size):
                 points.append(centre + root @ offset)
                 heights.append(self.value(points[-1]))
             x = np.linalg.solve(root, (np.array(points) - centre).T).T
-            gradient, curvature = _quadratic_through(x, np.array(heights))
+            _, gradient, curvature = quadratic_through(x, np.array(heights))
             values, vectors = np.linalg.eigh(curvature)
             bent = np.clip(values, 1 / _STRETCH, _STRETCH)
             step = vectors @ ((vectors.T @ gradient) / bent)
@@ -262,26 +268,6 @@ def _with_dispersion(model: Model, column: int, dispersion: float) -> Model:
     own = [c - model.n_elements for c in model.columns(addition)]
     spreads = [dispersion if c == column else model.parameters[c].dispersion for c in own]
     return with_pooling(model, addition, "free", spreads)
-
-
-def _design(size: int) -> list[np.ndarray]:
-    """Points that determine a quadratic, in standard deviations."""
-    unit = np.eye(size)
-    axes = [sign * _AXIS * e for e in unit for sign in (-1, 1)]
-    pairs = [_DIAGONAL * (unit[k] + unit[j]) for k in range(size) for j in range(k)]
-    return [np.zeros(size), *axes, *pairs]
-
-
-def _quadratic_through(x: np.ndarray, heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Gradient (A,) and negative curvature (A, A) at zero of a quadratic through points (K, A), high ones first."""
-    rows, columns = np.triu_indices(x.shape[1])
-    weight = np.exp(-np.maximum(heights.max() - heights - 1, 0) / 3 - np.maximum(np.sum(x**2, axis=1) - 9, 0) / 18)
-    terms = np.concatenate([np.ones((len(x), 1)), x, x[:, rows] * x[:, columns]], axis=1)
-    root = np.sqrt(weight)
-    found = np.linalg.lstsq(terms * root[:, None], (heights - heights.max()) * root, rcond=1e-8)[0]
-    upper = np.zeros((x.shape[1], x.shape[1]))
-    upper[rows, columns] = -found[1 + x.shape[1] :]
-    return found[1 : 1 + x.shape[1]], upper + upper.T
 
 
 def _root(covariance: np.ndarray) -> np.ndarray:
