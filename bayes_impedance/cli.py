@@ -199,9 +199,10 @@ class _Version(argparse.Action):
 
 def _run(options: argparse.Namespace) -> int:
     from bayes_impedance.jobs import run_dataset
+    from bayes_impedance.processes import Processes
 
-    with Bars() as bars:
-        result = run_dataset(options.dataset, options.out, _fit_options(options), options.resume, bars)
+    with Bars() as bars, Processes(1) as helper:
+        result = run_dataset(options.dataset, options.out, _fit_options(options), options.resume, bars, helper)
     return _finish(result, f"report: {options.out / 'report.html'}")
 
 

@@ -20,6 +20,8 @@ from typing import TYPE_CHECKING, Any
 from bayes_impedance.errors import InputError
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from bayes_impedance.check import Finding
     from bayes_impedance.classical import MethodComparison
     from bayes_impedance.mismatch import Diagnosis
@@ -104,12 +106,27 @@ def fit_dataset(dataset: Path, out: Path, options: FitOptions, resume: bool, pro
     return _fit(dataset, out, options, resume, progress)[0]
 
 
-def run_dataset(dataset: Path, out: Path, options: FitOptions, resume: bool, progress: Progress) -> Result:
-    """Everything: check, fit, pictures and report."""
+def run_dataset(
+    dataset: Path,
+    out: Path,
+    options: FitOptions,
+    resume: bool,
+    progress: Progress,
+    helper: Executor | None = None,
+) -> Result:
+    """Everything: check, fit, pictures and report.
+
+    Parameters
+    ----------
+    dataset, out, options, resume, progress
+        As in :func:`fit_dataset`.
+    helper : Executor, optional
+        Another process, which draws some of the pictures.
+    """
     from bayes_impedance.check import check_recordings
 
-    result, recordings = _fit(dataset, out, options, resume, progress)
-    _write_pages(result, out, check_recordings(recordings.in_memory()), progress)
+    result, recordings = _fit(dataset, out, options, resume, progress, helper)
+    _write_pages(result, out, check_recordings(recordings.in_memory()), progress, helper)
     return result
 
 
@@ -314,7 +331,9 @@ def _population(file: Path) -> VirtualPopulation:
     return population_from(described, str(file))
 
 
-def _fit(dataset: Path, out: Path, options: FitOptions, resume: bool, progress: Progress) -> tuple[Result, Recordings]:
+def _fit(
+    dataset: Path, out: Path, options: FitOptions, resume: bool, progress: Progress, helper: Executor | None = None
+) -> tuple[Result, Recordings]:
     """Read, fit, predict, save; the recordings are handed on so that nobody reads them twice."""
     from bayes_impedance.recordings import read_recordings
 
@@ -349,6 +368,10 @@ def _fit(dataset: Path, out: Path, options: FitOptions, resume: bool, progress: 
         if out.exists() and not any(out.iterdir()):
             out.rmdir()
         raise
+    if helper is not None:
+        from bayes_impedance.plots import prepare
+
+        helper.submit(prepare)
     started = time.perf_counter()
     progress("predictions", 0, 1)
     predictive = predict(fit, seed=options.seed)
@@ -364,12 +387,14 @@ def _selected(recordings: Recordings, options: FitOptions) -> Recordings:
     return recordings.select(options.subjects) if options.subjects else recordings
 
 
-def _write_pages(result: Result, out: Path, findings: Sequence[Finding], progress: Progress) -> None:
+def _write_pages(
+    result: Result, out: Path, findings: Sequence[Finding], progress: Progress, helper: Executor | None = None
+) -> None:
     from bayes_impedance.plots import write_pictures
     from bayes_impedance.report import write_report
 
     progress("pictures and report", 0, 2)
-    pictures = write_pictures(result, out / PICTURE_FOLDER)
+    pictures = write_pictures(result, out / PICTURE_FOLDER, helper)
     progress("pictures and report", 1, 2)
     write_report(result, out, findings, pictures)
     progress("pictures and report", 2, 2)

@@ -45,9 +45,9 @@ _PROVISIONAL_NOISE = 0.05
 _THINNED_POINTS = 64
 _SEARCHED_PERSONS = 8
 _RANDOM_STARTS = 768  # in total, shared between the persons searched
-_START_SPREAD = 2.0
+_START_SPREAD = 2.5
 _KEPT = 4
-_FIRST_STEPS, _FOLLOWED = 15, 24
+_FIRST_STEPS, _FOLLOWED, _APART = 15, 24, 1.0
 _COMMON = 5
 
 _WHOLE = "first_fits.npz"
@@ -192,7 +192,8 @@ def search_modes(kernel: Kernel, likelihood: Likelihood, starts: np.ndarray, pri
     """Where the best of many starts end.
 
     A start's rank shows after a few Gauss-Newton steps; only the best are followed to where exact second derivatives
-    are needed, which cost ten times as much.
+    are needed, which cost ten times as much. They differ by a factor e in some element: two dozen in one valley, whose
+    end may be a local optimum, would all end there.
 
     Parameters
     ----------
@@ -210,8 +211,8 @@ def search_modes(kernel: Kernel, likelihood: Likelihood, starts: np.ndarray, pri
     """
     precision = np.eye(prior.centre.size) / prior.centre_sd**2
     ends, objectives, _ = all_modes(kernel, likelihood, starts, prior.centre, precision, _FIRST_STEPS)
-    followed = np.argsort(objectives)[: max(_FOLLOWED, 2 * n)]
-    ends, objectives, _ = all_modes(kernel, likelihood, ends[followed], prior.centre, precision, 40)
+    followed = np.array(_distinct(ends, objectives, max(_FOLLOWED, 2 * n), _APART))
+    ends, objectives, _ = all_modes(kernel, likelihood, followed, prior.centre, precision, 40)
     return best_distinct(ends, objectives, n)
 
 
@@ -245,14 +246,19 @@ def thinned_points(n: int) -> np.ndarray:
 
 def best_distinct(ends: np.ndarray, objectives: np.ndarray, n: int) -> np.ndarray:
     """The n best end points that differ by more than rounding; the best one is repeated if there are fewer."""
+    kept = _distinct(ends, objectives, n, 0.1)
+    return np.array(kept + [kept[0]] * (n - len(kept)))
+
+
+def _distinct(ends: np.ndarray, objectives: np.ndarray, n: int, apart: float) -> list[np.ndarray]:
+    """At most n end points, the best first, that differ by more than `apart` in some element; at least one."""
     kept: list[np.ndarray] = []
     for i in np.argsort(objectives):
-        if np.isfinite(objectives[i]) and all(np.abs(ends[i] - k).max() > 0.1 for k in kept):
+        if np.isfinite(objectives[i]) and all(np.abs(ends[i] - k).max() > apart for k in kept):
             kept.append(ends[i])
         if len(kept) == n:
             break
-    kept = kept or [ends[0]]
-    return np.array(kept + [kept[0]] * (n - len(kept)))
+    return kept or [ends[0]]
 
 
 def _noise(kernel: Kernel, subjects: Sequence[Subject], theta: np.ndarray, executor: Executor) -> NoiseModel:

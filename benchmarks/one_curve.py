@@ -31,7 +31,7 @@ from bayes_impedance.starts import default_prior, search_modes, thinned_points
 from bayes_impedance.subject import find_mode
 
 DATASET = Path(__file__).resolve().parents[1] / "data" / "fingertip_71"
-_STARTS, _SPREAD, _NOISE = 769, 2.0, 0.01
+_STARTS, _SPREAD, _NOISE = 769, 2.5, 0.01
 _LMFIT_STARTS = 20
 _LONGEST_S = 20.0
 _SLOW = (f"lmfit, {_LMFIT_STARTS} starts", "impedance.py")

@@ -17,6 +17,7 @@ from bayes_impedance.plots import PICTURES, new_figure, style, write_pictures
 from bayes_impedance.plots.parameters import factor_axis
 from bayes_impedance.plots.quantities import Scale, scale_for, signed, significant, typeset, with_interval
 from bayes_impedance.plots.style import log_axis
+from bayes_impedance.processes import Processes
 
 ALWAYS = {"curves", "bands", "errors", "noise", "priors"}
 DISPERSED = {"forest", "corner_dispersion"}
@@ -54,6 +55,11 @@ def test_writes_both_formats_and_the_same_bytes_again(tmp_path: Path) -> None:
         for suffix in (".png", ".svg"):
             assert file.with_suffix(suffix).read_bytes() == second[name].with_suffix(suffix).read_bytes(), name
     assert {p.suffix for p in (tmp_path / "again").iterdir()} == {".png", ".svg"}
+    with Processes(1) as helper:
+        third = write_pictures(make_result(), tmp_path / "helped", helper)
+    assert list(third) == list(first)
+    for file in (tmp_path / "again").iterdir():
+        assert file.read_bytes() == (tmp_path / "helped" / file.name).read_bytes(), file.name
 
 
 def test_leaves_no_trace_in_matplotlib(tmp_path: Path) -> None:

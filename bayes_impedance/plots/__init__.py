@@ -31,6 +31,8 @@ from bayes_impedance.plots.style import new_figure, style
 from bayes_impedance.result import Result
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from matplotlib.figure import Figure
 
     from bayes_impedance.classical import MethodComparison
@@ -151,7 +153,11 @@ PICTURES: tuple[Picture, ...] = (
 )
 
 
-def write_pictures(result: Result, folder: Path) -> dict[str, Path]:
+_LONG = ("corner_central", "corner_dispersion", "traces")
+"""Pictures with dozens of panels: about as long to draw as all others."""
+
+
+def write_pictures(result: Result, folder: Path, helper: Executor | None = None) -> dict[str, Path]:
     """Write every picture that applies, as PNG and as SVG.
 
     The same result gives the same bytes. A picture appears under its name only when it is complete.
@@ -161,18 +167,32 @@ def write_pictures(result: Result, folder: Path) -> dict[str, Path]:
     result : Result
     folder : Path
         Made if it does not exist.
+    helper : Executor, optional
+        Another process, which draws those that do not take long; threads would wait for each other.
 
     Returns
     -------
     dict of str to Path
         Name of the picture to its PNG file; the SVG is beside it.
     """
-    written = {}
+    names = [picture.name for picture in PICTURES if picture.applies(result)]
+    theirs = [name for name in names if helper is not None and name not in _LONG]
+    drawn = None if helper is None else helper.submit(_write, theirs, result, folder)
+    written = _write([name for name in names if name not in theirs], result, folder)
+    if drawn is not None:
+        written |= drawn.result()
+    return {name: written[name] for name in names}
+
+
+def prepare() -> None:
+    """Import what drawing needs: half of what a process has to do for its first picture."""
+    import matplotlib.backends.backend_agg
+    import matplotlib.backends.backend_svg  # noqa: F401
+
+
+def _write(names: Sequence[str], result: Result, folder: Path) -> dict[str, Path]:
     with style():
-        for picture in PICTURES:
-            if picture.applies(result):
-                written[picture.name] = save_figure(picture.figure(result), folder, picture.name)
-    return written
+        return {p.name: save_figure(p.figure(result), folder, p.name) for p in PICTURES if p.name in names}
 
 
 def write_comparison(comparison: MethodComparison, folder: Path) -> dict[str, Path]:
