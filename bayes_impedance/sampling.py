@@ -63,11 +63,11 @@ class SamplerSettings:
 
     ensembles: int = 4
     burn_in: tuple[int, ...] = (80, 60)
-    chunk: int = 80
+    chunk: int = 40
     longest: int = 3000
     rhat: float = 1.01
     effective: float = 1500.0
-    memories: float = 6.0
+    memories: float = 5.0
     workers: int = 2
 
     def satisfied_by(self, chains: Chains) -> bool:
