@@ -153,8 +153,8 @@ PICTURES: tuple[Picture, ...] = (
 )
 
 
-_LONG = ("corner_central", "corner_dispersion", "traces")
-"""Pictures with dozens of panels: about as long to draw as all others."""
+_HERE = ("corner_central", "corner_dispersion", "curves", "bands", "noise")
+"""Pictures that a helper leaves to this process: half of the work, and what needs arviz, which is loaded here."""
 
 
 def write_pictures(result: Result, folder: Path, helper: Executor | None = None) -> dict[str, Path]:
@@ -168,7 +168,7 @@ def write_pictures(result: Result, folder: Path, helper: Executor | None = None)
     folder : Path
         Made if it does not exist.
     helper : Executor, optional
-        Another process, which draws those that do not take long; threads would wait for each other.
+        Another process, which draws some of them; threads would wait for each other.
 
     Returns
     -------
@@ -176,7 +176,7 @@ def write_pictures(result: Result, folder: Path, helper: Executor | None = None)
         Name of the picture to its PNG file; the SVG is beside it.
     """
     names = [picture.name for picture in PICTURES if picture.applies(result)]
-    theirs = [name for name in names if helper is not None and name not in _LONG]
+    theirs = [name for name in names if helper is not None and name not in _HERE]
     drawn = None if helper is None else helper.submit(_write, theirs, result, folder)
     written = _write([name for name in names if name not in theirs], result, folder)
     if drawn is not None:
