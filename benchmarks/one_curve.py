@@ -79,6 +79,7 @@ def measure(people_of_slow: int) -> dict[str, Any]:
             "found": int(np.sum(chi[name] <= 1.01 * lowest + 1)),
             "people": len(seconds[name]),
             "stopped": stopped[name],
+            "seconds allowed": _LONGEST_S,
             "seconds": spread(np.array(seconds[name])),
             "times ours": float(np.median(seconds[name]) / np.median(seconds["ours"])),
         }

@@ -66,7 +66,7 @@ def _one_curve(r: Results) -> list[Row]:
             f"one curve fitted by {name}",
             f"{row['found']} of {row['people']} optima, {1e3 * row['seconds'][0]:.0f} ms"
             + ("" if name == "ours" else f", {row['times ours']:.1f} times ours")
-            + (f"; {row['stopped']} stopped after 20 s" if row.get("stopped") else ""),
+            + (f"; {row['stopped']} stopped after {row['seconds allowed']:.0f} s" if row.get("stopped") else ""),
             "",
         )
         for name, row in r.items()

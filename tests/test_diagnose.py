@@ -2,6 +2,7 @@
 
 import json
 import math
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 
 from bayes_impedance.cli import main
 from bayes_impedance.mismatch import diagnose
+from bayes_impedance.mismatch.coefficients import CoefficientPosterior
 from bayes_impedance.mismatch.diagnosis import Diagnosis
 from bayes_impedance.mismatch.effects import registered
 from bayes_impedance.mismatch.search import Found
@@ -74,6 +76,17 @@ def test_a_skew_between_the_channels_is_found_named_measured_and_placed(delayed:
     assert "would_separate" in aliases["rig.lowpass"]
     assert delayed.after is not None
     assert "skew between the channels" in verdict["summary"]
+
+
+@pytest.mark.parametrize("settled", [True, False])
+def test_intervals_that_did_not_come_to_rest_are_said_to_be_so(settled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    def explored(_refitter: object, _fit: object, posterior: CoefficientPosterior, _seed: int) -> CoefficientPosterior:
+        return replace(posterior, settled=settled)
+
+    monkeypatch.setattr(sys.modules["bayes_impedance.mismatch.diagnose"], "from_evidence", explored)
+    late = changed(people(16, 3), lambda s, z: z * np.exp(-s * DELAY))
+    remarks = diagnose(late, seed=1, quick=True).verdict["remarks"]
+    assert any("intervals of what was found in the body did not come to rest" in r for r in remarks) is not settled
 
 
 def test_the_pooled_residual_is_flat_after_the_explanation(delayed: Diagnosis) -> None:

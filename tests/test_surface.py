@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import binom
 from test_refit import DISPERSION, MASS, TOY, Serial, concealing, entry, recovered, toy, with_mass
 
+from bayes_impedance.mismatch import surface
 from bayes_impedance.mismatch.coefficients import CoefficientPosterior, coefficient_posterior, reported
 from bayes_impedance.mismatch.confirm import extended_start
 from bayes_impedance.mismatch.model import Addition, build
 from bayes_impedance.mismatch.refit import Refit, Refitter
 from bayes_impedance.mismatch.surface import FEWEST, from_evidence
+from bayes_impedance.mismatch.surrogate import Explored, explored
 
 
 def both(fit: Refit, seed: int = 1) -> tuple[CoefficientPosterior, CoefficientPosterior]:
@@ -68,3 +72,14 @@ def test_the_same_seed_gives_the_same_draws() -> None:
     (_, one), (_, again), (_, other) = both(fit, 1), both(fit, 1), both(fit, 2)
     np.testing.assert_array_equal(one.central, again.central)
     assert not np.array_equal(one.central, other.central)
+
+
+def test_it_is_said_whether_the_exploration_came_to_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    fit = recovered(toy(*TOY, seed=1, n=16, hidden=with_mass(DISPERSION)), entry("body.mass"), "port", "varying")
+    assert both(fit)[1].settled
+
+    def endless(*arguments: object) -> Explored:
+        return replace(explored(*arguments), rests=False)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(surface, "explored", endless)
+    assert not both(fit)[1].settled

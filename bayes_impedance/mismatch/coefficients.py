@@ -40,11 +40,14 @@ class CoefficientPosterior:
         Draws of tau/abs(mu) of varying coefficients; zero for shared ones.
     covariance : ndarray, shape (A, A)
         Of the central values, with the dispersions at their posterior means.
+    settled : bool
+        Whether more refits would not have changed the draws.
     """
 
     central: np.ndarray
     relative_dispersion: np.ndarray
     covariance: np.ndarray
+    settled: bool = True
 
 
 def coefficient_posterior(fit: Refit, seed: int, n_draws: int = _DRAWS) -> CoefficientPosterior:

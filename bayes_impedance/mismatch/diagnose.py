@@ -172,6 +172,11 @@ def _diagnose(
     changed = None if final is found.base else final
     if not final.settled and final is not found.base:
         remarks.append("The fit with what was found did not come to rest; its numbers are rough.")
+    if found.posterior is not None and not found.posterior.settled:
+        remarks.append(
+            "The intervals of what was found in the body did not come to rest: the recordings leave its parameters "
+            "undecided along a ridge, and the intervals reach only as far as it was followed."
+        )
     if claimed is not None and claimed.rest:
         remarks.append(
             "The simulation itself holds structure that the network does not describe; it was taken off the recordings."

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -125,7 +126,7 @@ def _of_members(posterior: CoefficientPosterior, column: int, who: Members) -> C
     quantiles = (order + 0.5) / len(order)
     central[:, column] = who.mean + who.mean_sd * ndtri(quantiles)  # keeps the correlation with the shapes
     relative[:, column] = who.dispersion
-    return CoefficientPosterior(central, relative, posterior.covariance)
+    return replace(posterior, central=central, relative_dispersion=relative)
 
 
 def _score_of(step: Step, key: tuple[str, str, str]) -> float:

@@ -101,7 +101,8 @@ def from_evidence(refitter: Refitter, fit: Refit, posterior: CoefficientPosterio
         centre = best + step * min(1.0, _LONGEST / max(length, 1e-12)) * (not bent)
     rng = np.random.default_rng(seed)
     n_draws, size = posterior.central.shape
-    drawn = explored(surface.value, best, root, seed, n_draws).draws
+    last = explored(surface.value, best, root, seed, n_draws)
+    drawn = last.draws
     best, root = drawn.mean(axis=0), _root(np.atleast_2d(np.cov(drawn.T)))
     slopes = surface.follows(best, root)
     spreads = []
@@ -128,7 +129,7 @@ def from_evidence(refitter: Refitter, fit: Refit, posterior: CoefficientPosterio
             central[:, column] = drawn[:, k]
         if relative[:, column].any():
             relative[:, column] = spread
-    return CoefficientPosterior(central, relative, np.atleast_2d(np.cov(central.T)))
+    return CoefficientPosterior(central, relative, np.atleast_2d(np.cov(central.T)), last.rests)
 
 
 @dataclass(frozen=True)
