@@ -13,7 +13,7 @@ from bayes_impedance.mismatch import surface
 from bayes_impedance.mismatch.coefficients import CoefficientPosterior, coefficient_posterior, reported
 from bayes_impedance.mismatch.confirm import extended_start
 from bayes_impedance.mismatch.model import Addition, build
-from bayes_impedance.mismatch.refit import Refit, Refitter
+from bayes_impedance.mismatch.refit import Refit, Refitter, _with_dispersions
 from bayes_impedance.mismatch.surface import FEWEST, from_evidence
 from bayes_impedance.mismatch.surrogate import Explored, explored
 
@@ -83,3 +83,55 @@ def test_it_is_said_whether_the_exploration_came_to_rest(monkeypatch: pytest.Mon
 
     monkeypatch.setattr(surface, "explored", endless)
     assert not both(fit)[1].settled
+
+
+@pytest.mark.parametrize("correlation", [-0.8, 0.0, 0.8])
+def test_coefficient_and_shape_that_go_together_are_weighed_so(correlation: float) -> None:
+    """People with a Maxwell element beside a spring and a damper; who has much of it relaxes slowly, or fast."""
+    damping, seconds, spread = 1.0, 1 / (2 * np.pi * 60), 0.3
+    factor = np.linalg.cholesky([[1.0, correlation], [correlation, 1.0]])
+    found: list[float] = []
+    z: list[float] = []
+    for seed in range(4):
+
+        def hidden(s: np.ndarray, z: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+            own = spread * rng.normal(size=(len(z), 2)) @ factor.T
+            d, t = (x * np.exp(o)[:, None, None] for x, o in zip((damping, seconds), own.T, strict=True))
+            return z + d / (1 + s * t), d.ravel()
+
+        experiment = toy(*TOY, seed=seed, n=24, hidden=hidden)
+        alone = experiment.fit()
+        addition = Addition(entry("body.relaxation"), "port", "free")
+        model = build(alone.model.network, [addition], alone.model.scales, [{"time_constant": seconds}])
+        fit = experiment.refitter.fit(model, *extended_start(alone, model), rounds=60)
+        of = surface._Surface.of(experiment.refitter, fit)
+        assert of is not None
+        _, weights, _ = of.with_covariances(of.base_values())
+        assert [w.correlates for w in of.weighed] == [False, False, True]
+        found.append(float(np.sum(weights[-1] * of.weighed[-1].grid)))
+        _, evidence = both(fit, seed)
+        for row, value in zip(
+            reported(fit.model, 0, evidence, fit.population.mu[:2]), (damping, seconds), strict=False
+        ):
+            z.append((np.log(row.median) - np.log(value)) / (np.log(row.q95 / row.q05) / 3.29))
+    assert np.mean(found) == pytest.approx(correlation, abs=0.3)
+    assert np.all(np.abs(z) < 3.5)
+    assert np.sum(np.abs(z) < 1.645) >= binom.ppf(0.001, len(z), 0.9)
+
+
+def test_a_correlation_is_part_of_the_populations_covariance() -> None:
+    fit = recovered(toy(*TOY, seed=1, n=16, hidden=with_mass(DISPERSION)), entry("body.mass"), "port", "varying")
+    addition = Addition(entry("body.relaxation"), "port", "free", 0.2, (0.1,), 0.6)
+    for pooling, expected in (("free", 0.6), ("varying", 0.0)):
+        model = build(
+            fit.model.network, [replace(addition, pooling=pooling)], fit.model.scales, [{"time_constant": 1e-3}]
+        )
+        size = int(np.sum(~model.shared))
+        for sign in (1.0, -1.0):
+            mu = np.r_[fit.population.mu[:2], sign * 2.0, np.zeros(size - 3)]
+            covariance = _with_dispersions(model, 0.04 * np.eye(size), mu)
+            assert np.linalg.eigvalsh(covariance).min() > 0
+            assert covariance[2, 2] == pytest.approx(0.4**2)
+            if pooling == "free":
+                assert covariance[2, 3] == pytest.approx(sign * expected * 0.4 * 0.1)
+            assert not covariance[:2, 2:].any()

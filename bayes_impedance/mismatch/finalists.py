@@ -150,10 +150,14 @@ def whole_gain(grown: Refit, fit: Refit) -> float:
     return total + max(who.gain - 0.5 * float(np.log(len(grown.u))), 0.0) * who.only_some
 
 
-def with_pooling(model: Model, addition: int, pooling: str, dispersions: Sequence[float] = ()) -> Model:
+def with_pooling(
+    model: Model, addition: int, pooling: str, dispersions: Sequence[float] = (), correlation: float | None = None
+) -> Model:
     """The model with one addition pooled in another way; dispersions of its coefficient and shapes, if given."""
     additions = list(model.additions)
     changed = replace(additions[addition], pooling=pooling)
+    if correlation is not None:
+        changed = replace(changed, correlation=correlation)
     if dispersions:
         changed = replace(changed, dispersion=dispersions[0], shape_dispersions=tuple(dispersions[1:]))
     additions[addition] = changed

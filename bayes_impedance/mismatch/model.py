@@ -47,6 +47,8 @@ class Addition:
         Of a varying coefficient between people, relative to its mean.
     shape_dispersions : tuple of float
         Of shapes that differ between people; the typical one where nothing is given.
+    correlation : float
+        Between people, of coefficient and first shape where both differ.
     """
 
     effect: Effect
@@ -54,6 +56,7 @@ class Addition:
     pooling: str
     dispersion: float = TYPICAL_DISPERSION
     shape_dispersions: tuple[float, ...] = ()
+    correlation: float = 0.0
 
     @property
     def key(self) -> tuple[str, str, str]:

@@ -397,6 +397,11 @@ def _with_dispersions(model: Model, covariance: np.ndarray, mu: np.ndarray) -> n
     for k, p in enumerate(varying, model.n_elements):
         result[k] = result[:, k] = 0.0
         result[k, k] = max(p.dispersion * (abs(mu[k]) if p.is_coefficient else 1.0), 1e-5) ** 2
+    for i, addition in enumerate(model.additions):
+        own = [k for k, p in enumerate(varying, model.n_elements) if p.addition == i]
+        if addition.correlation and len(own) > 1:
+            k, j = own[:2]
+            result[k, j] = result[j, k] = addition.correlation * np.sign(mu[k]) * np.sqrt(result[k, k] * result[j, j])
     return result
 
 

@@ -7,17 +7,18 @@ time constant, because the recordings are too few to show that they differ, dete
 
 So the additions to the body are held at values :math:`t`, everything else is fitted, and the sum of everybody's
 evidence (:mod:`bayes_impedance.mismatch.refit`) is looked at as a function of :math:`t`: coefficients by their
-logarithms, shapes as they are, all of them free to differ between people. A quadratic through
+logarithms, shapes as they are, all of them free to differ between people, a coefficient and its first shape perhaps
+together: who has much damping may relax slowly. A quadratic through
 
 .. math:: t_0, \quad t_0 \pm 1.3\, s_k, \quad t_0 + s_k + s_l
 
 (s: columns of a root of the covariance) gives the next centre and covariance, until neither moves. Dispersions between
-people are weighed on a grid, one after the other, in turn with the centre until both rest: people who may differ more
-look like others in the mean. Then the evidence is interpolated around the centre and drawn from
-(:mod:`bayes_impedance.mismatch.surrogate`), as it is at once where no quadratic comes to rest. Each draw is moved with
-a dispersion of its own: where a dispersion changes by one step of the grid, the gradient tells by how much the centre
-follows, which is taken to be proportional to the square of the dispersion; and a dispersion is weighed with the centre
-that belongs to it. What the rig adds follows by regression.
+people and those correlations are weighed on a grid, one after the other, in turn with the centre until both rest:
+people who may differ more look like others in the mean. Then the evidence is interpolated around the centre and drawn
+from (:mod:`bayes_impedance.mismatch.surrogate`), as it is at once where no quadratic comes to rest. Each draw is moved
+with dispersions and correlations of its own: where one of them changes by one step of the grid, the gradient tells by
+how much the centre follows, which is taken to be proportional to a correlation and to the square of a dispersion; and
+each is weighed with the centre that belongs to it. What the rig adds follows by regression.
 
 Only for the body: its additions vary between people as the elements do, by assumption. The rig's are the same for all,
 and a likelihood in which the elements are free does not depend on what distribution people have.
@@ -43,6 +44,7 @@ MOST_PARAMETERS = 4
 """A quadratic in more of them takes too many refits."""
 
 _DISPERSIONS = np.array([0.003, 0.01, 0.03, 0.08, 0.15, 0.22, 0.3, 0.4, 0.55])
+_CORRELATIONS = np.array([-0.9, -0.7, -0.45, -0.2, 0.0, 0.2, 0.45, 0.7, 0.9])
 _STARTS = (0.25, 0.08)  # of a coefficient and of a shape
 _ROUNDS, _STEPS = 30, 5
 _FEW_DRAWS = 500
@@ -84,7 +86,7 @@ def from_evidence(refitter: Refitter, fit: Refit, posterior: CoefficientPosterio
         return posterior
     old = np.where(surface.linear, np.log(np.maximum(posterior.central, 1e-9)), posterior.central)[:, surface.columns]
     centre, root = surface.base_values(), _root(np.atleast_2d(np.cov(old.T)))
-    surface, weights, _ = surface.with_dispersions(centre)
+    surface, weights, _ = surface.with_covariances(centre)
     best = centre
     for turn in range(_TURNS):
         peak = surface.maximum(centre, root)
@@ -93,7 +95,7 @@ def from_evidence(refitter: Refitter, fit: Refit, posterior: CoefficientPosterio
             draws = explored(surface.value, centre, root, seed, _FEW_DRAWS).draws
             peak = draws.mean(axis=0), _root(np.atleast_2d(np.cov(draws.T)))
         step, (best, root) = peak[0] - best, peak
-        surface, weights, moved = surface.with_dispersions(best)
+        surface, weights, moved = surface.with_covariances(best)
         length = float(np.linalg.norm(np.linalg.solve(root, step)))
         if (not moved and length < _REST) or (bent and turn >= 1):
             break
@@ -106,19 +108,20 @@ def from_evidence(refitter: Refitter, fit: Refit, posterior: CoefficientPosterio
     best, root = drawn.mean(axis=0), _root(np.atleast_2d(np.cov(drawn.T)))
     slopes = surface.follows(best, root)
     spreads = []
-    for k, column in enumerate(surface.columns):
-        apart = _DISPERSIONS**2 - surface.fit.model.parameters[column].dispersion ** 2
-        shift = np.clip(np.outer(apart, slopes[k]), -_FARTHEST, _FARTHEST)  # in standard deviations
-        weight = weights[k] * np.exp(0.5 * np.sum(shift**2, axis=1))
-        chosen = rng.choice(_DISPERSIONS.size, n_draws, p=weight / weight.sum())
+    for weighed, weight, slope in zip(surface.weighed, weights, slopes, strict=True):
+        apart = weighed.abscissa(weighed.grid) - weighed.abscissa(weighed.now(surface.fit.model))
+        shift = np.clip(np.outer(apart, slope), -_FARTHEST, _FARTHEST)  # in standard deviations
+        weight = weight * np.exp(0.5 * np.sum(shift**2, axis=1))
+        chosen = rng.choice(weighed.grid.size, n_draws, p=weight / weight.sum())
         drawn += shift[chosen] @ root.T
-        spreads.append(_DISPERSIONS[chosen])
+        if not weighed.correlates:
+            spreads.append(weighed.grid[chosen])
     central, relative = posterior.central.copy(), posterior.relative_dispersion.copy()
     others = [k for k in range(size) if k not in surface.columns]
     if others:
         apart = central[:, others] - central[:, others].mean(axis=0)
-        slope = np.linalg.lstsq(old - old.mean(axis=0), apart, rcond=1e-6)[0]
-        central[:, others] += (drawn - old) @ slope
+        along = np.linalg.lstsq(old - old.mean(axis=0), apart, rcond=1e-6)[0]
+        central[:, others] += (drawn - old) @ along
     shared = surface.shared_coefficients(fit.model)
     for k, (column, spread) in enumerate(zip(surface.columns, spreads, strict=True)):
         if surface.linear[column]:
@@ -130,6 +133,54 @@ def from_evidence(refitter: Refitter, fit: Refit, posterior: CoefficientPosterio
         if relative[:, column].any():
             relative[:, column] = spread
     return CoefficientPosterior(central, relative, np.atleast_2d(np.cov(central.T)), last.rests)
+
+
+@dataclass(frozen=True)
+class _Weighed:
+    """A dispersion, or a correlation of coefficient and first shape, that is weighed on a grid.
+
+    Attributes
+    ----------
+    column : int
+        Of the parameter that differs, among those of the additions; of the coefficient.
+    correlates : bool
+    """
+
+    column: int
+    correlates: bool
+
+    @property
+    def grid(self) -> np.ndarray:
+        """Values that are weighed."""
+        return _CORRELATIONS if self.correlates else _DISPERSIONS
+
+    def now(self, model: Model) -> float:
+        """The value that a model has."""
+        parameter = model.parameters[self.column]
+        return model.additions[parameter.addition].correlation if self.correlates else parameter.dispersion
+
+    def held(self, model: Model, value: float) -> Model:
+        """The model with another value."""
+        addition = model.parameters[self.column].addition
+        own = [c - model.n_elements for c in model.columns(addition)]
+        spreads = [model.parameters[c].dispersion for c in own]
+        if self.correlates:
+            return with_pooling(model, addition, "free", spreads, value)
+        return with_pooling(
+            model, addition, "free", [value if c == self.column else s for c, s in zip(own, spreads, strict=True)]
+        )
+
+    def log_prior(self, value: float) -> float:
+        """Half-normal of a dispersion, flat of a correlation."""
+        return 0.0 if self.correlates else -0.5 * value**2
+
+    def abscissa(self, value: np.ndarray | float) -> np.ndarray:
+        """What the centre follows."""
+        return np.asarray(value if self.correlates else np.square(value))
+
+    def differs(self, value: float, other: float) -> bool:
+        """Whether the centre may have to move."""
+        return abs(value - other) > 0.3 if self.correlates else abs(np.log(value / other)) > np.log(1.2)
 
 
 @dataclass(frozen=True)
@@ -225,50 +276,53 @@ class _Surface:
                 return centre, root
         return None
 
-    def with_dispersions(self, centre: np.ndarray) -> tuple[_Surface, dict[int, np.ndarray], bool]:
-        """With the dispersions most likely at a centre; their distributions over the grid; if one moved much."""
-        fit, weights, moved = self.at(centre), dict[int, np.ndarray](), False
-        for k, column in enumerate(self.columns):
+    @property
+    def weighed(self) -> list[_Weighed]:
+        """All that is weighed on a grid: the dispersions of all columns first."""
+        parameters = self.fit.model.parameters
+        found = [_Weighed(c, False) for c in self.columns]
+        for c in self.columns:
+            if self.linear[c] and len(self.fit.model.columns(parameters[c].addition)) > 1:
+                found.append(_Weighed(c, True))
+        return found
+
+    def with_covariances(self, centre: np.ndarray) -> tuple[_Surface, list[np.ndarray], bool]:
+        """With dispersions and correlations most likely at a centre; their distributions on the grids; if any moved."""
+        fit, weights, moved = self.at(centre), list[np.ndarray](), False
+        for weighed in self.weighed:
             heights, fits = [], []
-            for dispersion in _DISPERSIONS:
-                model = _with_dispersion(fit.model, column, float(dispersion))
+            for value in weighed.grid:
+                model = weighed.held(fit.model, float(value))
                 fits.append(self.refitter.fit(model, fit.u, fit.population, _ROUNDS, hold_additions=True))
-                heights.append(float(fits[-1].evidence.sum()) - 0.5 * dispersion**2)
-            weight = np.exp(np.array(heights) - max(heights)) * np.gradient(_DISPERSIONS)
-            weights[k] = weight / weight.sum()
-            best = int(np.argmax(weights[k]))
-            moved |= abs(np.log(_DISPERSIONS[best] / fit.model.parameters[column].dispersion)) > np.log(1.2)
+                heights.append(float(fits[-1].evidence.sum()) + weighed.log_prior(float(value)))
+            weight = np.exp(np.array(heights) - max(heights)) * np.gradient(weighed.grid)
+            weights.append(weight / weight.sum())
+            best = int(np.argmax(weights[-1]))
+            moved |= weighed.differs(float(weighed.grid[best]), weighed.now(fit.model))
             fit = fits[best]
         return replace(self, fit=fit), weights, moved
 
-    def follows(self, centre: np.ndarray, root: np.ndarray) -> np.ndarray:
-        """By how much the centre moves with the square of each dispersion, in standard deviations: (A, A)."""
-        slopes = np.zeros((centre.size, centre.size))
-        for k, column in enumerate(self.columns):
-            now = self.fit.model.parameters[column].dispersion
-            place = int(np.argmin(np.abs(_DISPERSIONS - now)))
-            ends = _DISPERSIONS[[max(place - 1, 0), min(place + 1, _DISPERSIONS.size - 1)]]
+    def follows(self, centre: np.ndarray, root: np.ndarray) -> list[np.ndarray]:
+        """By how much the centre (A,) moves with the abscissa of all that is weighed, in standard deviations."""
+        slopes = []
+        for weighed in self.weighed:
+            grid = weighed.grid
+            place = int(np.argmin(np.abs(grid - weighed.now(self.fit.model))))
+            ends = grid[[max(place - 1, 0), min(place + 1, grid.size - 1)]]
             gradients = []
-            for dispersion in ends:
-                model = _with_dispersion(self.fit.model, column, float(dispersion))
+            for value in ends:
+                model = weighed.held(self.fit.model, float(value))
                 fit = self.refitter.fit(model, self.fit.u, self.fit.population, _ROUNDS, hold_additions=True)
                 there = replace(self, fit=fit)
                 heights = [[there.value(centre + sign * root[:, j]) for sign in (-1, 1)] for j in range(centre.size)]
                 gradients.append(0.5 * (np.array(heights)[:, 1] - np.array(heights)[:, 0]))
-            slopes[k] = (gradients[1] - gradients[0]) / (ends[1] ** 2 - ends[0] ** 2)
+            low, high = weighed.abscissa(ends)
+            slopes.append((gradients[1] - gradients[0]) / (high - low))
         return slopes
 
     def shared_coefficients(self, model: Model) -> set[int]:
         """Columns of coefficients that a model has as the same for everybody."""
         return {c for c in self.columns if self.linear[c] and model.parameters[c].shared}
-
-
-def _with_dispersion(model: Model, column: int, dispersion: float) -> Model:
-    """The model with another dispersion of one of the additions' parameters."""
-    addition = model.parameters[column].addition
-    own = [c - model.n_elements for c in model.columns(addition)]
-    spreads = [dispersion if c == column else model.parameters[c].dispersion for c in own]
-    return with_pooling(model, addition, "free", spreads)
 
 
 def _root(covariance: np.ndarray) -> np.ndarray:
