@@ -153,7 +153,7 @@ def whole_gain(grown: Refit, fit: Refit) -> float:
 def with_pooling(
     model: Model, addition: int, pooling: str, dispersions: Sequence[float] = (), correlation: float | None = None
 ) -> Model:
-    """The model with one addition pooled in another way; dispersions of its coefficient and shapes, if given."""
+    """The model with one addition pooled in another way, with dispersions and a correlation if given."""
     additions = list(model.additions)
     changed = replace(additions[addition], pooling=pooling)
     if correlation is not None:

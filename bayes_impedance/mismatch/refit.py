@@ -391,7 +391,7 @@ class Refitter:
 
 
 def _with_dispersions(model: Model, covariance: np.ndarray, mu: np.ndarray) -> np.ndarray:
-    """The covariance with the coefficients' dispersions at their parts of the means."""
+    """The covariance with what the additions' dispersions, at their parts of the means, and correlations make of it."""
     result = covariance.copy()
     varying = [p for p in model.parameters if not p.shared]
     for k, p in enumerate(varying, model.n_elements):

@@ -45,6 +45,7 @@ MOST_PARAMETERS = 4
 
 _DISPERSIONS = np.array([0.003, 0.01, 0.03, 0.08, 0.15, 0.22, 0.3, 0.4, 0.55])
 _CORRELATIONS = np.array([-0.9, -0.7, -0.45, -0.2, 0.0, 0.2, 0.45, 0.7, 0.9])
+_SAME_FACTOR, _SAME_CORRELATION = 1.2, 0.3  # within these a dispersion or a correlation rests
 _STARTS = (0.25, 0.08)  # of a coefficient and of a shape
 _ROUNDS, _STEPS = 30, 5
 _FEW_DRAWS = 500
@@ -108,10 +109,10 @@ def from_evidence(refitter: Refitter, fit: Refit, posterior: CoefficientPosterio
     best, root = drawn.mean(axis=0), _root(np.atleast_2d(np.cov(drawn.T)))
     slopes = surface.follows(best, root)
     spreads = []
-    for weighed, weight, slope in zip(surface.weighed, weights, slopes, strict=True):
+    for weighed, at_centre, slope in zip(surface.weighed, weights, slopes, strict=True):
         apart = weighed.abscissa(weighed.grid) - weighed.abscissa(weighed.now(surface.fit.model))
         shift = np.clip(np.outer(apart, slope), -_FARTHEST, _FARTHEST)  # in standard deviations
-        weight = weight * np.exp(0.5 * np.sum(shift**2, axis=1))
+        weight = at_centre * np.exp(0.5 * np.sum(shift**2, axis=1))
         chosen = rng.choice(weighed.grid.size, n_draws, p=weight / weight.sum())
         drawn += shift[chosen] @ root.T
         if not weighed.correlates:
@@ -163,12 +164,10 @@ class _Weighed:
         """The model with another value."""
         addition = model.parameters[self.column].addition
         own = [c - model.n_elements for c in model.columns(addition)]
-        spreads = [model.parameters[c].dispersion for c in own]
         if self.correlates:
-            return with_pooling(model, addition, "free", spreads, value)
-        return with_pooling(
-            model, addition, "free", [value if c == self.column else s for c, s in zip(own, spreads, strict=True)]
-        )
+            return with_pooling(model, addition, "free", [model.parameters[c].dispersion for c in own], value)
+        spreads = [value if c == self.column else model.parameters[c].dispersion for c in own]
+        return with_pooling(model, addition, "free", spreads)
 
     def log_prior(self, value: float) -> float:
         """Half-normal of a dispersion, flat of a correlation."""
@@ -180,7 +179,11 @@ class _Weighed:
 
     def differs(self, value: float, other: float) -> bool:
         """Whether the centre may have to move."""
-        return abs(value - other) > 0.3 if self.correlates else abs(np.log(value / other)) > np.log(1.2)
+        return (
+            abs(value - other) > _SAME_CORRELATION
+            if self.correlates
+            else abs(np.log(value / other)) > np.log(_SAME_FACTOR)
+        )
 
 
 @dataclass(frozen=True)
