@@ -18,7 +18,7 @@ help:
 	@echo "make test      run the tests, and a fixed part of the slow statistical checks"
 	@echo "make test-all  run every slow check too (about an hour)"
 	@echo "make bench     speed against peers, in one run (about an hour; leave the machine alone)"
-	@echo "make lint      ruff and mypy"
+	@echo "make lint      ruff, mypy and the import contracts"
 	@echo "make clean     remove what these commands made"
 
 $(BIN)/python:
@@ -68,6 +68,7 @@ lint: $(VENV)/.lint
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/lint-imports --no-cache --config pyproject.toml
 
 format: $(VENV)/.lint
 	$(BIN)/ruff check --fix .

@@ -21,23 +21,21 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from bayes_impedance.check import check_recordings, describe
     from bayes_impedance.classical import compare_methods, identify, map_to_network, vector_fit
     from bayes_impedance.design import PHANTOM, Device, Section, Users, design_answer, population_of, read_device
+    from bayes_impedance.diagnosis import Diagnosis, diagnose
     from bayes_impedance.errors import InputError
-    from bayes_impedance.kernel import Kernel
-    from bayes_impedance.mismatch import Diagnosis, diagnose
-    from bayes_impedance.network import PAPER_NETWORK, Element, Network, parse
+    from bayes_impedance.network import PAPER_NETWORK, Element, Kernel, Network, parse
     from bayes_impedance.population import FitSettings, PopulationFit, fit_population
-    from bayes_impedance.predictive import Predictive, predict
+    from bayes_impedance.population.simulate import FINGERTIP, VirtualPopulation, simulate_recordings
+    from bayes_impedance.quality import check_recordings, describe
     from bayes_impedance.recordings import Recordings, Subject, read_recordings, write_recordings
     from bayes_impedance.report import write_report
-    from bayes_impedance.result import Result, load_result, make_result, save_result
-    from bayes_impedance.simulate import FINGERTIP, VirtualPopulation, simulate_recordings
+    from bayes_impedance.results import Predictive, Result, load_result, make_result, predict, save_result
 
 _MODULES = {
-    "check_recordings": "check",
-    "describe": "check",
+    "check_recordings": "quality",
+    "describe": "quality",
     "compare_methods": "classical",
     "identify": "classical",
     "map_to_network": "classical",
@@ -50,7 +48,7 @@ _MODULES = {
     "population_of": "design",
     "read_device": "design",
     "InputError": "errors",
-    "Kernel": "kernel",
+    "Kernel": "network",
     "PAPER_NETWORK": "network",
     "Element": "network",
     "Network": "network",
@@ -58,22 +56,22 @@ _MODULES = {
     "FitSettings": "population",
     "PopulationFit": "population",
     "fit_population": "population",
-    "Diagnosis": "mismatch",
-    "diagnose": "mismatch",
-    "Predictive": "predictive",
-    "predict": "predictive",
+    "Diagnosis": "diagnosis",
+    "diagnose": "diagnosis",
+    "Predictive": "results",
+    "predict": "results",
     "Recordings": "recordings",
     "Subject": "recordings",
     "read_recordings": "recordings",
     "write_recordings": "recordings",
     "write_report": "report",
-    "Result": "result",
-    "load_result": "result",
-    "make_result": "result",
-    "save_result": "result",
-    "FINGERTIP": "simulate",
-    "VirtualPopulation": "simulate",
-    "simulate_recordings": "simulate",
+    "Result": "results",
+    "load_result": "results",
+    "make_result": "results",
+    "save_result": "results",
+    "FINGERTIP": "population.simulate",
+    "VirtualPopulation": "population.simulate",
+    "simulate_recordings": "population.simulate",
 }
 
 __all__ = [

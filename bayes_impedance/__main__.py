@@ -2,7 +2,7 @@
 
 import sys
 
-from bayes_impedance.cli import main
+from bayes_impedance.commands.cli import main
 
 if __name__ == "__main__":  # worker processes import this module, too
     sys.exit(main())

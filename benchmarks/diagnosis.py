@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from bayes_impedance.mismatch import diagnose, registered
-from bayes_impedance.mismatch.network_fit import fit_network
-from bayes_impedance.mismatch.screen import person_residuals, screen
-from bayes_impedance.recordings import Recordings
-from bayes_impedance.simulate import FINGERTIP, simulate_recordings
+from bayes_impedance.diagnosis import diagnose, registered
+from bayes_impedance.diagnosis.fit.baseline import fit_network
+from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
+from bayes_impedance.diagnosis.selection.score_scan import screen
+from bayes_impedance.population.simulate import FINGERTIP, simulate_recordings
+from bayes_impedance.recordings.files import Recordings
 
 _PEOPLE, _POINTS, _REPETITIONS = (20, 40, 80), (101, 201, 401), 3
 _ROUNDS = 3

@@ -16,10 +16,10 @@ from peers import (
 )
 from timing import ratio, seconds_of, spread
 
-from bayes_impedance.kernel import Kernel
-from bayes_impedance.likelihood import Likelihood, log_likelihood, log_likelihood_gradient
-from bayes_impedance.network import parse
-from bayes_impedance.simulate import FINGERTIP
+from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.network.notation import parse
+from bayes_impedance.person.likelihood import Likelihood, log_likelihood, log_likelihood_gradient
+from bayes_impedance.population.simulate import FINGERTIP
 
 _POINTS, _SETS, _SMALL = 401, 256, 16
 

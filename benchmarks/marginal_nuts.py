@@ -15,13 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from bayes_impedance.empirical_bayes import estimate
-from bayes_impedance.kernel import Kernel
-from bayes_impedance.network import parse
-from bayes_impedance.population import initial_likelihoods
-from bayes_impedance.posterior import Posterior
-from bayes_impedance.recordings import Recordings
-from bayes_impedance.starts import default_prior, first_fits
+from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.network.notation import parse
+from bayes_impedance.population.em import estimate
+from bayes_impedance.population.fit import initial_likelihoods
+from bayes_impedance.population.posterior import Posterior
+from bayes_impedance.population.starting_fits import default_prior, first_fits
+from bayes_impedance.recordings.files import Recordings
 
 _WARMUP, _DRAWS = 300, 900
 _PER_PERSON = 64

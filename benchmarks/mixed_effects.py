@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from bayes_impedance.population import PopulationFit
+from bayes_impedance.population.fit import PopulationFit
 
 SCRIPT = Path(__file__).with_name("nlme.R")
 _LONGEST = 900.0

@@ -22,13 +22,13 @@ import numpy as np
 from peers import CIRCUIT, CIRCUIT_ORDER, ELEMENTS, NETWORK, numpy_parts
 from timing import spread
 
-from bayes_impedance.hierarchy import Prior
-from bayes_impedance.kernel import Kernel
-from bayes_impedance.likelihood import Likelihood
-from bayes_impedance.network import parse
-from bayes_impedance.recordings import read_recordings
-from bayes_impedance.starts import default_prior, search_modes, thinned_points
-from bayes_impedance.subject import find_mode
+from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.network.notation import parse
+from bayes_impedance.person.likelihood import Likelihood
+from bayes_impedance.person.mode import find_mode
+from bayes_impedance.population.parameters import Prior
+from bayes_impedance.population.starting_fits import default_prior, search_modes, thinned_points
+from bayes_impedance.recordings.files import read_recordings
 
 DATASET = Path(__file__).resolve().parents[1] / "data" / "fingertip_71"
 _STARTS, _SPREAD, _NOISE = 769, 2.5, 0.01

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from bayes_impedance.population import PopulationFit
-    from bayes_impedance.recordings import Recordings
+    from bayes_impedance.population.fit import PopulationFit
+    from bayes_impedance.recordings.files import Recordings
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
@@ -32,7 +32,7 @@ def measure(seed: int) -> dict[str, Any]:
     """Effective samples per second of all, and how far their moments differ."""
     from nuts_model import POPULATION, virtual_recordings
 
-    from bayes_impedance.population import fit_population
+    from bayes_impedance.population.fit import fit_population
 
     fit_population(virtual_recordings(seed), POPULATION.network, seed=seed)  # fills the cache of compiled functions
     few, fit = _against_joint(virtual_recordings(seed), seed, {})
@@ -44,7 +44,7 @@ def measure(seed: int) -> dict[str, Any]:
 def _against_joint(recordings: Recordings, seed: int, length: dict[str, int]) -> tuple[dict[str, Any], PopulationFit]:
     from nuts_model import POPULATION, compare, from_fit, run_nuts
 
-    from bayes_impedance.population import fit_population
+    from bayes_impedance.population.fit import fit_population
 
     started = time.perf_counter()
     fit = fit_population(recordings, POPULATION.network, seed=seed)
@@ -68,7 +68,7 @@ def _against_marginal(fit: PopulationFit, seed: int) -> dict[str, Any]:
     from mixed_effects import compare_with_nlme
     from nuts_model import ELEMENTS, POPULATION, Comparison, Moments
 
-    from bayes_impedance.sampling import SamplerSettings, sample
+    from bayes_impedance.mcmc.ensemble import SamplerSettings, sample
 
     posterior = prepared(fit.recordings, POPULATION.network, seed)
     started = time.perf_counter()

@@ -29,11 +29,11 @@ from typing import Any
 import numpy as np
 from report import replace_between
 
-from bayes_impedance.persons import Cluster
-from bayes_impedance.population import FitSettings, PopulationFit, fit_population
-from bayes_impedance.recordings import Recordings, read_recordings, write_recordings
-from bayes_impedance.sampling import SamplerSettings
-from bayes_impedance.simulate import FINGERTIP, simulate_recordings
+from bayes_impedance.mcmc.ensemble import SamplerSettings
+from bayes_impedance.population.fit import FitSettings, PopulationFit, fit_population
+from bayes_impedance.population.simulate import FINGERTIP, simulate_recordings
+from bayes_impedance.recordings.files import Recordings, read_recordings, write_recordings
+from bayes_impedance.runtime.executors import Cluster
 
 HERE = Path(__file__).resolve().parent
 _POINTS, _REPETITIONS = 101, 3

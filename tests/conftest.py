@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayes_impedance.population import FitSettings, PopulationFit, fit_population
-from bayes_impedance.sampling import SamplerSettings
-from bayes_impedance.simulate import Simulation, VirtualPopulation, simulate_recordings
-from bayes_impedance.transfer import TransferFunction
+from bayes_impedance.mcmc.ensemble import SamplerSettings
+from bayes_impedance.network.rational import TransferFunction
+from bayes_impedance.population.fit import FitSettings, PopulationFit, fit_population
+from bayes_impedance.population.simulate import Simulation, VirtualPopulation, simulate_recordings
 
 SMALL = VirtualPopulation(
     network="skin:(n3|r3)-tissue:(m2|r1|n1)",

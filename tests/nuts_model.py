@@ -32,9 +32,9 @@ from numpyro.diagnostics import effective_sample_size, split_gelman_rubin
 from numpyro.infer import MCMC, NUTS
 from numpyro.infer.util import unconstrain_fn
 
-from bayes_impedance.population import PopulationFit
-from bayes_impedance.recordings import Recordings
-from bayes_impedance.simulate import VirtualPopulation, simulate_recordings
+from bayes_impedance.population.fit import PopulationFit
+from bayes_impedance.population.simulate import VirtualPopulation, simulate_recordings
+from bayes_impedance.recordings.files import Recordings
 
 ELEMENTS = ("n3", "r3", "m2", "r1", "n1")
 

@@ -6,8 +6,8 @@ import json
 
 import numpy as np
 
-from bayes_impedance.network import parse
-from bayes_impedance.result import Result
+from bayes_impedance.network.notation import parse
+from bayes_impedance.results.result import Result
 
 NETWORK = "skin:(n3|r3)-tissue:(m2|r1|n1)"
 VALUES = {"n3": 6.8e-7, "r3": 61.4, "m2": 7.9e-4, "r1": 5.0, "n1": 1.15e-3}

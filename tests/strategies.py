@@ -11,7 +11,7 @@ import numpy as np
 from hypothesis import settings
 from hypothesis import strategies as st
 
-from bayes_impedance.network import Element, Network, Parallel
+from bayes_impedance.network.notation import Element, Network, Parallel
 
 # Compiling takes seconds, so there are no deadlines; a float comparison that fails must fail again.
 repeatable = settings(deadline=None, derandomize=True, max_examples=80)

@@ -12,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 
 from nuts_model import POPULATION, Comparison, compare, from_fit, run_nuts, virtual_recordings
 
-from bayes_impedance.population import fit_population
+from bayes_impedance.population.fit import fit_population
 
 
 def row(c: Comparison, seconds: tuple[float, float]) -> str:

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from bayes_impedance.network import PAPER_NETWORK
-from bayes_impedance.recordings import Recordings, Subject, write_recordings
-from bayes_impedance.transfer import TransferFunction
+from bayes_impedance.network.notation import PAPER_NETWORK
+from bayes_impedance.network.rational import TransferFunction
+from bayes_impedance.recordings.files import Recordings, Subject, write_recordings
 
 DATA = Path(__file__).parents[2] / "data" / "appendix_a"
 NAMES = {"sit": "SIT", "vf_median": "VFMedian"}

@@ -22,8 +22,8 @@ from visible_in_world import truth_of
 from world.experiment import Experiment, Plan, conduct
 from world.kinds import KINDS, PAIRS
 
-from bayes_impedance.dataset import Recordings, Subject
-from bayes_impedance.recordings import read_recordings, write_recordings
+from bayes_impedance.recordings.dataset import Recordings, Subject
+from bayes_impedance.recordings.files import read_recordings, write_recordings
 
 SHARES = {"catalogue": 0.45, "pair": 0.10, "outside": 0.15, "trap": 0.12, "nothing": 0.18}
 """Of the cases. Kinds within a group are dealt like cards: none comes twice before all have come once."""
@@ -167,7 +167,7 @@ def sealed_answers(out: Path) -> list[dict[str, Any]]:
 
 def blind(case: Mapping[str, Any]) -> Record:
     """Diagnose a dataset of which nothing but its folder is known; run in a process of its own."""
-    from bayes_impedance.mismatch.diagnose import diagnose
+    from bayes_impedance.diagnosis.diagnose import diagnose
 
     recordings = read_recordings(Path(case["folder"]))
     return {"verdict": dict(diagnose(recordings, quick=True, seed=case["seed"]).verdict)}

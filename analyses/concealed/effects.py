@@ -15,7 +15,7 @@ from nearest import bands
 from people import ELEMENTS, NETWORK, Conditions, record
 from visibility import visibility
 
-from bayes_impedance.dataset import Recordings, Subject
+from bayes_impedance.recordings.dataset import Recordings, Subject
 
 
 def concealed(

@@ -12,14 +12,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayes_impedance.mismatch import catalogue  # noqa: F401  (fills the register)
-from bayes_impedance.mismatch.coefficients import coefficient_posterior, reported
-from bayes_impedance.mismatch.confirm import extended_start, starts_of
-from bayes_impedance.mismatch.effects import registered
-from bayes_impedance.mismatch.model import Addition, build
-from bayes_impedance.mismatch.network_fit import fit_network
-from bayes_impedance.mismatch.search import search
-from bayes_impedance.recordings import Recordings
+from bayes_impedance.diagnosis import catalogue  # noqa: F401  (fills the register)
+from bayes_impedance.diagnosis.catalogue.effect import registered
+from bayes_impedance.diagnosis.fit.baseline import fit_network
+from bayes_impedance.diagnosis.fit.coefficient_posterior import coefficient_posterior, reported
+from bayes_impedance.diagnosis.fit.extend import extended_start, starts_of
+from bayes_impedance.diagnosis.fit.model import Addition, build
+from bayes_impedance.diagnosis.selection.stepwise import search
+from bayes_impedance.recordings.files import Recordings
 
 Estimate = tuple[float, float, float]
 _FRESH = 60

@@ -33,8 +33,8 @@ from typing import Any
 import numpy as np
 from runs import Record, read_lines, replace_between, run_cases
 
-from bayes_impedance.dataset import Recordings
-from bayes_impedance.recordings import read_recordings
+from bayes_impedance.recordings.dataset import Recordings
+from bayes_impedance.recordings.files import read_recordings
 
 HERE = Path(__file__).resolve().parent
 DATA = HERE.parents[1] / "data" / "appendix_a"
@@ -93,7 +93,7 @@ def source(name: str, every: int) -> Recordings:
 
 def one_case(case: Mapping[str, Any]) -> Record:
     """Verdict, with an effect added or (size 0) without."""
-    from bayes_impedance.mismatch.diagnose import diagnose
+    from bayes_impedance.diagnosis.diagnose import diagnose
 
     recordings = source(case["data"], case["every"])
     if case["mode"] == "measured":

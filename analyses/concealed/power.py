@@ -42,12 +42,13 @@ def one_case(case: Mapping[str, Any]) -> Record:
     """Conduct, fit, screen."""
     from threadpoolctl import threadpool_limits
 
-    from bayes_impedance.mismatch import catalogue  # noqa: F401  (fills the register)
-    from bayes_impedance.mismatch.confirm import ALPHA
-    from bayes_impedance.mismatch.effects import registered
-    from bayes_impedance.mismatch.network_fit import fit_network
-    from bayes_impedance.mismatch.screen import person_residuals, screen
-    from bayes_impedance.mismatch.search import Step
+    from bayes_impedance.diagnosis import catalogue  # noqa: F401  (fills the register)
+    from bayes_impedance.diagnosis.catalogue.effect import registered
+    from bayes_impedance.diagnosis.fit.baseline import fit_network
+    from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
+    from bayes_impedance.diagnosis.selection.score_scan import screen
+    from bayes_impedance.diagnosis.selection.shortlist import ALPHA
+    from bayes_impedance.diagnosis.selection.stepwise import Step
 
     plan = Plan(
         (case["kind"],),

@@ -18,14 +18,14 @@ from typing import Any
 
 import numpy as np
 
-from bayes_impedance.mismatch.diagnose import diagnose
-from bayes_impedance.mismatch.effects import registered
-from bayes_impedance.mismatch.network_fit import fit_network
-from bayes_impedance.mismatch.refit import Refit, Refitter
-from bayes_impedance.mismatch.screen import person_residuals
-from bayes_impedance.mismatch.search import search
-from bayes_impedance.mismatch.snapshot import own_errors
-from bayes_impedance.recordings import Recordings, read_recordings
+from bayes_impedance.diagnosis.catalogue.effect import registered
+from bayes_impedance.diagnosis.diagnose import diagnose
+from bayes_impedance.diagnosis.fit.baseline import fit_network
+from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter
+from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
+from bayes_impedance.diagnosis.selection.stepwise import search
+from bayes_impedance.diagnosis.verdict.model_bands import own_errors
+from bayes_impedance.recordings.files import Recordings, read_recordings
 
 HERE = Path(__file__).resolve().parent
 DATA = HERE.parents[1] / "data"

@@ -35,11 +35,11 @@ from runs import Record, read_lines, replace_between, run_cases
 from world.experiment import Plan, conduct
 from world.kinds import KINDS
 
-from bayes_impedance.dataset import Recordings
-from bayes_impedance.kernel import Kernel
-from bayes_impedance.metrics import error_curves, lookup_table
-from bayes_impedance.network import parse
-from bayes_impedance.recordings import read_recordings
+from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.network.notation import parse
+from bayes_impedance.recordings.dataset import Recordings
+from bayes_impedance.recordings.files import read_recordings
+from bayes_impedance.results.curve_errors import error_curves, lookup_table
 
 HERE = Path(__file__).resolve().parent
 FILE = "rivals.jsonl"
@@ -146,9 +146,9 @@ def _chi_square(residual: np.ndarray) -> np.ndarray:
 
 def model_search(recordings: Recordings, u: np.ndarray, mean: np.ndarray) -> tuple[str | None, float]:
     """Winner among all entries on the mean curve, and its gain in BIC; (None, 0) if the network alone wins."""
-    from bayes_impedance.mismatch import catalogue  # noqa: F401  (fills the register)
-    from bayes_impedance.mismatch.effects import registered, shape_grid
-    from bayes_impedance.mismatch.model import Addition, build, scales_of
+    from bayes_impedance.diagnosis import catalogue  # noqa: F401  (fills the register)
+    from bayes_impedance.diagnosis.catalogue.effect import registered, shape_grid
+    from bayes_impedance.diagnosis.fit.model import Addition, build, scales_of
 
     frequency_hz = recordings.subjects[0].frequency_hz
     keep = np.unique(np.linspace(0, frequency_hz.size - 1, min(_POINTS, frequency_hz.size)).astype(int))

@@ -15,7 +15,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from bayes_impedance.dataset import Recordings
+from bayes_impedance.recordings.dataset import Recordings
 
 Record = dict[str, Any]
 Work = Callable[[Mapping[str, Any]], Record]
@@ -24,10 +24,10 @@ Work = Callable[[Mapping[str, Any]], Record]
 def diagnose(recordings: Recordings, seed: int, through_command: bool = False) -> Record:
     """Verdict on some recordings, by the package's function or by its command (`--quick`) on files."""
     if not through_command:
-        from bayes_impedance.mismatch.diagnose import diagnose as run_diagnosis
+        from bayes_impedance.diagnosis.diagnose import diagnose as run_diagnosis
 
         return dict(run_diagnosis(recordings, quick=True, seed=seed).verdict)
-    from bayes_impedance.recordings import write_recordings
+    from bayes_impedance.recordings.files import write_recordings
 
     with tempfile.TemporaryDirectory() as folder:
         dataset, out = Path(folder) / "dataset", Path(folder) / "out"

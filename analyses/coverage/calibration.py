@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from bayes_impedance import FINGERTIP, FitSettings, fit_population, parse, simulate_recordings
-from bayes_impedance.population import QUICK_SETTINGS
-from bayes_impedance.simulate import Simulation
+from bayes_impedance.population.fit import QUICK_SETTINGS
+from bayes_impedance.population.simulate import Simulation
 
 ELEMENTS = parse(FINGERTIP.network).elements
 KINDS = ("central", "dispersion_between_persons", "dispersion_between_repetitions")

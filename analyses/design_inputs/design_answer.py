@@ -14,7 +14,7 @@ from bayes_impedance.design import PHANTOM, design_answer, limit_of, population_
 from bayes_impedance.design.answer import three
 from bayes_impedance.plots import save_figure, style
 from bayes_impedance.plots.design import felt, stability, worst_user
-from bayes_impedance.result import load_result
+from bayes_impedance.results.result import load_result
 
 
 def main(result: Path, out: Path) -> None:

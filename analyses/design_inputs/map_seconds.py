@@ -7,7 +7,7 @@ from pathlib import Path
 
 from bayes_impedance.design import PHANTOM, population_of, stability_map
 from bayes_impedance.design.answer import gains
-from bayes_impedance.result import load_result
+from bayes_impedance.results.result import load_result
 
 
 def main(result: Path) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bayes_impedance.jobs import FitOptions, compare_dataset
+from bayes_impedance.commands.jobs import FitOptions, compare_dataset
 
 ROOT = Path(__file__).parents[2]
 OUT = Path(__file__).parent / "results"

@@ -18,12 +18,12 @@ from bayes_impedance.classical import (
     map_to_network,
     partial_fractions,
 )
-from bayes_impedance.kernel import Kernel
-from bayes_impedance.metrics import common_grid, on_grid
-from bayes_impedance.network import PAPER_NETWORK, parse
+from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.network.notation import PAPER_NETWORK, parse
+from bayes_impedance.network.rational import TransferFunction
 from bayes_impedance.plots import bode, new_figure, save_figure, style
-from bayes_impedance.recordings import read_recordings
-from bayes_impedance.transfer import TransferFunction
+from bayes_impedance.recordings.files import read_recordings
+from bayes_impedance.results.curve_errors import common_grid, on_grid
 
 ROOT, OUT = Path(__file__).parents[2], Path(__file__).parent / "results"
 NETWORK = parse(PAPER_NETWORK)

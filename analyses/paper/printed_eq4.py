@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 
-from bayes_impedance.metrics import common_grid, error_curves, lookup_table, on_grid, wrapped_deg
-from bayes_impedance.recordings import read_recordings
+from bayes_impedance.recordings.files import read_recordings
+from bayes_impedance.results.curve_errors import common_grid, error_curves, lookup_table, on_grid, wrapped_deg
 
 Form = Callable[[np.ndarray, np.ndarray], np.ndarray]
 RECORDINGS = read_recordings(Path(__file__).parents[2] / "data" / "fingertip_71")

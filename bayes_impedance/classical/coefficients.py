@@ -27,8 +27,8 @@ from itertools import product
 import numpy as np
 
 from bayes_impedance.classical.levenberg_marquardt import minimise_many
-from bayes_impedance.network import Network
-from bayes_impedance.transfer import TransferFunction
+from bayes_impedance.network.notation import Network
+from bayes_impedance.network.rational import TransferFunction
 
 _MAX_SIGNED_ELEMENTS = 10
 """Above this many elements only positive solutions are looked for: the sign patterns would be too many."""

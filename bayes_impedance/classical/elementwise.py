@@ -29,13 +29,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayes_impedance.classical.levenberg_marquardt import minimise_many
-from bayes_impedance.elements import kind_of
 from bayes_impedance.errors import InputError
-from bayes_impedance.kernel import Kernel
-from bayes_impedance.metrics import wrapped_deg
-from bayes_impedance.network import Network
-from bayes_impedance.recordings import Recordings, Subject
-from bayes_impedance.starts import best_distinct, default_prior, thinned_points
+from bayes_impedance.network.elements import kind_of
+from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.network.notation import Network
+from bayes_impedance.population.starting_fits import best_distinct, default_prior, thinned_points
+from bayes_impedance.recordings.files import Recordings, Subject
+from bayes_impedance.results.curve_errors import wrapped_deg
 
 PARTS = ("magnitude", "phase", "complex")
 

@@ -19,7 +19,7 @@ functions, and least squares through the larger set first is, to first order, le
 themselves. Where the difference is larger than the C - P coefficients that the larger set has more can explain, s grows
 with it. Without a known noise the difference itself, :math:`s^2 = \chi^2/(2F - P)`, is all the scatter there is, and
 the intervals only say how sharply the elements are pinned down **if the network is accepted**. An element whose
-logarithm has a standard error above :data:`~bayes_impedance.empirical_bayes.DETERMINED_SD` is not determined by the
+logarithm has a standard error above :data:`~bayes_impedance.population.em.DETERMINED_SD` is not determined by the
 curve in this band, and gets no number.
 
 At the nearest elements the relative sensitivities :math:`G_{kp} = \partial\ln c_k/\partial\ln x_p` say which
@@ -42,15 +42,15 @@ from bayes_impedance.classical.coefficients import (
     log_sensitivity,
 )
 from bayes_impedance.classical.elementwise import RUNAWAY, Curve
-from bayes_impedance.elements import kind_of
-from bayes_impedance.empirical_bayes import DETERMINED_SD
 from bayes_impedance.errors import InputError
-from bayes_impedance.kernel import Kernel
-from bayes_impedance.likelihood import Likelihood
-from bayes_impedance.network import Network
-from bayes_impedance.recordings import Recordings, Subject
-from bayes_impedance.starts import default_prior, search_modes
-from bayes_impedance.transfer import TransferFunction
+from bayes_impedance.network.elements import kind_of
+from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.network.notation import Network
+from bayes_impedance.network.rational import TransferFunction
+from bayes_impedance.person.likelihood import Likelihood
+from bayes_impedance.population.em import DETERMINED_SD
+from bayes_impedance.population.starting_fits import default_prior, search_modes
+from bayes_impedance.recordings.files import Recordings, Subject
 
 _NORMAL_95 = 1.6448536269514722
 _HELD_BY = 4

@@ -37,13 +37,13 @@ from bayes_impedance.classical.passivity import Passivity, check_passivity
 from bayes_impedance.classical.system_identification import identify
 from bayes_impedance.classical.vector_fitting import vector_fit
 from bayes_impedance.errors import InputError
-from bayes_impedance.kernel import Kernel
-from bayes_impedance.metrics import ErrorCurves, common_grid, error_curves, lookup_table, on_grid
-from bayes_impedance.network import Network, parse
-from bayes_impedance.recordings import Recordings
-from bayes_impedance.result import Result
-from bayes_impedance.starts import Progress
-from bayes_impedance.transfer import TransferFunction
+from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.network.notation import Network, parse
+from bayes_impedance.network.rational import TransferFunction
+from bayes_impedance.recordings.files import Recordings
+from bayes_impedance.results.curve_errors import ErrorCurves, common_grid, error_curves, lookup_table, on_grid
+from bayes_impedance.results.result import Result
+from bayes_impedance.runtime.progress import Progress
 
 MAGNITUDES, PHASES, TABLES = "fitted to magnitudes", "fitted to phases", "look-up table"
 RATIONAL, COMPLEX, OURS = "rational function", "fitted to complex values", "population posterior"

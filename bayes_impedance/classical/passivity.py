@@ -47,7 +47,7 @@ from scipy.optimize import nnls
 from bayes_impedance.classical.pole_residue import PoleResidue
 from bayes_impedance.classical.real_part import AxisPole, RealPart, on_axis, real_part
 from bayes_impedance.errors import InputError
-from bayes_impedance.transfer import TransferFunction
+from bayes_impedance.network.rational import TransferFunction
 
 # A dip below zero counts from this share of |z|: roots of polynomials are no more exact, and touching zero is passive.
 _TOLERANCE = 1e-9

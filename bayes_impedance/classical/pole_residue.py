@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from bayes_impedance.transfer import TransferFunction
+from bayes_impedance.network.rational import TransferFunction
 
 _PAIRING = 1e-9
 

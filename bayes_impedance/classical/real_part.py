@@ -45,7 +45,7 @@ from scipy.optimize import brentq, minimize_scalar
 
 from bayes_impedance.classical.pole_residue import PoleResidue
 from bayes_impedance.errors import InputError
-from bayes_impedance.transfer import TransferFunction
+from bayes_impedance.network.rational import TransferFunction
 
 # Re z below this share of the size of its terms is rounding.
 _RESOLUTION = 1e-12

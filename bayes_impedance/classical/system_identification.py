@@ -26,7 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayes_impedance.errors import InputError
-from bayes_impedance.transfer import TransferFunction
+from bayes_impedance.network.rational import TransferFunction
 
 WEIGHTINGS = ("none", "relative")
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from bayes_impedance.design.device import Device
-from bayes_impedance.design.sampled_loop import largest_stiffness
-from bayes_impedance.design.stability import (
+from bayes_impedance.design.loop.device import Device
+from bayes_impedance.design.loop.sampled_loop import largest_stiffness
+from bayes_impedance.design.loop.stability import (
     Limit,
     Reason,
     StabilityMap,
@@ -18,9 +18,9 @@ from bayes_impedance.design.stability import (
     reason,
     stability_map,
 )
-from bayes_impedance.design.transparency import Transparency, transparency
+from bayes_impedance.design.loop.transparency import Transparency, transparency
 from bayes_impedance.design.users import Population, Users
-from bayes_impedance.starts import Progress
+from bayes_impedance.runtime.progress import Progress
 
 _GRID_LOW = 0.02
 _DAMPINGS = 400

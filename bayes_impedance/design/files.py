@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from bayes_impedance.design import spice
 from bayes_impedance.design.answer import DesignAnswer
+from bayes_impedance.design.circuits import spice
+from bayes_impedance.design.circuits.passivity_check import passive_coefficients, passive_states, positive_elements
+from bayes_impedance.design.circuits.transfer_functions import described, written
 from bayes_impedance.design.representatives import Representatives
-from bayes_impedance.design.transfer_functions import described, written
 from bayes_impedance.design.users import PERCENTILES, Population, Users, percentile_curves
-from bayes_impedance.design.verified import passive_coefficients, passive_states, positive_elements
 from bayes_impedance.errors import InputError
 
 

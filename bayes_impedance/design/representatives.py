@@ -29,7 +29,7 @@ import numpy as np
 from scipy.stats import chi2, norm
 
 from bayes_impedance.design.users import Population, Users
-from bayes_impedance.kernel import Kernel
+from bayes_impedance.network.kernel import Kernel
 
 LEVEL = 0.95
 

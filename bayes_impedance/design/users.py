@@ -23,11 +23,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import solve_triangular
 
-from bayes_impedance.elements import kind_of
 from bayes_impedance.errors import InputError
-from bayes_impedance.kernel import Kernel
-from bayes_impedance.network import Network, parse
-from bayes_impedance.result import Result
+from bayes_impedance.network.elements import kind_of
+from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.network.notation import Network, parse
+from bayes_impedance.results.result import Result
 
 PERCENTILES = (0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
 """Of the curves that are exported."""

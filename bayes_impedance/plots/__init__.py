@@ -22,13 +22,13 @@ from typing import TYPE_CHECKING, Any
 from bayes_impedance.errors import InputError
 from bayes_impedance.plots.access import identified, subjects, variable
 from bayes_impedance.plots.comparison import COMPARISON_PICTURES
-from bayes_impedance.plots.diagnosis import DIAGNOSIS_PICTURES
 from bayes_impedance.plots.joint import corner_central, corner_dispersion
+from bayes_impedance.plots.missing_physics import DIAGNOSIS_PICTURES
 from bayes_impedance.plots.paper import all_curves, bode, error_bars
 from bayes_impedance.plots.parameters import correlation, forest, overview, priors, traces
 from bayes_impedance.plots.spectra import bands, coverage, curves, errors, noise
 from bayes_impedance.plots.style import new_figure, style
-from bayes_impedance.result import Result
+from bayes_impedance.results.result import Result
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from bayes_impedance.classical import MethodComparison
-    from bayes_impedance.mismatch.diagnosis import Diagnosis
+    from bayes_impedance.diagnosis.types import Diagnosis
 
 __all__ = [
     "PICTURES",

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from bayes_impedance.plots.quantities import Scale, scale_for
-from bayes_impedance.result import Result
+from bayes_impedance.results.result import Result
 
 INTERVAL = (0.05, 0.5, 0.95)
 """Quantiles of every interval that is shown: 90 %, and the median."""

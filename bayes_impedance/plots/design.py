@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayes_impedance.design.answer import DesignAnswer, three
+from bayes_impedance.design.loop.stability import loop_of
+from bayes_impedance.design.loop.transparency import loop_gain
 from bayes_impedance.design.representatives import Representatives
-from bayes_impedance.design.stability import loop_of
-from bayes_impedance.design.transparency import loop_gain
 from bayes_impedance.design.users import Population, Users, percentile_curves
 from bayes_impedance.plots.quantities import typeset
 from bayes_impedance.plots.style import (

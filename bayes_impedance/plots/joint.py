@@ -12,7 +12,7 @@ import numpy as np
 from bayes_impedance.plots.access import INTERVAL, element_scale, identified, needed, samples
 from bayes_impedance.plots.quantities import with_interval
 from bayes_impedance.plots.style import BLUE, INK, RED
-from bayes_impedance.result import Result
+from bayes_impedance.results.result import Result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

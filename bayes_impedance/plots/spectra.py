@@ -26,7 +26,7 @@ from bayes_impedance.plots.style import (
     phase_axis,
     row_median,
 )
-from bayes_impedance.result import MISFIT_SCALE, Result
+from bayes_impedance.results.result import MISFIT_SCALE, Result
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,12 +7,12 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from bayes_impedance.network import parse
+from bayes_impedance.network.notation import parse
 from bayes_impedance.plots import write_pictures
 from bayes_impedance.plots.access import is_electrical, is_simulated, subjects, who
-from bayes_impedance.report import content
+from bayes_impedance.report import fit_tables
 from bayes_impedance.report.schematic import schematic
-from bayes_impedance.result import Result
+from bayes_impedance.results.result import Result
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -89,39 +89,39 @@ def _context(result: Result, findings: list[FindingLike], pictures: Mapping[str,
     from markupsafe import Markup
 
     drawing = schematic(
-        parse(result.attributes["network"]), content.element_values(result), electrical=is_electrical(result)
+        parse(result.attributes["network"]), fit_tables.element_values(result), electrical=is_electrical(result)
     )
-    unit, errors = content.error_table(result)
+    unit, errors = fit_tables.error_table(result)
     shown = {name: _embedded(file) for name, file in pictures.items() if not (result.problems and name in _OF_VALUES)}
     return {
         "title": result.attributes["title"],
-        "people": content.population_name(result),
+        "people": fit_tables.population_name(result),
         "who": who(result),
         "one_who": who(result, 1),
         "number": len(subjects(result)),
         "single": len(subjects(result)) == 1,
-        "repeated": any(row.between_repetitions_interval for row in content.element_rows(result)),
+        "repeated": any(row.between_repetitions_interval for row in fit_tables.element_rows(result)),
         "electrical": is_electrical(result),
         "simulated": is_simulated(result),
         "problems": result.problems,
         "remarks": result.summary["remarks"],
         "findings": findings,
-        "reading_warnings": content.reading_warnings(result),
-        "answer": content.answer(result),
-        "recordings": content.recording_rows(result),
+        "reading_warnings": fit_tables.reading_warnings(result),
+        "answer": fit_tables.answer(result),
+        "recordings": fit_tables.recording_rows(result),
         "network": result.attributes["network"],
         "schematic": Markup(drawing),
-        "elements": content.element_rows(result),
-        "correlations": content.correlation_rows(result),
-        "slopes": content.slope_rows(result),
+        "elements": fit_tables.element_rows(result),
+        "correlations": fit_tables.correlation_rows(result),
+        "slopes": fit_tables.slope_rows(result),
         "error_unit": unit,
         "errors": errors,
-        "replication": content.replication_sentence(result),
+        "replication": fit_tables.replication_sentence(result),
         "coverage": {level: f"{100 * share:.0f} %" for level, share in result.summary["coverage"].items()},
-        "outliers": content.outlier_rows(result),
-        "checks": content.checks(result),
-        "provenance": content.provenance_rows(result),
-        "command": content.command(result),
+        "outliers": fit_tables.outlier_rows(result),
+        "checks": fit_tables.checks(result),
+        "provenance": fit_tables.provenance_rows(result),
+        "command": fit_tables.command(result),
         "pictures": shown,
     }
 

@@ -15,8 +15,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 
-from bayes_impedance.elements import kind_of
-from bayes_impedance.network import Element, Network, Parallel, Place
+from bayes_impedance.network.elements import kind_of
+from bayes_impedance.network.notation import Element, Network, Parallel, Place
 
 _WIDTH, _ABOVE, _BELOW = 112.0, 34.0, 36.0
 """Of an element, in pixels: the name stands above its symbol and the value below."""

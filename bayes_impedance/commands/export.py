@@ -1,0 +1,166 @@
+"""The job behind ``bayes-impedance export``: from a finished fit to files for designers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bayes_impedance.errors import InputError
+
+if TYPE_CHECKING:
+    from bayes_impedance.runtime.progress import Progress
+
+PRODUCTS = ("users", "transfer", "spice", "stability")
+_POINTS = 201
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """What a user may choose about an export.
+
+    Attributes
+    ----------
+    what : tuple of str
+        Of :data:`PRODUCTS`.
+    users : int
+        Virtual users to draw.
+    seed : int
+    spanning : int
+        Size of the set that spans the 95 % region.
+    repetitions : bool
+        Users who put down the finger once, not the mean of many times.
+    assume : mapping of str to float
+        Values of elements that the recordings do not determine.
+    device : Path or None
+        TOML file; None for the PHANTOM.
+    damping, share : float
+        Virtual damping in N s/m, and share of users, of the limit.
+    grid : int
+        Gains on each axis of the stability map.
+    pictures : bool
+    workers : int
+        Threads.
+    """
+
+    what: tuple[str, ...] = PRODUCTS
+    users: int = 1000
+    seed: int = 1
+    spanning: int = 8
+    repetitions: bool = False
+    assume: Mapping[str, float] = field(default_factory=dict)
+    device: Path | None = None
+    damping: float = 0.0
+    share: float = 0.99
+    grid: int = 40
+    pictures: bool = True
+    workers: int = 2
+
+
+def export_result(result: Path, out: Path, options: ExportOptions, progress: Progress) -> tuple[list[Path], str | None]:
+    """Write design inputs.
+
+    Parameters
+    ----------
+    result : Path
+        Folder of a finished fit, or its ``result.nc``.
+    out : Path
+        Folder for the files.
+    options : ExportOptions
+    progress : callable
+
+    Returns
+    -------
+    files : list of Path
+    answer : str or None
+        The sentence of the stability analysis, if it was asked for.
+
+    Raises
+    ------
+    InputError
+        If the fit cannot be used, or an option contradicts it.
+    """
+    from bayes_impedance.results.result import RESULT_FILE, load_result
+
+    unknown = sorted(set(options.what) - set(PRODUCTS))
+    if unknown:
+        raise InputError(f"'{unknown[0]}' cannot be exported: choose {', '.join(PRODUCTS)}")
+    if not 0 < options.share < 1:
+        raise InputError(f"share {options.share:g}: give a number between 0 and 1, such as 0.99")
+    if not 0 <= options.damping < float("inf"):
+        raise InputError(f"damping {options.damping:g}: virtual damping is zero or more, in N s/m")
+    fit = load_result(result.parent if result.name == RESULT_FILE else result)
+
+    import numpy as np
+
+    from bayes_impedance.design.answer import design_answer
+    from bayes_impedance.design.files import write_spice, write_stability, write_transfer, write_users
+    from bayes_impedance.design.loop.device import PHANTOM, read_device
+    from bayes_impedance.design.representatives import representatives
+    from bayes_impedance.design.users import population_of
+
+    device = PHANTOM if options.device is None else read_device(options.device)
+    population = population_of(fit, options.assume)
+    if "stability" in options.what and population.unit != "N s/m":
+        raise InputError(f"{result}: the impedance is in {population.unit}; a device needs one in N s/m")
+    frequency = np.asarray(fit.coords["frequency_hz"], dtype=float)
+    band = float(frequency[0]), float(frequency[-1])
+    grid = np.geomspace(*band, _POINTS)
+    users = population.draw(options.users, options.seed, repetitions=options.repetitions)
+    chosen = representatives(population, users, band, options.spanning)
+
+    files: list[Path] = []
+    answer = None
+    if "users" in options.what:
+        files += write_users(out, population, users, chosen, grid)
+    if "transfer" in options.what:
+        files += write_transfer(out, users, chosen.users)
+    if "spice" in options.what:
+        files += write_spice(out, population, users, chosen.users, band)
+    if "stability" in options.what:
+        answer = design_answer(
+            population,
+            # Weights of populations are those of persons, not of single repetitions.
+            users if not options.repetitions else population.draw(options.users, options.seed),
+            device,
+            damping=options.damping,
+            share=options.share,
+            grid=options.grid,
+            seed=options.seed,
+            workers=options.workers,
+            progress=progress,
+        )
+        files += write_stability(out, answer)
+    if options.pictures:
+        from bayes_impedance.plots import save_figure, style
+        from bayes_impedance.plots.design import felt, stability, users_band, worst_user
+
+        with style():
+            figures = {"users": users_band(users, chosen, grid)} if "users" in options.what else {}
+            if answer is not None:
+                figures |= {"stability": stability(answer), "worst_user": worst_user(answer, population)}
+                last = felt(answer)
+                figures |= {} if last is None else {"transparency": last}
+            files += [save_figure(figure, out, name) for name, figure in figures.items()]
+    return files, None if answer is None else answer.sentence
+
+
+def assumed(texts: Sequence[str]) -> dict[str, float]:
+    """Values of elements from ``name=value``.
+
+    Raises
+    ------
+    InputError
+        If a text has another form.
+    """
+    found = {}
+    for text in texts:
+        name, sign, number = text.partition("=")
+        try:
+            found[name.strip()] = float(number)
+        except ValueError:
+            sign = ""
+        if not sign:
+            raise InputError(f"--assume {text}: give an element and its value, such as n3=6.8e-7")
+    return found

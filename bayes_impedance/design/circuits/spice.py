@@ -1,0 +1,251 @@
+r"""Networks as SPICE sub-circuits, in both analogies.
+
+================  ==============================  ===================================
+mechanical        force-voltage (``fv``)           force-current (``fc``)
+================  ==============================  ===================================
+force, velocity   voltage, current                 current, voltage
+mass m            inductance m                     capacitance m
+compliance n      capacitance n                    inductance n
+damper r          resistance r                     resistance 1/r
+``|`` parallel    series connection                parallel connection
+``-`` series      parallel connection              series connection
+V/I at the port   impedance F/v                    mobility v/F
+================  ==============================  ===================================
+
+In the force-current analogy the circuit looks like the mechanical drawing: a mass is a capacitor to the inertial
+frame, which is the sub-circuit's second node (connect it to ground). What contains a mass therefore comes last in a
+chain.
+
+A network has no operating point worth finding, and loops of inductors or nodes between capacitors would spoil it:
+decks carry ``.options noopac``, which circuits of linear elements are allowed.
+
+**Filters** of a measurement channel multiply the impedance. A copy of the port's current drives the network, its
+voltage passes the filter, and a controlled source shows the result at the port. With negative coefficient, and for
+the mobility, the filter is the inverse one.
+
+**Monte Carlo.** Besides one sub-circuit per user there is one whose elements are drawn anew for each instance,
+:math:`\exp(c + L g)` with independent Gaussian g and the Cholesky factor L of the users' covariance: correlations are
+kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import count
+
+import numpy as np
+
+from bayes_impedance.design.circuits.ladders import FILTERS, coefficient
+from bayes_impedance.design.users import Population, Users
+from bayes_impedance.errors import InputError
+from bayes_impedance.network.notation import Element, Network, Parallel
+from bayes_impedance.network.operations import Operation
+
+ANALOGIES = ("fv", "fc")
+"""Force-voltage and force-current."""
+
+OPTIONS = ".options noopac"
+
+_CARD = {"fv": {"m": "L", "n": "C", "r": "R"}, "fc": {"m": "C", "n": "L", "r": "R"}}
+
+
+def subcircuit(
+    name: str,
+    network: Network,
+    values: Mapping[str, float],
+    analogy: str,
+    *,
+    filters: Sequence[Operation] = (),
+    parameters: Mapping[str, float] | None = None,
+) -> str:
+    """A network as a sub-circuit with two nodes, its elements being parameters with defaults.
+
+    Parameters
+    ----------
+    name : str
+        Of the sub-circuit.
+    network : Network
+    values : mapping of str to float
+        Defaults, in the elements' units.
+    analogy : str
+        ``fv`` or ``fc``.
+    filters : sequence of Operation
+        At the port, see :mod:`bayes_impedance.design.circuits.ladders`.
+    parameters : mapping of str to float, optional
+        Of the filters.
+
+    Raises
+    ------
+    InputError
+        If the analogy is not known or an element has no value.
+    """
+    missing = [e for e in network.elements if e not in values]
+    if missing:
+        raise InputError(f"element '{missing[0]}' has no value: there are values for {', '.join(values) or 'none'}")
+    given = " ".join(f"{_name(e)}={values[e]:.17g}" for e in network.elements)
+    lines = [f".subckt {name} p q params: {given}"]
+    if filters:
+        lines += _filtered(network, analogy, filters, dict(parameters or {}))
+    else:
+        lines += _cards(network, analogy, "p", "q")
+    return "\n".join([*lines, f".ends {name}"]) + "\n"
+
+
+def library(users: Users, name: str = "user") -> str:
+    """One parametrised sub-circuit in each analogy, and one for every user that sets its parameters.
+
+    Parameters
+    ----------
+    users : Users
+    name : str
+        Of the parametrised sub-circuits, before ``_fv`` and ``_fc``.
+    """
+    lines = [
+        f"* {len(users)} users of the network {users.network}, unit of impedance {users.unit}",
+        "* fv: force = voltage, velocity = current, V/I is the impedance F/v",
+        "* fc: force = current, velocity = voltage, V/I is the mobility v/F; the second node goes to ground",
+        "* units: " + ", ".join(f"{e} in {unit}" for e, unit in users.units.items()),
+        "",
+    ]
+    first = users.of(0)
+    lines += [subcircuit(f"{name}_{analogy}", users.network, first, analogy) for analogy in ANALOGIES]
+    for i, who in enumerate(users.names):
+        given = " ".join(f"{_name(e)}={v:.17g}" for e, v in users.of(i).items())
+        for analogy in ANALOGIES:
+            lines.append(f".subckt {who}_{analogy} p q\nX1 p q {name}_{analogy} {given}\n.ends {who}_{analogy}")
+    return "\n".join(lines) + "\n"
+
+
+def sweep(users: Users, include: str, band_hz: tuple[float, float], output: str, *, points: int = 100) -> str:
+    """A deck that drives every user with 1 A and writes all voltages: the impedances, in the force-voltage analogy.
+
+    Parameters
+    ----------
+    users : Users
+    include : str
+        File with the library.
+    band_hz : (float, float)
+    output : str
+        File that ngspice writes.
+    points : int
+        Per decade.
+    """
+    lines = ["* impedance of every user: 1 A into the force-voltage analogy, v(z_user) = F/v", OPTIONS]
+    lines.append(f'.include "{include}"')
+    for i, who in enumerate(users.names):
+        lines += [f"I{i + 1} 0 z_{who} AC 1", f"X{i + 1} z_{who} 0 {who}_fv"]
+    shown = " ".join(f"v(z_{who})" for who in users.names)
+    return "\n".join([*lines, *_control(band_hz, points, output, shown), ".end"]) + "\n"
+
+
+def monte_carlo(population: Population, name: str = "any_user") -> str:
+    """Sub-circuits whose elements are drawn anew for every instance, correlated as the population's.
+
+    Parameters
+    ----------
+    population : Population
+    name : str
+        Of the sub-circuits, before ``_fv`` and ``_fc``.
+    """
+    elements = population.network.elements
+    centre = population.mu.mean(axis=0)
+    free = [i for i, e in enumerate(elements) if e not in population.fixed]
+    factor = np.zeros((len(elements), len(free)))
+    factor[free] = np.linalg.cholesky(population.covariance[np.ix_(free, free)])
+    # ngspice evaluates a random parameter anew wherever its name stands, but what is handed over at a call only once.
+    numbers = " ".join(f"g{j + 1}={{agauss(0,1,1)}}" for j in range(len(free)))
+    zeros = " ".join(f"g{j + 1}=0" for j in range(len(free)))
+    drawn = []
+    for i, e in enumerate(elements):
+        terms = "".join(f"{factor[i, j]:+.12g}*g{j + 1}" for j in range(len(free)) if factor[i, j] != 0)
+        drawn.append(f".param {_name(e)}={{exp({centre[i]:.12g}{terms})}}")
+    blocks = []
+    for analogy in ANALOGIES:
+        inner = f"{name}_given_{analogy}"
+        cards = _cards(population.network, analogy, "p", "q")
+        blocks.append("\n".join([f".subckt {inner} p q params: {zeros}", *drawn, *cards, f".ends {inner}"]))
+        outer = f"{name}_{analogy}"
+        blocks.append(f".subckt {outer} p q\nX1 p q {inner} {numbers}\n.ends {outer}")
+    head = "* elements are log-normal over users: exp(centre + L g); every instance draws its own g"
+    return "\n\n".join([head, *blocks]) + "\n"
+
+
+def one_port_deck(circuit: str, name: str, band_hz: tuple[float, float], output: str, *, points: int = 20) -> str:
+    """A deck that writes V/I of one sub-circuit over frequency."""
+    drive = [f"* V/I of {name}", OPTIONS, circuit, "I1 0 port AC 1", f"X1 port 0 {name}"]
+    return "\n".join([*drive, *_control(band_hz, points, output, "v(port)"), ".end"]) + "\n"
+
+
+def _control(band_hz: tuple[float, float], points: int, output: str, shown: str) -> list[str]:
+    low, high = band_hz
+    return [
+        ".control",
+        "set numdgt=15",
+        "set wr_singlescale",
+        f"ac dec {points} {low:.17g} {high:.17g}",
+        f"wrdata {output} {shown}",
+        "quit",
+        ".endc",
+    ]
+
+
+def _cards(network: Network, analogy: str, first: str, second: str) -> list[str]:
+    """Lines of all elements between two nodes."""
+    if analogy not in ANALOGIES:
+        raise InputError(f"'{analogy}' is no analogy: choose fv (force-voltage) or fc (force-current)")
+    return list(_between(network, analogy, first, second, count(1)))
+
+
+def _between(network: Network, analogy: str, first: str, second: str, nodes: Iterator[int]) -> Iterator[str]:
+    if isinstance(network, Element):
+        letter, parameter = network.name[0], _name(network.name)
+        value = f"1/{parameter}" if analogy == "fc" and letter == "r" else parameter
+        yield f"{_CARD[analogy][letter]}_{parameter} {first} {second} {{{value}}}"
+        return
+    chained = isinstance(network, Parallel) == (analogy == "fv")
+    # Stable: all else stays as it is written.
+    parts = sorted(network.parts, key=_has_mass) if chained and analogy == "fc" else network.parts
+    ends = [first, *(f"i{next(nodes)}" for _ in parts[1:]), second]
+    for i, part in enumerate(parts):
+        a, b = (ends[i], ends[i + 1]) if chained else (first, second)
+        yield from _between(part, analogy, a, b, nodes)
+
+
+def _has_mass(network: Network) -> bool:
+    return any(e[0] == "m" for e in network.elements)
+
+
+def _filtered(
+    network: Network, analogy: str, filters: Sequence[Operation], parameters: Mapping[str, float]
+) -> list[str]:
+    """The network behind filters: a copy of the current drives it, a source shows the filtered voltage."""
+    lines = ["Vsense p shown 0", "Fcopy 0 f0 Vsense 1", *_cards(network, analogy, "f0", "0")]
+    node = "f0"
+    for i, operation in enumerate(filters, 1):
+        if operation.name not in FILTERS:
+            raise InputError(f"'{operation.name}' is no filter: build it as elements")
+        x = coefficient(operation, parameters)
+        out = f"f{i}"
+        # The mobility has the inverse filter, and so has a negative coefficient.
+        inverse = (x < 0) != (analogy == "fc")
+        size = f"{abs(x):.17g}"
+        if x == 0:
+            lines.append(f"Ef{i} {out} 0 {node} 0 1")
+        elif not inverse:
+            lines.append(f"Eb{i} b{i} 0 {node} 0 1")
+            high = operation.name == "highpass"
+            cards = (f"b{i} {out}", f"{out} 0") if high else (f"{out} 0", f"b{i} {out}")
+            value = f"{{1/{size}}}" if high else size
+            lines += [f"Cf{i} {cards[0]} {value}", f"Rf{i} {cards[1]} 1"]
+        else:
+            store = f"Cf{i} s{i} 0 {{1/{size}}}" if operation.name == "highpass" else f"Lf{i} s{i} 0 {size}"
+            lines += [f"Gs{i} 0 s{i} {node} 0 1", store, f"Ea{i} {out} h{i} {node} 0 1", f"Eb{i} h{i} 0 s{i} 0 1"]
+        node = out
+    return [*lines, f"Eout shown q {node} 0 1"]
+
+
+def _name(element: str) -> str:
+    """Name of a parameter: plain ones stay, others must not meet SPICE's own words, which know no case."""
+    if element[1:].isdigit():
+        return element
+    return "p_" + "".join(f"{c.lower()}_" if c.isupper() else c.replace("_", "__") for c in element)

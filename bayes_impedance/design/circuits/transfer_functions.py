@@ -1,0 +1,218 @@
+r"""Users as transfer functions and in state space, for other programs.
+
+Eq. 1 and appendix A of the paper write an impedance as a ratio of polynomials in s with descending powers,
+
+.. math:: z(s) = \frac{b_N s^N + \dots + b_0}{a_M s^M + \dots + a_0}, \qquad a_M = 1 .
+
+The same function is given by poles, zeros and gain, which are eigenvalues of state matrices and keep more digits than
+roots of these polynomials, and in state space. A network with a mass at its port has an impedance that grows with s,
+for which there is no state space with the usual four matrices; its mobility v/F always has one unless a spring stands
+alone at the port. Hence the file says which of the two is given: the mobility, or where that grows the impedance.
+
+python-control is an optional dependency (the extra `design`): :func:`to_control` and :func:`read_control` need it,
+nothing else does.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayes_impedance.design.circuits.state_space import Realisation, realise, zeros_and_poles
+from bayes_impedance.design.users import Users
+from bayes_impedance.errors import InputError
+from bayes_impedance.network.notation import Network
+from bayes_impedance.network.rational import TransferFunction
+
+SCHEMA = 1
+FORMS = ("transfer", "zeros_poles", "state_space")
+
+
+def transfer_function(network: Network, values: Mapping[str, float], *, mobility: bool = False) -> TransferFunction:
+    """Coefficients as in appendix A, leading one of the denominator 1.
+
+    Parameters
+    ----------
+    network : Network
+    values : mapping of str to float
+        Of the elements in their units.
+    mobility : bool
+        1/z in place of z.
+    """
+    z = network.transfer_function(values)
+    return _trimmed(z.reciprocal() if mobility else z).normalised()
+
+
+def matrices(proper: Realisation) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Matrices A, B, C, D of a one-port that does not grow with s: shapes (U, n, n), (U, n), (U, n), (U,)."""
+    a, b, c = proper.a, proper.b, proper.c
+    if proper.low < 0:
+        root = np.sqrt(proper.k)[:, None]
+        a = np.pad(a, ((0, 0), (1, 0), (1, 0)))
+        b, c = np.concatenate([root, b], axis=1), np.concatenate([root, c], axis=1)
+    return a, b, c, proper.d
+
+
+def described(users: Users) -> dict[str, Any]:
+    """All users' transfer functions, ready for JSON; complex numbers are pairs [re, im]."""
+    impedance = realise(users.network, users.values)
+    zeros, poles, gain = zeros_and_poles(impedance)
+    is_mobility = impedance.high >= 0
+    parts = matrices(impedance.reciprocal() if is_mobility else impedance)
+    entries = []
+    for i, name in enumerate(users.names):
+        z = transfer_function(users.network, users.of(i))
+        entry: dict[str, Any] = {
+            "name": name,
+            "numerator": [float(c) for c in z.numerator],
+            "denominator": [float(c) for c in z.denominator],
+            "zeros": [[float(x.real), float(x.imag)] for x in zeros[i]],
+            "poles": [[float(x.real), float(x.imag)] for x in poles[i]],
+            "gain": float(gain[i]),
+        }
+        a, b, c, d = (part[i].tolist() for part in parts)
+        entry["state_space"] = {"A": a, "B": [[x] for x in b], "C": [c], "D": [[d]]}
+        entries.append(entry)
+    return {
+        "schema": SCHEMA,
+        "network": str(users.network),
+        "unit": users.unit,
+        "quantity": "z = F/v, coefficients and state space in descending powers of s, s in rad/s",
+        "state_space_of": "mobility v/F" if is_mobility else "impedance F/v",
+        "users": entries,
+    }
+
+
+def written(users: Users, rows: range) -> str:
+    """Transfer functions as text for a person to read.
+
+    Parameters
+    ----------
+    users : Users
+    rows : range
+        Which of them.
+    """
+    zeros, poles, gain = zeros_and_poles(realise(users.network, users.values))
+    blocks = [f"impedance z(s) = F/v in {users.unit}, s in rad/s; mobility v/F = 1/z", f"network {users.network}"]
+    for i in rows:
+        z = transfer_function(users.network, users.of(i))
+        blocks.append(
+            "\n".join(
+                [
+                    f"{users.names[i]}: "
+                    + ", ".join(f"{e} = {v:.4g} {users.units[e]}" for e, v in users.of(i).items()),
+                    f"  numerator    {_polynomial(z.numerator)}",
+                    f"  denominator  {_polynomial(z.denominator)}",
+                    f"  zeros (rad/s)  {_roots(zeros[i])}",
+                    f"  poles (rad/s)  {_roots(poles[i])}",
+                    f"  gain           {gain[i]:.8g}",
+                ]
+            )
+        )
+    return "\n\n".join(blocks) + "\n"
+
+
+def to_control(
+    network: Network, values: Mapping[str, float], form: str = "state_space", *, mobility: bool = True
+) -> Any:
+    """One user as a python-control object.
+
+    Parameters
+    ----------
+    network : Network
+    values : mapping of str to float
+        Of the elements in their units.
+    form : str
+        ``transfer``, ``zeros_poles`` (a TransferFunction, made from zeros and poles) or ``state_space``.
+    mobility : bool
+        v/F or F/v.
+
+    Raises
+    ------
+    InputError
+        If python-control is not installed, or what is asked for has no state space.
+    """
+    control = _control()
+    if form not in FORMS:
+        raise InputError(f"'{form}' is no form: choose {', '.join(FORMS)}")
+    if form == "transfer":
+        function = transfer_function(network, values, mobility=mobility)
+        return control.TransferFunction(function.numerator, function.denominator)
+    impedance = realise(network, values)
+    if form == "zeros_poles":
+        zeros, poles, gain = (x[0] for x in zeros_and_poles(impedance))
+        return control.zpk(poles, zeros, 1 / gain) if mobility else control.zpk(zeros, poles, gain)
+    wanted = impedance.reciprocal() if mobility else impedance
+    if wanted.high > 0:
+        raise InputError("this grows with s without bound and has no state space: ask for its reciprocal")
+    a, b, c, d = matrices(wanted)
+    return control.StateSpace(a[0], b[0][:, None], c[0][None], [[d[0]]])
+
+
+def read_control(file: Path) -> dict[str, Any]:
+    """Exported transfer functions as python-control objects.
+
+    Parameters
+    ----------
+    file : Path
+        ``transfer.json``.
+
+    Returns
+    -------
+    dict of str to StateSpace
+        By the users' names; the file says whether of the mobility or of the impedance.
+
+    Raises
+    ------
+    InputError
+        If the file is no such file, or python-control is not installed.
+    """
+    control = _control()
+    try:
+        table = json.loads(file.read_text(encoding="utf-8"))
+        return {
+            str(entry["name"]): control.StateSpace(*(entry["state_space"][key] for key in "ABCD"))
+            for entry in table["users"]
+        }
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{file}: holds no transfer functions ({error}); give an exported transfer.json") from None
+
+
+def _control() -> Any:
+    try:
+        import control
+    except ImportError:
+        raise InputError("python-control is not installed: pip install 'bayes_impedance[design]'") from None
+    return control
+
+
+def _trimmed(function: TransferFunction) -> TransferFunction:
+    """Without leading coefficients that the network's structure makes zero."""
+
+    def cut(polynomial: tuple[Any, ...]) -> tuple[Any, ...]:
+        end = max(i for i, c in enumerate(polynomial) if c != 0) + 1
+        return polynomial[:end]
+
+    numerator, denominator = function.ascending
+    return TransferFunction((cut(numerator), cut(denominator)))
+
+
+def _polynomial(coefficients: np.ndarray) -> str:
+    degree = coefficients.size - 1
+    terms = []
+    for i, c in enumerate(coefficients):
+        power = degree - i
+        if c != 0:
+            unit = "" if power == 0 else "s" if power == 1 else f"s^{power}"
+            terms.append(unit if c == 1 and unit else f"{c:.10g} {unit}".rstrip())
+    return " + ".join(terms)
+
+
+def _roots(roots: np.ndarray) -> str:
+    shown = [r for r in roots if r.imag >= 0]
+    parts = [f"{r.real:.8g}" if abs(r.imag) <= 1e-12 * abs(r) else f"{r.real:.8g} ± {r.imag:.8g}j" for r in shown]
+    return ", ".join(parts) or "none"

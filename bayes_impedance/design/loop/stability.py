@@ -1,0 +1,285 @@
+r"""How many of a population a device is stable with: its Z-width in everybody's hands.
+
+For gains (K, B) let :math:`s_i` say whether the loop with user i is stable, which is decided by poles
+(:mod:`bayes_impedance.design.loop.sampled_loop`). Of one population of the posterior the share of stable users is
+estimated with the users' weights for it (:meth:`Population.weights`),
+
+.. math:: p_r = \sum_i w_{ri}\, s_i ,
+
+and the posterior is many populations r. A finite number of users leaves an uncertainty of its own: with :math:`n_r =
+1/\sum_i w_{ri}^2` effective users, p is drawn from Beta(1/2 + n p, 1/2 + n (1 - p)) [1]_. Quantiles of all draws are
+the credible interval: it contains what is not known of the population and what was not simulated.
+
+The limit of a share, "stable for 99 % up to K", needs no grid: every user's own limit is bisected, and its weighted
+quantile taken per population, with weights multiplied by exponential draws (Bayesian bootstrap, [2]_).
+
+**Why the worst is the worst.** :math:`\ln K_\max` is followed from the centre of the population to the user on a
+straight line in log elements; the part of each element is its integrated gradient [3]_, and the parts add up to the
+difference.
+
+References
+----------
+.. [1] L. D. Brown, T. T. Cai, A. DasGupta, "Interval estimation for a binomial proportion", Statistical Science 16
+   (2001) 101-133.
+.. [2] D. B. Rubin, "The Bayesian bootstrap", Annals of Statistics 9 (1981) 130-134.
+.. [3] M. Sundararajan, A. Taly, Q. Yan, "Axiomatic attribution for deep networks", ICML (2017).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayes_impedance.design.circuits.state_space import realise
+from bayes_impedance.design.loop.device import Device
+from bayes_impedance.design.loop.sampled_loop import SampledLoop, largest_stiffness, sampled_loop, stable
+from bayes_impedance.design.users import Population, Users
+
+POPULATIONS = 200
+_STEPS = 8
+_DIFFERENCE = 1e-3
+
+
+@dataclass(frozen=True)
+class StabilityMap:
+    """Share of users with whom the loop is stable.
+
+    Attributes
+    ----------
+    device : Device
+    stiffness, damping : ndarray, shape (G,) and (H,)
+        Gains K in N/m and B in N s/m.
+    users : Users
+    stable : ndarray of bool, shape (N, H, G)
+    probability : ndarray, shape (H, G)
+        For a new user.
+    low, high : ndarray, shape (H, G)
+        5 % and 95 % limits of the share in the population.
+    mean_user : ndarray of bool, shape (H, G)
+        Whether it is stable with the population's centre: what one would say without a population.
+    mean_user_limit : ndarray, shape (H,)
+        Up to which stiffness in N/m, for each damping.
+    classical : ndarray, shape (H,)
+        Largest stiffness of the bound b > K T/2 + abs(B).
+    effective_users : float
+        Median of n over populations.
+    """
+
+    device: Device
+    stiffness: np.ndarray
+    damping: np.ndarray
+    users: Users
+    stable: np.ndarray
+    probability: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    mean_user: np.ndarray
+    mean_user_limit: np.ndarray
+    classical: np.ndarray
+    effective_users: float
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Up to which stiffness a share of the users is stable, at one virtual damping.
+
+    Attributes
+    ----------
+    damping : float
+        B in N s/m.
+    share : float
+    stiffness, low, high : float
+        Limit in N/m for new users, and its 90 % credible interval.
+    mean_user, mean_user_hz : float
+        Limit of the population's centre, and the frequency of the oscillation there.
+    classical : float
+        Limit of the classical bound.
+    each, each_hz : ndarray, shape (N,)
+        Everybody's own.
+    worst : int
+        Row of the user with the smallest limit.
+    """
+
+    damping: float
+    share: float
+    stiffness: float
+    low: float
+    high: float
+    mean_user: float
+    mean_user_hz: float
+    classical: float
+    each: np.ndarray
+    each_hz: np.ndarray
+    worst: int
+
+
+@dataclass(frozen=True)
+class Reason:
+    """What makes a user's limit differ from the centre's.
+
+    Attributes
+    ----------
+    elements : tuple of str
+        The most important first.
+    change : ndarray, shape (P,)
+        Natural logarithm of the element's value relative to the centre's.
+    part : ndarray, shape (P,)
+        How much of ln(limit / centre's limit) it makes up.
+    difference : float
+        That logarithm.
+    """
+
+    elements: tuple[str, ...]
+    change: np.ndarray
+    part: np.ndarray
+    difference: float
+
+
+def loop_of(device: Device, users: Users) -> SampledLoop:
+    """The sampled loop of a device and each of the users."""
+    return sampled_loop(device, realise(users.network, users.values))
+
+
+def stability_map(
+    population: Population,
+    users: Users,
+    device: Device,
+    stiffness: np.ndarray,
+    damping: np.ndarray,
+    *,
+    seed: int = 1,
+    populations: int = POPULATIONS,
+    workers: int = 2,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> StabilityMap:
+    """Share of users with whom the loop is stable, over a grid of gains.
+
+    Parameters
+    ----------
+    population : Population
+    users : Users
+        Drawn from it.
+    device : Device
+    stiffness, damping : ndarray, shape (G,) and (H,)
+        Gains in N/m and N s/m.
+    seed : int
+        Of the draws that stand for a finite number of users.
+    populations : int
+        Of the posterior.
+    workers : int
+        Threads.
+    progress : callable, optional
+    """
+    k, b = (x.ravel() for x in np.meshgrid(stiffness, damping))
+    shape = (damping.size, stiffness.size)
+    found = stable(loop_of(device, users), k, b, workers=workers, progress=progress)
+    alone = loop_of(device, population.median_user())
+    centre = stable(alone, k, b, workers=1)[0]
+    ends = [largest_stiffness(alone, float(d), 10 * float(stiffness[-1]))[0][0] for d in damping]
+    weights = population.weights(users, populations)
+    effective = 1 / np.sum(weights**2, axis=1)
+    share = np.clip(weights @ found, 0.0, 1.0)
+    rng = np.random.default_rng(seed)
+    draws = rng.beta(0.5 + effective[:, None] * share, 0.5 + effective[:, None] * (1 - share))
+    low, high = np.quantile(draws, (0.05, 0.95), axis=0)
+    return StabilityMap(
+        device,
+        stiffness,
+        damping,
+        users,
+        found.reshape(len(users), *shape),
+        found.mean(axis=0).reshape(shape),
+        low.reshape(shape),
+        high.reshape(shape),
+        centre.reshape(shape),
+        np.array(ends),
+        device.classical_stiffness(damping),
+        float(np.median(effective)),
+    )
+
+
+def limit_of(
+    population: Population,
+    users: Users,
+    device: Device,
+    damping: float,
+    *,
+    share: float = 0.99,
+    highest: float = 1e6,
+    seed: int = 1,
+    populations: int = POPULATIONS,
+) -> Limit:
+    """Up to which stiffness the loop is stable for a share of the users.
+
+    Parameters
+    ----------
+    population : Population
+    users : Users
+        Drawn from it.
+    device : Device
+    damping : float
+        Virtual damping B in N s/m.
+    share : float
+        Of users, between 0 and 1.
+    highest : float
+        Stiffness in N/m beyond which nobody asks.
+    seed : int
+        Of the Bayesian bootstrap.
+    populations : int
+    """
+    each, frequency = largest_stiffness(loop_of(device, users), damping, highest)
+    own, own_hz = largest_stiffness(loop_of(device, population.median_user()), damping, highest)
+    weights = population.weights(users, populations)
+    weights = weights * np.random.default_rng(seed).exponential(size=weights.shape)
+    order = np.argsort(each)
+    total = np.cumsum(weights[:, order], axis=1)
+    position = np.sum(total < (1 - share) * total[:, -1:], axis=1)
+    low, high = np.quantile(each[order][np.minimum(position, len(users) - 1)], (0.05, 0.95))
+    return Limit(
+        damping,
+        share,
+        float(np.quantile(each, 1 - share)),
+        float(low),
+        float(high),
+        float(own[0]),
+        float(own_hz[0]),
+        float(device.classical_stiffness(damping)),
+        each,
+        frequency,
+        int(np.argmin(each)),
+    )
+
+
+def reason(
+    population: Population, users: Users, row: int, device: Device, damping: float, highest: float = 1e6
+) -> Reason:
+    """What makes one user's limit differ from that of the population's centre.
+
+    Parameters
+    ----------
+    population : Population
+    users : Users
+    row : int
+        The user.
+    device : Device
+    damping : float
+        Virtual damping B in N s/m.
+    highest : float
+        As in :func:`limit_of`.
+    """
+    start, end = population.centre, users.log_elements[row]
+    n = start.size
+    steps = (np.arange(_STEPS) + 0.5) / _STEPS
+    on_line = start + steps[:, None] * (end - start)
+    moved = on_line[:, None, None] + _DIFFERENCE * np.array([1, -1])[:, None, None] * np.eye(n)
+    points = np.concatenate([moved.reshape(-1, n), start[None], end[None]])
+    people = Users(users.network, users.unit, tuple(map(str, range(len(points)))), points)
+    logs = np.log(np.maximum(largest_stiffness(loop_of(device, people), damping, highest)[0], 1e-300))
+    pairs = logs[:-2].reshape(_STEPS, 2, n)
+    gradient = np.mean((pairs[:, 0] - pairs[:, 1]) / (2 * _DIFFERENCE), axis=0)
+    part = gradient * (end - start)
+    order = np.argsort(-np.abs(part))
+    names = tuple(users.elements[i] for i in order)
+    return Reason(names, (end - start)[order], part[order], float(logs[-1] - logs[-2]))

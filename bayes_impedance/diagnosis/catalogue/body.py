@@ -1,0 +1,218 @@
+"""Effects of the body: tissue and joints that the network has in a simpler form or not at all."""
+
+from __future__ import annotations
+
+from bayes_impedance.diagnosis.catalogue.effect import Coefficient, Effect, register
+from bayes_impedance.diagnosis.catalogue.rig import RESONATOR
+
+_FRACTIONAL = "Fractional Kelvin-Voigt and Zener models of soft tissue; constant phase elements in electrochemistry"
+
+BODY_MASS = register(
+    Effect(
+        id="body.mass",
+        name="tissue moving with the contactor",
+        side="body",
+        pooling="varying",
+        places=("port", "groups"),
+        formula="z + s m",
+        story="Some tissue moves as one with the contactor. How much differs from person to person.",
+        look_for="a change of Im z that grows with frequency and differs between people",
+        separates="a smaller contactor, under which less tissue moves",
+        source="Fingertip models under shear: 0.11 to 0.23 g",
+        operation="add",
+        coefficients=(Coefficient("mass", "m"),),
+        branch="m",
+    )
+)
+
+BODY_SPRINGPOT_ELEMENT = register(
+    Effect(
+        id="body.springpot",
+        name="power-law tissue",
+        side="body",
+        pooling="varying",
+        places=("springs",),
+        formula="1/(s n) becomes c s^(a-1)",
+        story="The material is neither spring nor damper but something between: it creeps and forgets by a power law. "
+        "Its phase is the same over decades of frequency.",
+        look_for="depressed arcs; phase and slope that change together over decades",
+        separates="a wider band, by a decade or more",
+        source=_FRACTIONAL,
+        operation="power",
+        coefficients=(Coefficient("exponent", ""),),
+    )
+)
+
+BODY_SPRINGPOT = register(
+    Effect(
+        id="body.springpot",
+        name="power-law tissue",
+        side="body",
+        pooling="varying",
+        places=("port", "groups", "springs", "dampers"),
+        formula="z + c s^(a-1)",
+        story="A power-law material works beside what the network has: it creeps and forgets without a time constant. "
+        "Its phase is the same over decades of frequency.",
+        look_for="phase and slope that change together over decades; diffusion if a is near 0.5",
+        separates="a wider band, by a decade or more",
+        source=_FRACTIONAL,
+        operation="beside_power",
+        coefficients=(
+            Coefficient("coefficient", "c"),
+            Coefficient("exponent", "", "logit", (0.15, 0.3, 0.5, 0.7, 0.85)),
+        ),
+    )
+)
+
+BODY_HYSTERESIS = register(
+    Effect(
+        id="body.hysteresis",
+        name="rate-independent loss",
+        side="body",
+        pooling="varying",
+        places=("springs",),
+        formula="k(1 + j eta)/s",
+        story="The tissue loses the same energy in every cycle however slow it is, as rubbing fibres do. "
+        "A damper would lose less the slower it moves.",
+        look_for="a loss angle that does not depend on frequency",
+        separates="a lower frequency end: a power law's stiffness falls with it, that of hysteresis does not",
+        source="Structural damping",
+        operation="hysteresis",
+        coefficients=(Coefficient("loss_factor", ""),),
+    )
+)
+
+BODY_RELAXATION = register(
+    Effect(
+        id="body.relaxation",
+        name="relaxing tissue",
+        side="body",
+        pooling="varying",
+        places=("port", "groups", "springs", "dampers"),
+        formula="z + 1/(1/r + s n)",
+        story="A spring that is held through a damper supports quick loads and lets go of slow ones. "
+        "Stiffness rises by a step around one frequency, where the loss has its maximum.",
+        look_for="a step of stiffness with a peak of loss, a decade wide",
+        separates="finer frequencies around the step",
+        source="Standard linear solid",
+        operation="relaxation",
+        coefficients=(Coefficient("damping", "r"), Coefficient("time_constant", "s", "log", 3.0)),
+        branch="r-n",
+    )
+)
+
+BODYRESONATOR = register(
+    Effect(
+        id="body.resonator",
+        name="further joint or bone",
+        side="body",
+        pooling="varying",
+        places=("port", "groups", "springs", "dampers"),
+        formula="z + 1/(1/(s m) + 1/(r + k/s))",
+        story="A further joint or bone swings on the tissue around it. "
+        "It makes a bump whose frequency differs between people.",
+        look_for="a resonance that lies elsewhere in everybody",
+        separates="another posture or grip force, which moves the bump",
+        source="Hand-arm models with several segments",
+        operation="resonator",
+        coefficients=RESONATOR,
+        branch="m-(r|n)",
+    )
+)
+
+BODY_LINE = register(
+    Effect(
+        id="body.line",
+        name="shear waves in the pulp",
+        side="body",
+        pooling="varying",
+        places=("groups", "springs"),
+        formula="z x coth x, x^2 = s M/z",
+        story="The tissue's mass is spread over its thickness, so a wave runs through it. "
+        "Above the first resonance it does not move as one any more.",
+        look_for="several resonances at odd ratios towards the high end",
+        separates="a band that reaches beyond the first resonance of the layer",
+        source="Shear beam on a rigid base: transmission line",
+        operation="line",
+        coefficients=(Coefficient("mass", "m"),),
+    )
+)
+
+BODY_BYPASS = register(
+    Effect(
+        id="body.bypass",
+        name="second path to ground",
+        side="body",
+        pooling="varying",
+        places=("port",),
+        formula="z + r + k/s",
+        story="Something holds the contactor to ground beside the finger, such as a neighbouring finger or a sleeve. "
+        "Its stiffness and its loss add to everybody's own, in differing amounts.",
+        look_for="an offset of Re z and of s Im z that differs between people",
+        separates="a recording with the second path lifted off",
+        source="Contact with neighbouring fingers or surrounds",
+        operation="bypass",
+        coefficients=(Coefficient("damping", "r"), Coefficient("stiffness", "k")),
+        branch="n|r",
+    )
+)
+
+BODY_REFLEX = register(
+    Effect(
+        id="body.reflex",
+        name="reflex feedback",
+        side="body",
+        pooling="varying",
+        places=("port", "groups"),
+        formula="z + k exp(-s T)/(s (1 + s/wc))",
+        story="Muscles answer a stretch after the time that nerves need, about 29 ms (short) or 51 ms (long). "
+        "The delayed stiffness winds the phase at the low end of the band.",
+        look_for="ripples over linear frequency with a period of 1/T, below 50 Hz",
+        separates="a relaxed against a tensed hand; anaesthesia",
+        source="Short- and long-latency stretch reflexes",
+        operation="reflex",
+        coefficients=(
+            Coefficient("stiffness", "k"),
+            Coefficient("latency", "s", "log", (0.023, 0.029, 0.036, 0.051), 0.3),
+            Coefficient("corner", "Hz", "log", (4.0, 12.0), 0.7),
+        ),
+    )
+)
+
+BODY_DRIFT = register(
+    Effect(
+        id="body.drift",
+        name="tissue that changes during the sweep",
+        side="body",
+        pooling="varying",
+        places=("springs", "dampers"),
+        formula="z exp(x q(f)), q the part of the sweep's time that has passed",
+        story="The tissue relaxes under the load while the frequencies are measured one after the other. "
+        "An element is not the same at the end of the sweep as it was at its beginning.",
+        look_for="a slope of the magnitude over frequency without the phase that belongs to it",
+        separates="a sweep in the opposite direction, or in random order",
+        source="Creep of about 0.5 % per second under load",
+        operation="sweep",
+        coefficients=(Coefficient("change", ""), Coefficient("time_law", "", "log", (0.03, 1.0), 0.7)),
+        signed=True,
+    )
+)
+
+BODY_SUBGROUP = register(
+    Effect(
+        id="body.subgroup",
+        name="further layer in some people",
+        side="body",
+        pooling="some",
+        places=("port",),
+        formula="1/(1/z + 1/(r + 1/(s n))) in some people",
+        story="Some people have a further layer in front, such as a callus. The others have none of it.",
+        look_for="people in two groups",
+        separates="an examination of the skin",
+        source="Calluses of manual workers",
+        operation="series_layer",
+        coefficients=(Coefficient("compliance", "n"), Coefficient("time_constant", "s", "log", 3.0)),
+        branch="n|r",
+        connection="series",
+    )
+)

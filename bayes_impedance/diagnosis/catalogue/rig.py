@@ -1,0 +1,166 @@
+"""Effects of the measurement chain: contactor, suspension, channels, mount, fixture."""
+
+from __future__ import annotations
+
+from bayes_impedance.diagnosis.catalogue.effect import Coefficient, Effect, register
+
+_PAPER = "Paper, section 3: the unloaded contactor is measured and subtracted"
+
+RESONATOR = (
+    Coefficient("mass", "m"),
+    Coefficient("frequency", "Hz", "log", 6.0, 0.3),
+    Coefficient("damping_ratio", "", "log", (0.03, 0.12, 0.5)),
+)
+
+RIG_MASS = register(
+    Effect(
+        id="rig.mass",
+        name="residual contactor mass",
+        side="rig",
+        pooling="shared",
+        places=("port",),
+        formula="z + s m",
+        story="Some of the moving mass between sensor and finger was not subtracted, or too much of it was. "
+        "It is the same for everybody because it belongs to the device.",
+        look_for="a change of Im z that grows with frequency, the same for everybody",
+        separates="the unloaded device, or a second contactor of another known mass",
+        source=_PAPER,
+        operation="add",
+        coefficients=(Coefficient("mass", "m"),),
+        signed=True,
+    )
+)
+
+RIG_DAMPING = register(
+    Effect(
+        id="rig.damping",
+        name="residual suspension damping",
+        side="rig",
+        pooling="shared",
+        places=("port",),
+        formula="z + r",
+        story="The contactor's suspension loses energy, and that was not fully subtracted. "
+        "It adds the same resistance at every frequency and for everybody.",
+        look_for="a constant offset of Re z, largest where |z| is smallest",
+        separates="the unloaded device",
+        source=_PAPER,
+        operation="add",
+        coefficients=(Coefficient("damping", "r"),),
+        signed=True,
+    )
+)
+
+RIG_STIFFNESS = register(
+    Effect(
+        id="rig.stiffness",
+        name="residual suspension stiffness",
+        side="rig",
+        pooling="shared",
+        places=("port",),
+        formula="z + k/s",
+        story="The contactor hangs on a spring whose force was not fully subtracted. "
+        "It shows at the low end of the band, the same for everybody.",
+        look_for="a change of Im z that falls with frequency, the same for everybody",
+        separates="the unloaded device at low frequencies",
+        source=_PAPER,
+        operation="add",
+        coefficients=(Coefficient("stiffness", "k"),),
+        signed=True,
+    )
+)
+
+RIG_DELAY = register(
+    Effect(
+        id="rig.delay",
+        name="skew between the channels",
+        side="rig",
+        pooling="shared",
+        places=("port",),
+        formula="z exp(-s tau)",
+        story="The force channel is sampled a little later than the acceleration channel (or earlier). "
+        "The phase error grows in proportion to frequency and the magnitude does not change.",
+        look_for="a phase error proportional to frequency, no magnitude error",
+        separates="a known pure mass in place of the finger: its phase must be 90 degrees at every frequency",
+        source="Multiplexed or filtered acquisition channels",
+        operation="delay",
+        coefficients=(Coefficient("delay", "s"),),
+        signed=True,
+    )
+)
+
+RIG_HIGHPASS = register(
+    Effect(
+        id="rig.highpass",
+        name="unequal coupling corners",
+        side="rig",
+        pooling="shared",
+        places=("port",),
+        formula="z s/(s + wc)",
+        story="The two channels block direct current with unequal corner frequencies, as charge amplifiers do. "
+        "The phase is wrong at the low end of the band, by the same angle for everybody.",
+        look_for="a phase error proportional to 1/frequency",
+        separates="a known spring or mass measured down to the lowest frequency",
+        source="Charge amplifiers and AC coupling",
+        operation="highpass",
+        coefficients=(Coefficient("corner", "Hz"),),
+        signed=True,
+    )
+)
+
+RIG_LOWPASS = register(
+    Effect(
+        id="rig.lowpass",
+        name="unequal anti-alias corners",
+        side="rig",
+        pooling="shared",
+        places=("port",),
+        formula="z/(1 + s/wc)",
+        story="The two channels are low-pass filtered with unequal corner frequencies. "
+        "Phase, and at the very end magnitude, are wrong at the high end of the band.",
+        look_for="a phase error proportional to frequency, with a fall of magnitude near the corner",
+        separates="a known pure mass measured beyond the band: the magnitude of a delay stays, that of a filter falls",
+        source="Anti-alias filters",
+        operation="lowpass",
+        coefficients=(Coefficient("time_constant", "s"),),
+        signed=True,
+    )
+)
+
+RIG_SERIES_COMPLIANCE = register(
+    Effect(
+        id="rig.series_compliance",
+        name="compliant mount",
+        side="rig",
+        pooling="shared",
+        places=("port",),
+        formula="1/(1/z + s n)",
+        story="The adhesive or the mount between sensor and finger gives way. "
+        "The sensor then moves by more than the finger does, most of all where the finger is stiff or heavy.",
+        look_for="a change proportional to s z^2, the same compliance for everybody",
+        separates="a heavier known mass: its apparent mass grows towards high frequencies",
+        source="Adhesive mounts of impedance heads",
+        operation="series_compliance",
+        coefficients=(Coefficient("compliance", "n"),),
+        branch="n",
+        connection="series",
+    )
+)
+
+RIG_RESONANCE = register(
+    Effect(
+        id="rig.resonance",
+        name="mode of the fixture",
+        side="rig",
+        pooling="shared",
+        places=("port",),
+        formula="z + 1/(1/(s m) + 1/(r + k/s))",
+        story="A part of the fixture vibrates along on its own spring. "
+        "It makes a bump at one frequency, the same for everybody.",
+        look_for="a resonance at the same frequency in everybody",
+        separates="the unloaded device, or a tap on the fixture",
+        source="Modal tests of fixtures",
+        operation="resonator",
+        coefficients=RESONATOR,
+        branch="m-(r|n)",
+    )
+)

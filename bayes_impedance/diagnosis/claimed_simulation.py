@@ -1,0 +1,167 @@
+r"""Somebody's simulation as the claim: what it is made of, what it leaves unexplained of itself, where its people are.
+
+The simulation is fitted and searched like recordings. What is found in it belongs to the claim. If structure remains
+even so, the network is not all that the simulation is made of, and the same structure in the recordings is no
+difference between the two: with everybody's fit Z of the simulated z',
+
+.. math:: 1 + \varrho(f) = \langle z'(f)/Z(f) \rangle, \qquad z(f) \to z(f)/(1 + \varrho(f)),
+
+the mean being over a person's repetitions where the simulation is of the same people, over all people otherwise. The
+simulation's own noise comes with it.
+
+Where the people are the same, the search begins at the simulation's elements: an effect that the elements of the
+recordings' own fit have swallowed in part stands out there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bayes_impedance.diagnosis.catalogue.effect import Effect
+from bayes_impedance.diagnosis.fit.baseline import Fitted, fit_network
+from bayes_impedance.diagnosis.fit.extend import extended_start, starts_of
+from bayes_impedance.diagnosis.fit.fitter import Refit
+from bayes_impedance.diagnosis.fit.model import Model, build
+from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
+from bayes_impedance.diagnosis.residuals.locate import locate
+from bayes_impedance.diagnosis.selection.stepwise import Found, search
+from bayes_impedance.diagnosis.selection.unnamed import structure_remains
+from bayes_impedance.network.notation import Network
+from bayes_impedance.recordings.dataset import Recordings
+from bayes_impedance.runtime.progress import Progress
+
+_ROUNDS = 80
+_ALIKE = 0.25
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A simulation and what is known of it.
+
+    Attributes
+    ----------
+    simulation : Recordings
+    found : Found
+        Its population, and physics beyond the network that it has already.
+    rest : tuple of ndarray
+        For every person 1 + rho at the person's frequencies; empty if nothing remains unexplained.
+    """
+
+    simulation: Recordings
+    found: Found
+    rest: tuple[np.ndarray, ...]
+
+    def is_of(self, recordings: Recordings) -> bool:
+        """Whether simulation and recordings are of the same people at the same frequencies.
+
+        Names alone do not say so: many simulations call their people S01, S02. The curves of one name have to be much
+        more alike than those of different names.
+        """
+        simulated = {s.name: s for s in self.simulation.subjects}
+        pairs = [(s, simulated[s.name]) for s in recordings.subjects if s.name in simulated]
+        if len(pairs) != len(recordings.subjects) or len(pairs) != len(simulated):
+            return False
+        if any(not np.array_equal(ours.frequency_hz, theirs.frequency_hz) for ours, theirs in pairs):
+            return False
+        if len(pairs) == 1:
+            return True
+        if any(not np.array_equal(ours.frequency_hz, pairs[0][0].frequency_hz) for ours, _ in pairs):
+            return False
+        ours, theirs = (np.log(np.array([pair[k].mean for pair in pairs])) for k in (0, 1))
+        distance = np.mean(np.abs(ours[:, None] - theirs[None]) ** 2, axis=2)
+        same = np.eye(len(pairs), dtype=bool)
+        return bool(np.median(distance[same]) < _ALIKE * np.median(distance[~same]))
+
+    def without_rest(self, recordings: Recordings) -> Recordings:
+        """The recordings without what the simulation leaves unexplained of itself."""
+        if not self.rest:
+            return recordings
+        own = dict(zip(self.simulation.names, self.rest, strict=True)) if self.is_of(recordings) else None
+        subjects = []
+        for s in recordings.subjects:
+            factor = self._mean_rest(s.frequency_hz) if own is None else own[s.name]
+            noise = None if s.noise_sd is None else s.noise_sd / np.abs(factor)
+            subjects.append(replace(s, z=s.z / factor, noise_sd=noise))
+        return replace(recordings, subjects=tuple(subjects))
+
+    def _mean_rest(self, frequency_hz: np.ndarray) -> np.ndarray:
+        """Of all people of the simulation, at other frequencies; constant outside of theirs."""
+        x = np.log(frequency_hz)
+        rows = [
+            np.interp(x, np.log(s.frequency_hz), factor.real) + 1j * np.interp(x, np.log(s.frequency_hz), factor.imag)
+            for s, factor in zip(self.simulation.subjects, self.rest, strict=True)
+        ]
+        return np.asarray(np.mean(rows, axis=0))
+
+    def start(self, fitted: Fitted, seed: int) -> tuple[Refit, Refit | None]:
+        """The recordings' fit with the physics that the simulation has, and where a search for more begins.
+
+        Each person's elements begin at the person's own fit without that physics, at the simulation's centre, and, if
+        the people are the same, at their own elements in the simulation: the best end counts, because a strong addition
+        may have moved the elements far.
+        """
+        claimed = self.found.final
+        own = fitted.fit.model
+        model = build(own.network, claimed.model.additions, own.scales, starts_of(claimed.model))
+        u, population = extended_start(fitted.fit, model)
+        u[:, model.n_elements :] = claimed.u[:, model.n_elements :].mean(axis=0)
+        varying = np.flatnonzero(~model.shared) >= model.n_elements
+        mu, covariance, rho = population.mu.copy(), population.covariance.copy(), population.rho.copy()
+        mu[varying], rho[varying] = claimed.population.mu[varying], claimed.population.rho[varying]
+        covariance[np.ix_(varying, varying)] = claimed.population.covariance[np.ix_(varying, varying)]
+        refitter = fitted.refitter
+        ends = [refitter.fit(model, u, replace(population, mu=mu, covariance=covariance, rho=rho), _ROUNDS)]
+        begin = None
+        if self.is_of(fitted.recordings):
+            people = self._people(fitted, model)
+            begin = refitter.fit(model, people, claimed.population, rounds=0)
+            ends.append(refitter.fit(model, people, claimed.population, _ROUNDS))
+        else:
+            centre = u.copy()
+            centre[:, : model.n_elements] = claimed.u[:, : model.n_elements].mean(axis=0)
+            ends.append(refitter.fit(model, centre, claimed.population, _ROUNDS))
+        return refitter.settle(max(ends, key=lambda fit: float(fit.evidence.sum())), seed), begin
+
+    def _people(self, fitted: Fitted, model: Model) -> np.ndarray:
+        """For every recording the same person's parameters in the simulation (M, P), means over repetitions."""
+        claimed = self.found.final
+        mean = {name: claimed.u[claimed.owner == i].mean(axis=0) for i, name in enumerate(self.simulation.names)}
+        rows = np.array([mean[name] for name in fitted.recordings.names])
+        return np.asarray(rows[fitted.refitter.owner][:, : len(model.kernel.elements)])
+
+
+def claim_of(
+    simulation: Recordings,
+    network: Network | str | None,
+    effects: Sequence[Effect],
+    seed: int,
+    executor: Executor,
+    progress: Progress,
+) -> Claim:
+    """What a simulation itself is made of.
+
+    Parameters
+    ----------
+    simulation : Recordings
+    network : Network or str, optional
+        As claimed; the simulation's own if not given.
+    effects : sequence of Effect
+        Candidates.
+    seed : int
+    executor : Executor
+    progress : callable
+    """
+    fitted = fit_network(simulation, network, seed, executor, progress)
+    found = search(fitted.refitter, fitted.fit, simulation.names, effects, seed, executor, progress)
+    final = found.final
+    p_value = locate(tuple(person_residuals(final, simulation.names, executor)), seed).p_value
+    if not structure_remains(found, p_value):
+        return Claim(simulation, found, ())
+    rest = []
+    for i, s in enumerate(simulation.subjects):
+        rest.append(np.mean(s.z / final.model.kernel.impedance(final.u[final.owner == i], s.frequency_hz), axis=0))
+    return Claim(simulation, found, tuple(rest))

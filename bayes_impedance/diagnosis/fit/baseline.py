@@ -1,0 +1,96 @@
+"""The network alone, fitted to everybody as well as it can be: whatever is left must not be a matter of convergence."""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter
+from bayes_impedance.diagnosis.fit.model import build, scales_of
+from bayes_impedance.diagnosis.fit.normal_equations import Population
+from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.network.notation import Network
+from bayes_impedance.population.em import Estimate, estimate
+from bayes_impedance.population.fit import initial_likelihoods, network_of, require_enough_points
+from bayes_impedance.population.starting_fits import default_prior, first_fits
+from bayes_impedance.recordings.files import Recordings
+from bayes_impedance.runtime.progress import Progress
+
+_FEWEST_TO_GATHER = 5
+_WIDE, _TIGHT, _BEGINNINGS = 0.8, 0.3, 5
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """The network fitted to a dataset, before anything is added.
+
+    Attributes
+    ----------
+    recordings : Recordings
+    fit : Refit
+    refitter : Refitter
+    determined : ndarray of bool, shape (P,)
+    remarks : tuple of str
+    """
+
+    recordings: Recordings
+    fit: Refit
+    refitter: Refitter
+    determined: np.ndarray
+    remarks: tuple[str, ...]
+
+
+def fit_network(
+    recordings: Recordings, network: Network | str | None, seed: int, executor: Executor, progress: Progress
+) -> Fitted:
+    """Fit the network to everybody, every person from many starts: an unconverged fit looks like missing physics."""
+    tree = network_of(recordings, network)
+    kernel = Kernel(tree)
+    require_enough_points(recordings, kernel)
+    prior = default_prior(kernel.elements, recordings)
+    seeds = np.random.SeedSequence(seed).spawn(2)
+    one = len(recordings.subjects) == 1
+    first = first_fits(kernel, recordings, prior, seeds[0], executor, progress)
+    likelihoods = initial_likelihoods(recordings, first, len(kernel.elements), executor)
+    no_covariates = np.zeros((len(recordings.subjects), 0))
+    point = estimate(kernel, likelihoods, first, prior, no_covariates, True, seeds[1], progress, one_person=one)
+    refitter = Refitter(point.likelihoods, executor, one)
+    model = build(tree, (), scales_of(recordings), ())
+    u = np.concatenate([m.theta + d.deviations for m, d in zip(point.modes, point.likelihoods, strict=True)])
+    fit = refitter.fit(model, u, Population(point.mu, point.covariance, point.between_repetitions), 80)
+    fit = _gathered(refitter, refitter.settle(fit, seed))
+    fit = refitter.settle(fit, seed)
+    return Fitted(recordings, fit, refitter, point.determined, _trust(fit, point))
+
+
+def _gathered(refitter: Refitter, fit: Refit) -> Refit:
+    """The fit with everybody begun at one person's elements, if that describes the population better.
+
+    Two solutions that serve one person equally well make two groups of people, and an inflated dispersion that keeps
+    them apart. People along the widest direction of the population are tried as everybody's beginning.
+    """
+    n, size = fit.persons.shape
+    if n < _FEWEST_TO_GATHER:
+        return fit
+    values, vectors = np.linalg.eigh(fit.population.covariance)
+    if values[-1] < _WIDE**2:
+        return fit
+    order = np.argsort((fit.persons - fit.population.mu) @ vectors[:, -1])
+    for k in order[np.unique(np.linspace(0.1 * n, 0.9 * n, _BEGINNINGS).astype(int))]:
+        centre = fit.persons[k]
+        population = Population(centre, np.eye(size) * _TIGHT**2, np.minimum(fit.population.rho, 0.1))
+        trial = refitter.fit(fit.model, np.tile(centre, (len(fit.u), 1)), population, 60)
+        if trial.evidence.sum() > fit.evidence.sum() + 3.0:
+            fit = trial
+    return fit
+
+
+def _trust(fit: Refit, point: Estimate) -> tuple[str, ...]:
+    remarks = []
+    if not fit.settled:
+        remarks.append("The fit of the network did not come to rest; an unconverged fit looks like missing physics.")
+    if point.rivals and min(point.rivals) < 6:
+        remarks.append("Another solution for the whole population is nearly as good; the network may be ambiguous.")
+    return tuple(remarks)

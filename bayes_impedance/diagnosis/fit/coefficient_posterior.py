@@ -1,0 +1,222 @@
+r"""What the recordings say about the parameters of what was added: posterior draws, dispersions, rig or body.
+
+With everybody's own coefficients integrated out (:mod:`bayes_impedance.diagnosis.fit.normal_equations`) shared
+parameters and means are normal, and only the few dispersions :math:`\tau` are left, which are drawn from a grid, one
+after the other. Their prior is half-normal with the size of the coefficient itself: people may differ by 100 %, or not
+at all.
+
+**Rig or body.** A coefficient of the rig has no dispersion. Where the posterior of :math:`\tau/|\mu|` says that people
+differ by less than 10 %, it is the rig's; where it excludes that they are the same, the body's; else it is not decided.
+
+Positive coefficients of the body are reported as median and dispersion of a log-normal distribution with the same mean
+and variance: :math:`s^2 = \ln(1 + \tau^2/\mu^2)`, median :math:`\mu e^{-s^2/2}`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayes_impedance.diagnosis.fit.fitter import Refit
+from bayes_impedance.diagnosis.fit.model import Model
+from bayes_impedance.diagnosis.fit.normal_equations import marginal, quadratic
+from bayes_impedance.network.elements import kind_of
+
+_DRAWS = 2000
+_GRID = np.r_[0.0, np.geomspace(0.01, 3.0, 60)]
+SAME = 0.1
+"""People who differ by less than this part of a coefficient do not differ."""
+
+
+@dataclass(frozen=True)
+class CoefficientPosterior:
+    """Posterior of the additions' parameters, A of them, in the kernel's order.
+
+    Attributes
+    ----------
+    central : ndarray, shape (S, A)
+        Draws of the shared values and of the population means.
+    relative_dispersion : ndarray, shape (S, A)
+        Draws of tau/abs(mu) of varying coefficients; zero for shared ones.
+    covariance : ndarray, shape (A, A)
+        Of the central values, with the dispersions at their posterior means.
+    settled : bool
+        Whether more refits would not have changed the draws.
+    """
+
+    central: np.ndarray
+    relative_dispersion: np.ndarray
+    covariance: np.ndarray
+    settled: bool = True
+
+
+def coefficient_posterior(fit: Refit, seed: int, n_draws: int = _DRAWS) -> CoefficientPosterior:
+    """Draws of the posterior of everything that was added.
+
+    Parameters
+    ----------
+    fit : Refit
+        Of a model with at least one addition.
+    seed : int
+    n_draws : int
+    """
+    rng = np.random.default_rng(seed)
+    h, d, _ = quadratic(fit.model, fit.data, fit.u, fit.equations, fit.population.covariance)
+    parameters = fit.model.parameters
+    varying = np.array([not p.shared for p in parameters])
+    start = fit.u[:, fit.model.n_elements :].mean(axis=0)
+    # Shapes and elements live on a logarithmic scale, where one is the natural unit of dispersion.
+    linear = np.array([p.is_coefficient for p in parameters])
+    unit = np.where(linear, np.maximum(np.abs(start), 1e-12), 1.0)
+
+    def solved(tau: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """Log posterior of tau (up to a constant), and mean and precision of a."""
+        m = marginal(fit.model, h, d, tau)
+        return m.log_density - 0.5 * float(np.sum((tau[varying] / unit[varying]) ** 2)), m.mean, m.precision
+
+    tau = np.where(varying, 0.3 * unit, 0.0)
+    chosen = np.zeros((n_draws, varying.size))
+    weights: dict[int, np.ndarray] = {}
+    for _ in range(3):  # each dispersion's distribution with the others at their means
+        for k in np.flatnonzero(varying).tolist():
+            grid = _GRID * unit[k]
+            values = []
+            for g in grid:
+                trial = tau.copy()
+                trial[k] = g
+                values.append(solved(trial)[0])
+            edges = np.r_[grid[0], 0.5 * (grid[1:] + grid[:-1]), grid[-1]]
+            width = np.diff(edges)
+            weight = np.exp(np.array(values) - np.max(values)) * width
+            weights[k] = weight / weight.sum()
+            tau[k] = float(weights[k] @ grid)
+    for k, weight in weights.items():
+        chosen[:, k] = rng.choice(_GRID * unit[k], n_draws, p=weight)
+    central = np.empty((n_draws, varying.size))
+    rows, index = np.unique(chosen, axis=0, return_inverse=True)
+    if len(rows) > 400:  # several dispersions: the central values hardly depend on them
+        rows, index = tau[None], np.zeros(n_draws, dtype=int)
+    for r, row in enumerate(rows):
+        _, mean, precision = solved(row)
+        mine = index == r
+        factor = np.linalg.cholesky(np.linalg.inv(precision))
+        central[mine] = mean + rng.normal(size=(mine.sum(), mean.size)) @ factor.T
+    relative = chosen / np.where(linear, np.maximum(np.abs(central), 1e-300), 1.0)
+    return CoefficientPosterior(central, relative, np.linalg.inv(solved(tau)[2]))
+
+
+@dataclass(frozen=True)
+class Reported:
+    """A parameter as it is reported.
+
+    Attributes
+    ----------
+    name, unit : str
+    median, q05, q95 : float
+    dispersion : float or None
+        Standard deviation of the natural logarithm between people (of a signed coefficient, relative); 0 if shared.
+    dispersion_q05, dispersion_q95 : float or None
+    """
+
+    name: str
+    unit: str
+    median: float
+    q05: float
+    q95: float
+    dispersion: float | None
+    dispersion_q05: float | None
+    dispersion_q95: float | None
+
+
+def reported(model: Model, addition: int, posterior: CoefficientPosterior, elements: np.ndarray) -> list[Reported]:
+    """The parameters of an addition in their units.
+
+    Parameters
+    ----------
+    model : Model
+    addition : int
+    posterior : CoefficientPosterior
+    elements : ndarray, shape (P,)
+        Central log elements of the network.
+    """
+    item = model.additions[addition]
+    effect, scales = item.effect, model.scales
+    columns = [c - model.n_elements for c in model.columns(addition)]
+    draws = posterior.central[:, columns]
+    dispersions = posterior.relative_dispersion[:, columns]
+    result = []
+    if not effect.operation:
+        for k, column in enumerate(columns):
+            element = model.kernel.elements[model.n_elements + column]
+            kind = kind_of(element)
+            result.append(_reported(kind.name, kind.unit(scales.unit), np.exp(draws[:, k]), dispersions[:, k]))
+        return result
+    values: dict[str, np.ndarray] = {}
+    for k, coefficient in enumerate(effect.coefficients):
+        value, dispersion = coefficient.value(draws[:, k], scales), dispersions[:, k]
+        if coefficient.link == "linear":
+            if effect.operation == "bypass" and k == 1:
+                value = coefficient.scale(scales) * draws[:, k]
+            if not effect.signed and item.pooling != "shared":
+                square = np.log1p(dispersion**2)
+                value, dispersion = value * np.exp(-0.5 * square), np.sqrt(square)
+        values[coefficient.name] = value
+        if effect.operation == "beside_power" and k == 0:
+            a = effect.coefficients[1].value(draws[:, 1], scales)
+            value = value * scales.middle ** (1 - a)  # c of c s^(a-1), not of the middle of the band
+        if coefficient.unit == "Hz":
+            value = value / (2 * np.pi)
+        result.append(_reported(coefficient.name, unit_of(coefficient.unit, scales.unit), value, dispersion))
+    result += _derived(model, addition, values, elements)
+    return result
+
+
+def _derived(model: Model, addition: int, values: dict[str, np.ndarray], elements: np.ndarray) -> list[Reported]:
+    """What a reader would otherwise have to compute."""
+    item, unit = model.additions[addition], model.scales.unit
+    effect = item.effect
+    pairs: list[tuple[str, str, np.ndarray]] = []
+    if effect.operation == "relaxation":
+        pairs.append(("compliance", "n", values["time_constant"] / values["damping"]))
+    if effect.operation == "series_layer":
+        pairs.append(("damping", "r", values["time_constant"] / values["compliance"]))
+    if effect.operation == "resonator":
+        w0, m, d = values["frequency"], values["mass"], values["damping_ratio"]
+        pairs += [("compliance", "n", 1 / (m * w0**2)), ("damping", "r", 2 * d * w0 * m)]
+    if effect.operation == "lowpass":
+        with np.errstate(divide="ignore"):
+            pairs.append(("corner", "Hz", 1 / (2 * np.pi * values["time_constant"])))
+    if effect.operation == "power":
+        n = float(np.exp(elements[model.network.elements.index(item.place)]))
+        pairs.append(("coefficient", "c", model.scales.middle ** -values["exponent"] / n))
+    if effect.operation == "bypass":
+        pairs.append(("compliance", "n", 1 / values["stiffness"]))
+    return [_reported(name, unit_of(u, unit), value, None) for name, u, value in pairs]
+
+
+def _reported(name: str, unit: str, values: np.ndarray, dispersion: np.ndarray | None) -> Reported:
+    low, middle, high = (float(q) for q in np.quantile(values, (0.05, 0.5, 0.95)))
+    if dispersion is None:
+        return Reported(name, unit, middle, low, high, None, None, None)
+    d_low, d_middle, d_high = (float(q) for q in np.quantile(dispersion, (0.05, 0.5, 0.95)))
+    return Reported(name, unit, middle, low, high, d_middle, d_low, d_high)
+
+
+def unit_of(unit: str, impedance_unit: str) -> str:
+    """Unit of a parameter: ``m``, ``n``, ``r``, ``k``, ``c`` depend on the unit of the impedance."""
+    if unit in ("m", "n", "r"):
+        return kind_of(unit).unit(impedance_unit)
+    if unit == "k":
+        return {"N s/m": "N/m", "N m s/rad": "N m/rad", "ohm": "1/F"}.get(impedance_unit, f"{impedance_unit}/s")
+    if unit == "c":
+        return f"{impedance_unit} s^(a-1)"
+    return unit
+
+
+def verdict_on_side(dispersion: np.ndarray) -> str:
+    """``rig``, ``body`` or ``undecided`` from draws of a relative dispersion."""
+    low, high = np.quantile(dispersion, (0.05, 0.95))
+    if low > SAME / 2:
+        return "body"
+    return "rig" if high < 3 * SAME else "undecided"

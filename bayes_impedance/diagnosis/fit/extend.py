@@ -1,0 +1,176 @@
+r"""Models that grow and shrink: one addition more or less, refitted from where the other model has ended.
+
+The gain of a model with more additions is
+
+.. math:: E = \sum_i \ell_i - \tfrac{k}{2}\ln N_\text{rec},
+
+with :math:`\ell_i` everybody's evidence (:mod:`bayes_impedance.diagnosis.fit.fitter`), k the number of population
+parameters that were added and :math:`N_\text{rec}` the number of recordings, less the same of the model without it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from bayes_impedance.diagnosis.catalogue.effect import Candidate, Effect
+from bayes_impedance.diagnosis.fit.coefficient_posterior import CoefficientPosterior, coefficient_posterior
+from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter
+from bayes_impedance.diagnosis.fit.model import Addition, Model, build
+from bayes_impedance.diagnosis.fit.normal_equations import Population
+from bayes_impedance.diagnosis.fit.spike_slab import members
+from bayes_impedance.network.notation import parse
+
+LEAST_GAIN = 3.0
+"""Smallest gain of evidence, in natural logarithms, for which something is kept."""
+
+
+def extended(model: Model, candidate: Candidate, pooling: str, size: float) -> Model:
+    """The model with one addition more."""
+    effect = candidate.effect
+    addition = Addition(effect, candidate.place, pooling)
+    shape = candidate.shape
+    if not effect.operation:  # as a whole: masses and dampers with its size, compliances against it
+        factor = max(size, 1e-12) if effect.connection == "beside" else 1 / max(size, 1e-12)
+        shape = {e: v / factor if e[0] == "n" else v * factor for e, v in shape.items()}
+    return build(model.network, [*model.additions, addition], model.scales, [*starts_of(model), shape])
+
+
+def starts_of(model: Model) -> list[dict[str, float]]:
+    """For every addition what :func:`~bayes_impedance.diagnosis.fit.model.build` needs to make it again."""
+    return [dict(zip(names_of(a.effect), shape_values(model, i), strict=True)) for i, a in enumerate(model.additions)]
+
+
+def names_of(effect: Effect) -> list[str]:
+    """Names of an effect's parameters: of its operation, or the elements of its branch."""
+    return [c.name for c in effect.coefficients] if effect.operation else list(parse(effect.branch).elements)
+
+
+def shape_values(model: Model, addition: int) -> list[float]:
+    """Centres of an addition's shapes in the operation's unit, or the start values of its elements."""
+    effect = model.additions[addition].effect
+    own = [p for p in model.parameters if p.addition == addition]
+    if not effect.operation:
+        return [float(np.exp(p.start)) for p in own]
+    return [float(c.value(p.centre, model.scales)) for c, p in zip(effect.coefficients, own, strict=True)]
+
+
+def extended_start(fit: Refit, model: Model) -> tuple[np.ndarray, Population]:
+    """Where the refit of a larger model begins: where the smaller one ended, new parameters at their centres."""
+    old, new = fit.model, model
+    position = {name: i for i, name in enumerate(old.kernel.elements)}
+    begin = {name: p.start for name, p in zip(new.kernel.elements[new.n_elements :], new.parameters, strict=True)}
+    u = np.empty((fit.u.shape[0], len(new.kernel.elements)))
+    for i, name in enumerate(new.kernel.elements):
+        u[:, i] = fit.u[:, position[name]] if name in position else begin[name]
+    varying_old = [n for n, s in zip(old.kernel.elements, old.shared, strict=True) if not s]
+    varying_new = [n for n, s in zip(new.kernel.elements, new.shared, strict=True) if not s]
+    n = len(varying_new)
+    mu, covariance, rho = np.empty(n), np.zeros((n, n)), np.full(n, 1e-3)
+    for i, name in enumerate(varying_new):
+        if name in varying_old:
+            k = varying_old.index(name)
+            mu[i], rho[i] = fit.population.mu[k], fit.population.rho[k]
+            for j, other in enumerate(varying_new):
+                if other in varying_old:
+                    covariance[i, j] = fit.population.covariance[k, varying_old.index(other)]
+        else:
+            mu[i] = u[:, new.kernel.elements.index(name)].mean()
+            covariance[i, i] = 1.0  # set from the mean when the fit begins
+    return u, Population(mu, covariance, rho)
+
+
+def gain(grown: Refit, fit: Refit) -> float:
+    """Evidence gained, less the price of the population parameters that were added."""
+    return float(np.sum(grown.evidence) - np.sum(fit.evidence)) - price(grown.model, fit) + price(fit.model, fit)
+
+
+def price(model: Model, fit: Refit) -> float:
+    """Half the logarithm of the number of recordings for every parameter of the population that was added."""
+    count = sum(1 if p.shared else 2 for p in model.parameters)
+    return 0.5 * count * float(np.log(len(fit.u)))
+
+
+def is_physical(fit: Refit) -> bool:
+    """Whether every coefficient has a sign that its effect can have, and is absent in some if that is the claim."""
+    for i, addition in enumerate(fit.model.additions):
+        effect = addition.effect
+        if effect.signed or not effect.operation:
+            continue
+        if effect.pooling == "some" and not members(fit, i).only_some:
+            return False
+        linear = [c for c, k in zip(fit.model.columns(i), effect.coefficients, strict=True) if k.link == "linear"]
+        values = fit.u[:, linear].mean(axis=0)
+        if values[0] <= 0 and not (effect.operation == "bypass" and values.max() > 0):
+            return False
+        if effect.operation == "bypass" and values.min() < -0.1 * abs(values).max():
+            return False
+    return True
+
+
+def has_shapes(effect: Effect) -> bool:
+    """Whether an effect has shapes that could differ between people."""
+    return any(c.link != "linear" for c in effect.coefficients[1:])
+
+
+_DISPERSIONS = (0.03, 1.5)
+
+
+def with_pooling(
+    model: Model, addition: int, pooling: str, dispersions: Sequence[float] = (), correlation: float | None = None
+) -> Model:
+    """The model with one addition pooled in another way, with dispersions and a correlation if given."""
+    additions = list(model.additions)
+    changed = replace(additions[addition], pooling=pooling)
+    if correlation is not None:
+        changed = replace(changed, correlation=correlation)
+    if dispersions:
+        changed = replace(changed, dispersion=dispersions[0], shape_dispersions=tuple(dispersions[1:]))
+    additions[addition] = changed
+    return rebuilt(model, additions, list(range(len(additions))))
+
+
+def rebuilt(model: Model, additions: Sequence[Addition], kept: Sequence[int]) -> Model:
+    """A model with other additions; `kept` says which of the old ones each was, for the centres of its shapes."""
+    starts = starts_of(model)
+    return build(model.network, additions, model.scales, [starts[k] for k in kept])
+
+
+def with_measured_dispersions(refitter: Refitter, fit: Refit, posterior: CoefficientPosterior) -> Refit:
+    """The fit with the dispersions of what varies at their posterior medians."""
+    model = fit.model
+    for i, addition in enumerate(model.additions):
+        if addition.pooling != "shared":
+            columns = [c - model.n_elements for c in model.columns(i)]
+            middle = np.clip(np.median(posterior.relative_dispersion[:, columns], axis=0), *_DISPERSIONS)
+            model = with_pooling(model, i, addition.pooling, middle.tolist())
+    return refitter.fit(model, *extended_start(fit, model))
+
+
+def measured(refitter: Refitter, fit: Refit, seed: int) -> tuple[Refit, CoefficientPosterior]:
+    """The fit with dispersions at their posterior medians, and the joint posterior of the additions."""
+    posterior = coefficient_posterior(fit, seed)
+    for _ in range(2):
+        if all(a.pooling == "shared" for a in fit.model.additions):
+            break
+        fit = with_measured_dispersions(refitter, fit, posterior)
+        posterior = coefficient_posterior(fit, seed)
+    return fit, posterior
+
+
+def shrunk(refitter: Refitter, fit: Refit, model: Model, kept: Sequence[int]) -> Refit:
+    """The fit of a model with fewer additions, whose parameters carry other numbers in their names."""
+    columns = list(range(fit.model.n_elements)) + sorted(c for k in kept for c in fit.model.columns(k))
+    u = fit.u[:, columns]
+    varying_old = np.flatnonzero(~fit.model.shared)
+    positions = [int(np.flatnonzero(varying_old == c)[0]) for c in columns if not fit.model.shared[c]]
+    population = fit.population
+    smaller = replace(
+        population,
+        mu=population.mu[positions],
+        covariance=population.covariance[np.ix_(positions, positions)],
+        rho=population.rho[positions],
+    )
+    return refitter.fit(model, u, smaller)

@@ -1,0 +1,419 @@
+r"""Population estimate of a model with additions: fast enough to be repeated for every candidate.
+
+Recording j of person i has its own parameters :math:`u_{ij} = (v_{ij}, \varphi)`: varying ones (the elements, and
+coefficients that differ between people), and shared ones. The population is
+
+.. math:: v_{ij} \sim N(v_i, R),\ R = \operatorname{diag}\rho^2, \qquad v_i \sim N(\mu, T).
+
+**People.** With the shared parameters held, one Gauss-Newton step per round solves for all :math:`v_{ij}` and
+:math:`v_i`: with :math:`A_{ij} = w_i H_{ij} + R^{-1}`,
+
+.. math:: K_i = T^{-1} + \sum_j (R^{-1} - R^{-1}A_{ij}^{-1}R^{-1}),
+
+each person damped on its own. **Additions**: shared parameters and the means of varying coefficients go to where
+:mod:`~bayes_impedance.diagnosis.fit.normal_equations` has its maximum, with the elements of every recording free. Were
+the elements held to the population's distribution instead, maximising over u (not integrating) would bias the additions
+by many standard errors. The dispersion of a varying coefficient is held at a part of its mean: one person alone says
+too little about it for a maximisation in rounds to come to rest. **Population** of the elements:
+expectation-maximisation as in :mod:`bayes_impedance.population.em`.
+
+The **evidence** of a person is Laplace's approximation of the likelihood with all :math:`v_{ij}`, :math:`v_i` and the
+noise scale integrated out:
+
+.. math:: \ell_i = -(\alpha + N_i)\ln(\beta + \tfrac12\chi_i^2) - \tfrac12\sum_j \delta_{ij}^TR^{-1}\delta_{ij}
+   - \tfrac12 (v_i-\mu)^TT^{-1}(v_i-\mu) - \tfrac12\sum_j\ln|A_{ij}R| - \tfrac12\ln|K_iT|.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bayes_impedance.diagnosis.fit.model import Model
+from bayes_impedance.diagnosis.fit.normal_equations import (
+    Equations,
+    Population,
+    Stack,
+    counts,
+    equations_at,
+    marginal,
+    owners,
+    quadratic,
+    sums,
+    weights,
+)
+from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood
+
+_PRIOR_PERSONS = 2.0
+_SMALLEST_DISPERSION = 0.02
+_SMALLEST_RHO = 1e-3
+_LONGEST_STEP = 1.0
+
+
+@dataclass(frozen=True)
+class Refit:
+    """A fitted model.
+
+    Attributes
+    ----------
+    model : Model
+    data : tuple of Likelihood
+        One per person.
+    u : ndarray, shape (M, P)
+        Parameters of every recording, person by person.
+    persons : ndarray, shape (N, V)
+        Everybody's v_i.
+    population : Population
+    equations : Equations
+        At u.
+    evidence : ndarray, shape (N,)
+    settled : bool
+        Whether persons and population came to rest.
+    """
+
+    model: Model
+    data: tuple[Likelihood, ...]
+    u: np.ndarray
+    persons: np.ndarray
+    population: Population
+    equations: Equations
+    evidence: np.ndarray
+    settled: bool
+
+    @property
+    def owner(self) -> np.ndarray:
+        """Person of every recording, shape (M,)."""
+        return owners(self.data)
+
+    @property
+    def shared_value(self) -> np.ndarray:
+        """Shared parameters, shape (S,)."""
+        return np.asarray(self.u[0, self.model.shared])
+
+    @property
+    def weight(self) -> np.ndarray:
+        """1/scale^2 of everybody's noise, shape (N,)."""
+        return weights(self.data, self.equations.chi)
+
+
+@dataclass(frozen=True)
+class _Blocks:
+    """Linear algebra of one round; names as in the module's docstring."""
+
+    inverse: np.ndarray  # A^-1, (M, V, V)
+    pull: np.ndarray  # b, (M, V)
+    precision: np.ndarray  # K, (N, V, V)
+    log_determinant: np.ndarray  # (N,)
+
+
+class Refitter:
+    """Fits models to the recordings of one dataset.
+
+    Parameters
+    ----------
+    data : sequence of Likelihood
+        One per person.
+    executor : Executor
+        Runs persons side by side.
+    one_person : bool
+        There is no population: mu and T stay at the prior.
+    """
+
+    def __init__(self, data: Sequence[Likelihood], executor: Executor, one_person: bool = False) -> None:
+        self.data = tuple(data)
+        self.executor = executor
+        self.one_person = one_person
+        self.stack = Stack.of(self.data)
+        self.owner = self.stack.owner
+        self.repeated = any(d.z.shape[0] > 1 for d in self.data)
+
+    def subset(self, people: np.ndarray) -> Refitter:
+        """The same for some of the people."""
+        return Refitter([self.data[i] for i in people], self.executor, self.one_person)
+
+    def fit(
+        self,
+        model: Model,
+        u: np.ndarray,
+        population: Population,
+        rounds: int = 40,
+        hold_population: bool = False,
+        hold_additions: bool = False,
+        tolerance: float = 0.02,
+    ) -> Refit:
+        """Fit a model.
+
+        Parameters
+        ----------
+        model : Model
+        u : ndarray, shape (M, P)
+            Start.
+        population : Population
+            Start.
+        rounds : int
+            Largest number of rounds.
+        hold_population, hold_additions : bool
+            Leave the elements' population, or shared parameters and mean coefficients, where they are.
+        tolerance : float
+            Rest means that nothing moves by more than this part of what is known about it.
+        """
+        shared = model.shared
+        varying = ~shared
+        n = len(self.data)
+        u = u.copy()
+        population = replace(population, covariance=_with_dispersions(model, population.covariance, population.mu))
+        persons = _means(u[:, varying], self.owner, n)
+        damping = np.full(n, 1e-3)
+        equations = equations_at(model, self.stack, u, self.executor)
+        settled = False
+        hold_population = hold_population or self.one_person
+        for _ in range(rounds):
+            u, persons, equations, damping, moved = self._move_people(model, u, persons, equations, population, damping)
+            if model.parameters and not hold_additions:
+                u, persons, population, equations, step = self._move_additions(model, u, persons, population, equations)
+                moved = max(moved, step)
+            drift = 0.0
+            if not hold_population:
+                blocks = self._blocks(model, equations, u, persons, population, np.zeros(n))
+                population, drift = self._maximise(model, u[:, varying], persons, blocks, population)
+            elif self.one_person and self.repeated:
+                blocks = self._blocks(model, equations, u, persons, population, np.zeros(n))
+                updated, _ = self._maximise(model, u[:, varying], persons, blocks, population)
+                population = replace(population, rho=updated.rho)
+            if moved < tolerance and drift < tolerance:
+                settled = True
+                break
+        blocks = self._blocks(model, equations, u, persons, population, np.zeros(n))
+        value = self._objective(equations.chi, u[:, varying], persons, population)
+        evidence = -value - 0.5 * blocks.log_determinant
+        return Refit(model, self.data, u, persons, population, equations, evidence, settled)
+
+    def settle(self, fit: Refit, seed: int, tries: int = 6, rounds: int = 3, hold: bool = False) -> Refit:
+        """Look for better optima of every person, from draws of the population, until nobody finds one.
+
+        One person in a local optimum looks exactly like missing physics.
+
+        Parameters
+        ----------
+        fit : Refit
+        seed : int
+        tries : int
+            Draws per person and round.
+        rounds : int
+            Largest number of rounds.
+        hold : bool
+            Leave population and additions where they are.
+        """
+        rng = np.random.default_rng(seed)
+        varying = ~fit.model.shared
+        n = len(self.data)
+        for _ in range(rounds):
+            best_u, best_evidence = fit.u.copy(), fit.evidence.copy()
+            factor = np.linalg.cholesky(fit.population.covariance)
+            for _ in range(tries):
+                start = fit.u.copy()
+                draw = fit.population.mu + rng.normal(size=(n, factor.shape[0])) @ factor.T
+                start[:, varying] = draw[self.owner]
+                trial = self.fit(fit.model, start, fit.population, 15, hold_population=True, hold_additions=True)
+                better = trial.evidence > best_evidence + 0.2
+                best_evidence = np.where(better, trial.evidence, best_evidence)
+                best_u = np.where(better[self.owner, None], trial.u, best_u)
+            if not np.any(best_evidence > fit.evidence):
+                break
+            fit = self.fit(fit.model, best_u, fit.population, hold_population=hold, hold_additions=hold)
+        return fit
+
+    # ------------------------------------------------------------------------------------------------ steps
+
+    def _objective(self, chi: np.ndarray, v: np.ndarray, persons: np.ndarray, population: Population) -> np.ndarray:
+        """Negative log posterior of everybody, shape (N,)."""
+        total = np.bincount(self.owner, chi, minlength=len(self.data))
+        value = (SCALE_SHAPE + counts(self.data)) * np.log(SCALE_SHAPE + 0.5 * total)
+        delta = (v - persons[self.owner]) / _rho(population)
+        value = value + 0.5 * np.bincount(self.owner, np.sum(delta**2, axis=1), minlength=len(self.data))
+        offset = persons - population.mu
+        return np.asarray(value + 0.5 * np.sum(offset * np.linalg.solve(population.covariance, offset.T).T, axis=1))
+
+    def _blocks(
+        self,
+        model: Model,
+        equations: Equations,
+        u: np.ndarray,
+        persons: np.ndarray,
+        population: Population,
+        damping: np.ndarray,
+    ) -> _Blocks:
+        varying = ~model.shared
+        w = weights(self.data, equations.chi)[self.owner]
+        h = w[:, None, None] * equations.information[:, varying][:, :, varying]
+        r = _rho(population) ** -2.0
+        a = h + np.diag(r)
+        diagonal = np.einsum("mpp->mp", h)
+        a[:, np.arange(r.size), np.arange(r.size)] += damping[self.owner, None] * diagonal
+        inverse = np.linalg.inv(a)
+        pull = -w[:, None] * equations.gradient[:, varying] - r * (u[:, varying] - persons[self.owner])
+        kept = np.diag(r) - r[:, None] * inverse * r
+        precision = np.linalg.inv(population.covariance) + sums(kept, self.owner, len(self.data))
+        log_a = np.linalg.slogdet(a)[1] - np.sum(np.log(r))
+        log_determinant = np.bincount(self.owner, log_a, minlength=len(self.data))
+        log_determinant = (
+            log_determinant + np.linalg.slogdet(precision)[1] + np.linalg.slogdet(population.covariance)[1]
+        )
+        return _Blocks(inverse, pull, precision, log_determinant)
+
+    def _move_people(
+        self,
+        model: Model,
+        u: np.ndarray,
+        persons: np.ndarray,
+        equations: Equations,
+        population: Population,
+        damping: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray, Equations, np.ndarray, float]:
+        """A step of everybody's own parameters, shortened for those whom it would make worse.
+
+        The last number is how far it went, in standard deviations.
+        """
+        varying, n = ~model.shared, len(self.data)
+        before = self._objective(equations.chi, u[:, varying], persons, population)
+        blocks = self._blocks(model, equations, u, persons, population, damping)
+        r = _rho(population) ** -2.0
+        free = np.einsum("mpq,mq->mp", blocks.inverse, blocks.pull)
+        pulls = sums(r * (u[:, varying] - persons[self.owner]) + r * free, self.owner, n)
+        offset = persons - population.mu
+        right = pulls - np.linalg.solve(population.covariance, offset.T).T
+        step_v = np.linalg.solve(blocks.precision, right[..., None])[..., 0]
+        step_u = free + np.einsum("mpq,mq->mp", blocks.inverse, r * step_v[self.owner])
+        part = np.minimum(1.0, 2.0 / np.maximum(_most(np.abs(step_u).max(axis=1), self.owner, n), 1e-12))
+        trial_u, trial_v, trial = u.copy(), persons.copy(), equations
+        moving = np.ones(n, dtype=bool)
+        for _ in range(5):
+            rows = np.flatnonzero(moving[self.owner])
+            trial_u[np.ix_(rows, varying)] = u[np.ix_(rows, varying)] + (part[self.owner, None] * step_u)[rows]
+            trial_v[moving] = (persons + part[:, None] * step_v)[moving]
+            trial = equations_at(model, self.stack, trial_u, self.executor, moving, trial)
+            after = self._objective(trial.chi, trial_u[:, varying], trial_v, population)
+            worse = ~(after <= before + 1e-6)
+            damping = np.where(worse, np.minimum(10 * damping, 1e6), damping)
+            damping = np.where(moving & ~worse, np.maximum(damping / 3, 1e-9), damping)
+            if not worse.any():
+                break
+            part = np.where(worse, 0.25 * part, part)
+            moving = worse
+        else:  # who finds no way downwards stays
+            rows = moving[self.owner]
+            trial_u[rows], trial_v[moving] = u[rows], persons[moving]
+            trial = trial.with_rows(rows, equations)
+        length = np.sqrt(np.maximum(np.einsum("np,npq,nq->n", step_v, blocks.precision, step_v), 0.0))
+        return trial_u, trial_v, trial, damping, float(length.max())
+
+    def _move_additions(
+        self, model: Model, u: np.ndarray, persons: np.ndarray, population: Population, equations: Equations
+    ) -> tuple[np.ndarray, np.ndarray, Population, Equations, float]:
+        """A step of shared parameters and mean coefficients, everybody following; how far, in standard deviations.
+
+        It descends on the data's part of the objective alone, so that is what is watched.
+        """
+        n_elements = model.n_elements
+        varying = ~model.shared[n_elements:]
+        h, d, response = quadratic(model, self.data, u, equations, population.covariance)
+        now = u[0, n_elements:].copy()
+        now[varying] = population.mu[n_elements:]
+        tau = np.zeros(now.size)
+        tau[varying] = np.sqrt(np.diag(population.covariance)[n_elements:])
+        target = marginal(model, h, d, tau)
+        step = target.mean - now
+        prior = np.array([p.prior_sd for p in model.parameters])
+        step /= max(1.0, float(np.abs(step / np.minimum(prior, 1.0)).max()) / _LONGEST_STEP)
+        before = self._misfit(equations.chi)
+        # Who is known well does not follow the population's mean: dc_i/dmu = (1 + T D_cc)^-1.
+        follows = np.linalg.inv(np.eye(int(varying.sum())) + np.diag(tau[varying] ** 2) @ d[:, varying][:, :, varying])
+        for _ in range(6):
+            own = np.tile(step, (len(self.data), 1))
+            own[:, varying] = follows @ step[varying]
+            trial_u = u.copy()
+            trial_u[:, n_elements:] += own[self.owner]
+            trial_u[:, :n_elements] += np.clip(np.einsum("mea,ma->me", response, own[self.owner]), -1.0, 1.0)
+            trial = equations_at(model, self.stack, trial_u, self.executor)
+            if self._misfit(trial.chi) <= before + 0.5:
+                mu = population.mu.copy()
+                mu[n_elements:] += step[varying]
+                moved = persons.copy()
+                moved[:, n_elements:] += own[:, varying]
+                follow = trial_u[:, :n_elements] - u[:, :n_elements]
+                moved[:, :n_elements] += _means(follow, self.owner, len(self.data))
+                shifted = replace(population, mu=mu, covariance=_with_dispersions(model, population.covariance, mu))
+                length = float(np.sqrt(max(step @ target.precision @ step, 0.0)))
+                return trial_u, moved, shifted, trial, length
+            step = 0.3 * step
+        return u, persons, population, equations, 0.0
+
+    def _misfit(self, chi: np.ndarray) -> float:
+        total = np.bincount(self.owner, chi, minlength=len(self.data))
+        value = np.sum((SCALE_SHAPE + counts(self.data)) * np.log(SCALE_SHAPE + 0.5 * total))
+        return float(value) if np.isfinite(value) else np.inf
+
+    def _maximise(
+        self, model: Model, v: np.ndarray, persons: np.ndarray, blocks: _Blocks, population: Population
+    ) -> tuple[Population, float]:
+        """One M step, and by how much it moved the population in standard deviations."""
+        n, size = persons.shape
+        posterior = np.linalg.inv(blocks.precision)
+        elements = np.arange(size) < model.n_elements
+        mu = np.where(elements, persons.mean(axis=0), population.mu)
+        offset = persons - mu
+        variance = np.clip(np.diag(population.covariance), _SMALLEST_DISPERSION**2, 1.0)
+        covariance = (offset.T @ offset + posterior.sum(axis=0) + _PRIOR_PERSONS * np.diag(variance)) / (
+            n + _PRIOR_PERSONS
+        )
+        floor = np.maximum(np.diag(covariance), _SMALLEST_DISPERSION**2)
+        covariance = covariance + np.diag(floor - np.diag(covariance))
+        if n < size + 2:  # a full sample covariance would be singular
+            covariance = np.diag(floor)
+        covariance[~elements] = population.covariance[~elements]
+        covariance[:, ~elements] = population.covariance[:, ~elements]
+        rho = population.rho
+        if self.repeated:
+            r = _rho(population) ** -2.0
+            follow = blocks.inverse * r - np.eye(size)
+            spread = blocks.inverse + follow @ posterior[self.owner] @ np.swapaxes(follow, 1, 2)
+            square = (v - persons[self.owner]) ** 2 + np.einsum("mpp->mp", spread)
+            many = np.array([d.z.shape[0] > 1 for d in self.data])[self.owner]
+            rho = np.sqrt((square[many].sum(axis=0) + 2 * 0.05**2) / (many.sum() + 2))
+            rho = np.where(elements, np.clip(rho, _SMALLEST_RHO, 1.0), _SMALLEST_RHO)
+        sd = np.sqrt(np.diag(population.covariance) / n)
+        shift = np.abs(mu - population.mu) / sd
+        stretch = np.abs(np.log(np.diag(covariance) / np.diag(population.covariance))) * 0.5
+        return Population(mu, covariance, rho), float(max(shift.max(), stretch.max()))
+
+
+def _with_dispersions(model: Model, covariance: np.ndarray, mu: np.ndarray) -> np.ndarray:
+    """The covariance with what the additions' dispersions, at their parts of the means, and correlations make of it."""
+    result = covariance.copy()
+    varying = [p for p in model.parameters if not p.shared]
+    for k, p in enumerate(varying, model.n_elements):
+        result[k] = result[:, k] = 0.0
+        result[k, k] = max(p.dispersion * (abs(mu[k]) if p.is_coefficient else 1.0), 1e-5) ** 2
+    for i, addition in enumerate(model.additions):
+        own = [k for k, p in enumerate(varying, model.n_elements) if p.addition == i]
+        if addition.correlation and len(own) > 1:
+            k, j = own[:2]
+            result[k, j] = result[j, k] = addition.correlation * np.sign(mu[k]) * np.sqrt(result[k, k] * result[j, j])
+    return result
+
+
+def _rho(population: Population) -> np.ndarray:
+    return np.asarray(np.maximum(population.rho, _SMALLEST_RHO))
+
+
+def _means(values: np.ndarray, owner: np.ndarray, n: int) -> np.ndarray:
+    return np.asarray(sums(values, owner, n) / np.bincount(owner, minlength=n)[:, None])
+
+
+def _most(values: np.ndarray, owner: np.ndarray, n: int) -> np.ndarray:
+    largest = np.zeros(n)
+    np.maximum.at(largest, owner, values)
+    return largest

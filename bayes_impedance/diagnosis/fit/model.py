@@ -1,0 +1,298 @@
+"""A network with effects added to it: which parameters there are, where they act, and what they are called."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, reduce
+
+import numpy as np
+
+from bayes_impedance.diagnosis.catalogue.effect import Effect, Scales, operation_constants
+from bayes_impedance.network.elements import band_scale, kind_of
+from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.network.notation import Element, Network, Parallel, Place, parse
+from bayes_impedance.network.operations import Operation
+from bayes_impedance.recordings.files import Recordings
+
+ELEMENT_SD = 3.0
+"""Prior standard deviation of a log element around its natural scale, as everywhere in the package."""
+
+COEFFICIENT_SD = 30.0
+"""Prior standard deviation of a linear coefficient around zero, in units of its scale: flat, because what stands inside
+a network may be much larger than what is seen at the port."""
+
+TYPICAL_DISPERSION = 0.35
+"""What people usually differ by, before it is estimated."""
+
+SHAPE_DISPERSION = 0.2
+
+_INNER = "inner_place_"
+
+
+@dataclass(frozen=True)
+class Addition:
+    """An effect at a place of the network.
+
+    Attributes
+    ----------
+    effect : Effect
+    place : str
+        Name in the network as given.
+    pooling : str
+        ``shared``: one coefficient for everybody; ``varying``: the coefficient differs between people, its shapes do
+        not; ``free``: the shapes differ too.
+    dispersion : float
+        Of a varying coefficient between people, relative to its mean.
+    shape_dispersions : tuple of float
+        Of shapes that differ between people; the typical one where nothing is given.
+    correlation : float
+        Between people, of coefficient and first shape where both differ.
+    """
+
+    effect: Effect
+    place: str
+    pooling: str
+    dispersion: float = TYPICAL_DISPERSION
+    shape_dispersions: tuple[float, ...] = ()
+    correlation: float = 0.0
+
+    @property
+    def key(self) -> tuple[str, str, str]:
+        """What it is and where: pooling does not matter."""
+        return self.effect.id, self.effect.form, self.place
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter besides the network's own elements.
+
+    Attributes
+    ----------
+    name : str
+        In the kernel.
+    addition : int
+        Which addition it belongs to.
+    shared : bool
+    centre, prior_sd : float
+        Of the shared value, or of the population's mean.
+    start : float
+        Where a search begins.
+    is_coefficient : bool
+        Whether it is on a linear scale, where zero means that nothing happens; otherwise it is a shape or an element,
+        on a logarithmic one.
+    dispersion : float
+        Between people if it varies, relative to the mean for a coefficient.
+    """
+
+    name: str
+    addition: int
+    shared: bool
+    centre: float
+    prior_sd: float
+    start: float
+    is_coefficient: bool
+    dispersion: float
+
+
+@dataclass(frozen=True)
+class Model:
+    """The network and its additions.
+
+    Attributes
+    ----------
+    network : Network
+        As given.
+    additions : tuple of Addition
+    scales : Scales
+    kernel : Kernel
+        Elements of the network first, in their order.
+    parameters : tuple of Parameter
+        Those of the additions, in the kernel's order after the network's elements.
+    """
+
+    network: Network
+    additions: tuple[Addition, ...]
+    scales: Scales
+    kernel: Kernel
+    parameters: tuple[Parameter, ...]
+
+    @property
+    def n_elements(self) -> int:
+        """Number of the network's own elements."""
+        return len(self.network.elements)
+
+    @cached_property
+    def shared(self) -> np.ndarray:
+        """Which of the kernel's parameters are the same for everybody, bool, shape (P,)."""
+        return np.array([False] * self.n_elements + [p.shared for p in self.parameters])
+
+    def columns(self, addition: int) -> list[int]:
+        """Positions of an addition's parameters."""
+        return [self.n_elements + i for i, p in enumerate(self.parameters) if p.addition == addition]
+
+    @property
+    def notation(self) -> str:
+        """The network with those additions that are made of masses, springs and dampers."""
+        network = _with_labels(self.network)
+        names = {place.name: _inner_name(network, place) for place in self.network.places()}
+        for addition in sorted(self.additions, key=lambda a: a.effect.side == "rig"):  # the rig is outermost
+            if addition.effect.branch:
+                target = Place((), "port") if addition.effect.side == "rig" else _find(network, names[addition.place])
+                branch = _renamed(parse(addition.effect.branch), network)
+                beside = addition.effect.connection == "beside"
+                network = network.beside(target, branch) if beside else network.in_series(target, branch)
+        return str(_without_labels(network))
+
+
+def scales_of(recordings: Recordings) -> Scales:
+    """Typical sizes of a dataset."""
+    low = float(np.median([s.frequency_hz[0] for s in recordings.subjects]))
+    high = float(np.median([s.frequency_hz[-1] for s in recordings.subjects]))
+    middle = float(np.sqrt(low * high))
+
+    def magnitude(frequency: float) -> float:
+        near = [abs(s.mean[np.argmin(np.abs(np.log(s.frequency_hz / frequency)))]) for s in recordings.subjects]
+        return float(np.median(near))
+
+    return Scales(
+        2 * np.pi * low,
+        2 * np.pi * middle,
+        2 * np.pi * high,
+        magnitude(low),
+        magnitude(middle),
+        magnitude(high),
+        recordings.unit,
+    )
+
+
+def build(network: Network, additions: Sequence[Addition], scales: Scales, starts: Sequence[dict[str, float]]) -> Model:
+    """Put additions into a network.
+
+    Parameters
+    ----------
+    network : Network
+    additions : sequence of Addition
+    scales : Scales
+    starts : sequence of dict
+        For each addition the shapes at which it was found, which centre their priors; of a branch, the values of its
+        elements with which the search begins.
+
+    Returns
+    -------
+    Model
+    """
+    inner = _with_labels(network)
+    names = {place.name: _inner_name(inner, place) for place in network.places()}
+    grown, parameters, found = inner, list[Parameter](), list[tuple[Addition, tuple[str, ...], int]]()
+    order = sorted(range(len(additions)), key=lambda i: additions[i].effect.side == "rig")  # the rig is outermost
+    branch_parameters: list[Parameter] = []
+    for i in order:
+        addition, shape = additions[i], starts[i]
+        effect = addition.effect
+        if effect.operation:
+            own = []
+            for k, coefficient in enumerate(effect.coefficients):
+                centre_only = k > 0 and coefficient.link != "linear"  # a shape
+                centre = coefficient.unbounded(shape[coefficient.name], scales) if centre_only else 0.0
+                sd = coefficient.prior_sd if centre_only else COEFFICIENT_SD
+                name = f"{effect.id}.{coefficient.name}.{i}"
+                varies = addition.pooling == "free" or (addition.pooling == "varying" and not centre_only)
+                spread = addition.dispersion
+                if centre_only:
+                    given = addition.shape_dispersions
+                    spread = given[k - 1] if k <= len(given) else SHAPE_DISPERSION
+                own.append(Parameter(name, i, not varies, centre, sd, centre, not centre_only, spread))
+            parameters += own
+            found.append((addition, tuple(p.name for p in own), i))
+        else:
+            branch = _renamed(parse(effect.branch), grown)
+            target = Place((), "port") if effect.side == "rig" else _find(grown, names[addition.place])
+            grown = grown.beside(target, branch) if effect.connection == "beside" else grown.in_series(target, branch)
+            z, f = scales.z_middle, scales.middle / (2 * np.pi)
+            shared = addition.pooling == "shared"
+            for own_name, e in zip(parse(effect.branch).elements, branch.elements, strict=True):
+                centre = band_scale(e, z, f)
+                start = float(np.log(shape[own_name])) if own_name in shape else centre
+                branch_parameters.append(Parameter(e, i, shared, centre, ELEMENT_SD, start, False, addition.dispersion))
+    operations = []
+    for addition, own_names, _ in found:
+        effect = addition.effect
+        path = () if effect.side == "rig" else _find(grown, names[addition.place]).path
+        constants = (effect.coefficients[0].scale(scales), *operation_constants(effect, scales))
+        operations.append(Operation(effect.operation, path, own_names, constants))
+    kernel = Kernel(grown, operations)
+    by_name = {p.name: p for p in (*branch_parameters, *parameters)}
+    # Branches stand among the elements of the grown network; the kernel's order is turned into ours by Kernel.elements.
+    if branch_parameters:
+        rank = {e: k for k, e in enumerate(kernel.elements)}
+        first = list(network.elements)
+        if [rank[e] for e in first] != list(range(len(first))):
+            kernel = _Reordered(grown, operations, first)
+    extra = [by_name[e] for e in kernel.elements[len(network.elements) :]]
+    return Model(network, tuple(additions), scales, kernel, tuple(extra))
+
+
+class _Reordered(Kernel):
+    """A kernel whose parameters begin with the elements of the network as given, wherever branches were put in."""
+
+    def __init__(self, network: Network, operations: Sequence[Operation], first: Sequence[str]) -> None:
+        super().__init__(network, operations)
+        order = [*first, *(e for e in self.elements if e not in first)]
+        position = np.array([order.index(e) for e in self.elements], dtype=np.int64)
+        program = self.program
+        parameter = np.where(program.node_parameter >= 0, position[program.node_parameter], -1)
+        self.program = program._replace(term_element=position[program.term_element], node_parameter=parameter)
+        self.elements = tuple(order)
+
+
+def inner_places(model: Model) -> dict[str, tuple[int, ...]]:
+    """Where every place of the network as given is in the kernel's network; the port is the outermost."""
+    inner, grown = _with_labels(model.network), model.kernel.network
+    paths = {p.name: _find(grown, _inner_name(inner, p)).path for p in model.network.places()}
+    return {**paths, "port": ()}
+
+
+def _with_labels(network: Network) -> Network:
+    """The network with a label on every group, so that places stay where they are when something is put beside them."""
+    for k, place in enumerate(network.places()):
+        node = network.at(place)
+        if not isinstance(node, Element) and node.label is None:
+            network = network.replaced(place, node.labelled(f"{_INNER}{k}"))
+    return network
+
+
+def _inner_name(inner: Network, place: Place) -> str:
+    node = inner.at(place)
+    return node.label or node._notation()
+
+
+def _find(network: Network, name: str) -> Place:
+    """Where the group with a label, or an element, is."""
+    for path, node in network.walk():
+        if name in (node.label, node._notation()):
+            return Place(path, name)
+    raise KeyError(name)
+
+
+def _without_labels(network: Network) -> Network:
+    """The network without the labels that were put on for a while."""
+    if isinstance(network, Element):
+        return network
+    parts = [_without_labels(part) for part in network.parts]
+    join = operator.or_ if isinstance(network, Parallel) else operator.sub
+    label = network.label
+    joined: Network = reduce(join, parts)
+    return joined if label is None or label.startswith(_INNER) else joined.labelled(label)
+
+
+def _renamed(branch: Network, network: Network) -> Network:
+    """A branch whose elements have names that are still free in a network."""
+    for old in branch.elements:
+        letter, number = kind_of(old).letter, 1
+        taken = {*network.elements, *branch.elements}
+        while f"{letter}{number}" in taken:
+            number += 1
+        branch = branch.replaced(branch.place(old), Element(f"{letter}{number}"))
+    return branch

@@ -1,0 +1,261 @@
+r"""Quadratic expansion of everybody's likelihood, and what it says about additions with the elements left free.
+
+With the elements of every recording free, person i's log likelihood of the additions' parameters y (shared ones and the
+person's own coefficients c) is quadratic, :math:`h_i\cdot y - \tfrac12 y^TD_iy`: coefficients act linearly. Between
+people :math:`c_i \sim N(\mu, \operatorname{diag}\tau^2)`, and with :math:`a = (\varphi, \mu)`,
+:math:`W_i = T(1 + D_{cc}T)^{-1}`, :math:`q_i = (h_i - D_ia)_c`,
+
+.. math:: \ell_i(a, \tau) = h_i\cdot a - \tfrac12 a^TD_ia + \tfrac12 q_i^TW_iq_i - \tfrac12\ln|1 + D_{cc}T| .
+
+The sum is quadratic in a: its maximum is where the shared parameters and the means go.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayes_impedance.diagnosis.fit.model import Model
+from bayes_impedance.network.kernel import Program, compiled
+from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood, normal_equations
+from bayes_impedance.runtime.broadcast import Lent
+
+_FREEDOM = 5.0
+
+_SMALL_PIECE, _LARGE_PIECE = 4_000, 25_000
+"""Points (recordings times frequencies): a third of a millisecond of work, below which threads do not help; and two, of
+which there are many if people are many: a task costs a cluster some milliseconds."""
+
+_FEW_PIECES, _MOST_PIECES = 4, 64
+
+
+@dataclass(frozen=True)
+class Population:
+    """Population parameters of the varying parameters, V of them.
+
+    Attributes
+    ----------
+    mu : ndarray, shape (V,)
+    covariance : ndarray, shape (V, V)
+    rho : ndarray, shape (V,)
+    """
+
+    mu: np.ndarray
+    covariance: np.ndarray
+    rho: np.ndarray
+
+
+@dataclass(frozen=True)
+class Equations:
+    """Everybody's chi-square, gradient and information, recordings stacked (M of them, P parameters)."""
+
+    chi: np.ndarray
+    gradient: np.ndarray
+    information: np.ndarray
+
+    def with_rows(self, rows: np.ndarray, other: Equations) -> Equations:
+        """These, but for some recordings (bool, shape (M,)) those of `other`."""
+        return Equations(
+            np.where(rows, other.chi, self.chi),
+            np.where(rows[:, None], other.gradient, self.gradient),
+            np.where(rows[:, None, None], other.information, self.information),
+        )
+
+
+def owners(data: Sequence[Likelihood]) -> np.ndarray:
+    """Person of every recording, shape (M,)."""
+    return np.repeat(np.arange(len(data)), [d.z.shape[0] for d in data])
+
+
+def weights(data: Sequence[Likelihood], chi: np.ndarray) -> np.ndarray:
+    """1/scale^2 of everybody's noise from the recordings' chi-squares, shape (N,)."""
+    total = np.bincount(owners(data), chi, minlength=len(data))
+    return np.asarray((SCALE_SHAPE + counts(data)) / (SCALE_SHAPE + 0.5 * total))
+
+
+def counts(data: Sequence[Likelihood]) -> np.ndarray:
+    """Complex numbers of everybody, shape (N,)."""
+    return np.array([d.z.shape[0] * d.omega.size for d in data], dtype=float)
+
+
+@dataclass(frozen=True)
+class Stack:
+    """All recordings, those with the same frequencies one after the other, in a few long pieces of about equal work.
+
+    Pieces are lent (:class:`~bayes_impedance.runtime.broadcast.Lent`): the data do not travel each time.
+
+    Attributes
+    ----------
+    owner : ndarray, shape (M,)
+        Person of every recording.
+    pieces : tuple of (rows, Lent)
+        Numbers (R,) of the recordings in a piece, and their data: a tuple of (omega, z, weight) with shapes (F,),
+        (R', 2, F) and (R', F), in the order of the rows.
+    """
+
+    owner: np.ndarray
+    pieces: tuple[tuple[np.ndarray, Lent], ...]
+
+    @classmethod
+    def of(cls, data: Sequence[Likelihood]) -> Stack:
+        """Of everybody's data."""
+        owner = owners(data)
+        people: dict[bytes, list[int]] = {}
+        for i, d in enumerate(data):
+            people.setdefault(d.omega.tobytes(), []).append(i)
+        groups = []
+        for own in people.values():
+            z = np.ascontiguousarray(np.concatenate([data[i].z for i in own]))
+            weight = np.ascontiguousarray(np.concatenate([data[i].weight for i in own]))
+            groups.append((data[own[0]].omega, z, weight))
+        rows = np.concatenate([np.flatnonzero(owner == i) for own in people.values() for i in own])
+        edges = np.r_[0, np.cumsum([len(z) for _, z, _ in groups])]
+        points = sum(weight.size for _, _, weight in groups)
+        few = min(_FEW_PIECES, 1 + points // _SMALL_PIECE)
+        n = min(int(np.clip(points // _LARGE_PIECE, few, _MOST_PIECES)), len(rows))
+        pieces = []
+        for piece in np.array_split(np.arange(len(rows)), n):
+            blocks = []
+            for (omega, z, weight), begin, end in zip(groups, edges[:-1], edges[1:], strict=True):
+                inside = slice(max(piece[0] - begin, 0), max(min(piece[-1] + 1, end) - begin, 0))
+                if inside.start < inside.stop:
+                    blocks.append((omega, z[inside], weight[inside]))
+            pieces.append((rows[piece], Lent(tuple(blocks))))
+        return cls(owner, tuple(pieces))
+
+
+@compiled
+def _recordings(
+    program: Program, u: np.ndarray, omega: np.ndarray, z: np.ndarray, weight: np.ndarray, chosen: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    n, p = chosen.size, u.shape[1]
+    chi, gradient, information = np.empty(n), np.empty((n, p)), np.empty((n, p, p))
+    for k in range(n):
+        j = chosen[k]
+        chi[k], gradient[k], information[k] = normal_equations(program, u[k], omega, z[j], weight[j])
+    return chi, gradient, information
+
+
+def _piece(
+    blocks: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], task: tuple[Program, np.ndarray, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Chi-square, gradient and information of the chosen recordings of a piece, u in their order."""
+    program, u, chosen = task
+    found, begin = [], 0
+    for omega, z, weight in blocks:
+        own = (chosen >= begin) & (chosen < begin + len(z))
+        if own.any():
+            found.append(_recordings(program, u[own], omega, z, weight, chosen[own] - begin))
+        begin += len(z)
+    if len(found) == 1:
+        return found[0]  # type: ignore[no-any-return]
+    chi, gradient, information = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return chi, gradient, information
+
+
+def equations_at(
+    model: Model,
+    stack: Stack,
+    u: np.ndarray,
+    executor: Executor,
+    people: np.ndarray | None = None,
+    known: Equations | None = None,
+) -> Equations:
+    """Chi-square, gradient and information of every recording at u (M, P).
+
+    Only those of some people (bool, shape (N,)) are computed if the others' are known.
+    """
+    m, p = u.shape
+    if known is None or people is None:
+        result, wanted = Equations(np.empty(m), np.empty((m, p)), np.empty((m, p, p))), np.ones(m, dtype=bool)
+    else:
+        result = Equations(known.chi.copy(), known.gradient.copy(), known.information.copy())
+        wanted = people[stack.owner]
+    where, tasks = [], []
+    for rows, lent in stack.pieces:
+        chosen = np.flatnonzero(wanted[rows])
+        if chosen.size:
+            where.append(rows[chosen])
+            tasks.append((lent, (model.kernel.program, u[rows[chosen]], chosen)))
+    for rows, found in zip(where, Lent.ask(executor, _piece, tasks), strict=True):
+        result.chi[rows], result.gradient[rows], result.information[rows] = found
+    return result
+
+
+def quadratic(
+    model: Model, data: Sequence[Likelihood], u: np.ndarray, equations: Equations, covariance: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Everybody's h (N, A) and D (N, A, A), and how the elements of every recording follow y, (M, E, A).
+
+    Elements are free to five standard deviations of the population's `covariance`: one that the band does not see would
+    run away otherwise.
+    """
+    e, a = slice(0, model.n_elements), slice(model.n_elements, None)
+    owner = owners(data)
+    w = weights(data, equations.chi)[owner]
+    information = w[:, None, None] * equations.information
+    gradient = w[:, None] * equations.gradient
+    inside = information[:, e, e].copy()
+    inside += np.linalg.inv(covariance[e, e]) / _FREEDOM**2
+    cross = information[:, e, a]
+    solved = np.linalg.solve(inside, np.concatenate([cross, gradient[:, e, None]], axis=2))
+    response, step = -solved[..., :-1], solved[..., -1]
+    d = information[:, a, a] + np.einsum("mea,meb->mab", cross, response)
+    s = -gradient[:, a] + np.einsum("mea,me->ma", cross, step)
+    h = s + np.einsum("mab,mb->ma", d, u[:, a])
+    n = len(data)
+    return sums(h, owner, n), sums(0.5 * (d + np.swapaxes(d, 1, 2)), owner, n), response
+
+
+@dataclass(frozen=True)
+class Marginal:
+    """The likelihood of a = (phi, mu) with everybody's own coefficients integrated out.
+
+    Attributes
+    ----------
+    log_density : float
+        With a integrated out as well, up to a constant.
+    mean : ndarray, shape (A,)
+    precision : ndarray, shape (A, A)
+        Both with the prior of a.
+    """
+
+    log_density: float
+    mean: np.ndarray
+    precision: np.ndarray
+
+
+def marginal(model: Model, h: np.ndarray, d: np.ndarray, tau: np.ndarray) -> Marginal:
+    """Integrate everybody's coefficients out.
+
+    Parameters
+    ----------
+    model : Model
+    h, d : ndarray, shapes (N, A) and (N, A, A)
+        From :func:`quadratic`.
+    tau : ndarray, shape (A,)
+        Standard deviations between people; ignored for shared parameters.
+    """
+    varying = ~model.shared[model.n_elements :]
+    prior_sd = np.array([p.prior_sd for p in model.parameters])
+    centre = np.array([p.centre for p in model.parameters])
+    t = np.diag(tau[varying] ** 2)
+    dcc, dc = d[:, varying][:, :, varying], d[:, :, varying]
+    root = np.eye(t.shape[0]) + dcc @ t
+    w = np.linalg.solve(np.swapaxes(root, 1, 2), np.broadcast_to(t, dcc.shape))
+    precision = (d - dc @ w @ np.swapaxes(dc, 1, 2)).sum(axis=0) + np.diag(prior_sd**-2.0)
+    right = (h - np.einsum("nac,ncd,nd->na", dc, w, h[:, varying])).sum(axis=0) + centre / prior_sd**2
+    mean = np.linalg.solve(precision, right)
+    value = 0.5 * right @ mean - 0.5 * np.linalg.slogdet(precision)[1]
+    value += 0.5 * np.einsum("nc,ncd,nd->", h[:, varying], w, h[:, varying])
+    return Marginal(float(value - 0.5 * np.linalg.slogdet(root)[1].sum()), mean, 0.5 * (precision + precision.T))
+
+
+def sums(values: np.ndarray, owner: np.ndarray, n: int) -> np.ndarray:
+    """Sums over everybody's recordings: (M, ...) to (N, ...)."""
+    total = np.zeros((n, *values.shape[1:]))
+    np.add.at(total, owner, values)
+    return total

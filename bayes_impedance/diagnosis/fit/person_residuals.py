@@ -1,0 +1,134 @@
+r"""What is left of everybody's recordings when the model has done what it can.
+
+With noise sd sigma (the person's own scale included) and z - Z stacked as real parts, then imaginary parts,
+
+.. math:: r_{ij} = \begin{pmatrix}\operatorname{Re}(z_{ij} - Z(\hat\theta_{ij}))/\sigma_{ij}\\
+          \operatorname{Im}(z_{ij} - Z(\hat\theta_{ij}))/\sigma_{ij}\end{pmatrix} \in \mathbb R^{2F}
+
+is standard normal noise, less what the elements have absorbed. Everything here is looked at **outside of the tangent
+space** :math:`\partial Z/\partial\theta` of each single recording: with Q an orthonormal basis of it,
+:math:`(1 - QQ^T)\,r \sim N(0, 1 - QQ^T)` when nothing is missing, whatever the elements of that recording are and
+however they are distributed between people.
+
+Leaving the elements this free costs little power. Holding them to the population's distribution instead makes the
+*shape* of that distribution part of the evidence: simulated populations with nothing missing then "show" a constant
+stiffness at the port with z = -9.5.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from bayes_impedance.diagnosis.fit.fitter import Refit
+from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood
+from bayes_impedance.runtime.executors import map_persons
+
+
+@dataclass(frozen=True)
+class PersonResiduals:
+    """Whitened residuals of one person's J recordings on F frequencies.
+
+    Attributes
+    ----------
+    name : str
+    frequency_hz : ndarray, shape (F,)
+    model : ndarray, complex, shape (J, F)
+        Fitted impedance of each recording.
+    sd : ndarray, shape (J, F)
+        Noise of the real and of the imaginary part, the person's own scale included.
+    white : ndarray, shape (J, 2 F)
+        Residuals over sd: real parts, then imaginary parts.
+    basis : ndarray, shape (J, 2 F, P)
+        Orthonormal basis of what each recording's elements can absorb, in the same coordinates; columns of zeros
+        where the band does not see an element.
+    """
+
+    name: str
+    frequency_hz: np.ndarray
+    model: np.ndarray
+    sd: np.ndarray
+    white: np.ndarray
+    basis: np.ndarray
+
+    def outside(self, vectors: np.ndarray) -> np.ndarray:
+        """The part of whitened vectors (J, 2 F, ...) that no element can absorb, same shape."""
+        inside = np.einsum("jfp,jf...->jp...", self.basis, vectors)
+        return np.asarray(vectors - np.einsum("jfp,jp...->jf...", self.basis, inside))
+
+
+_SHARPER = 1.5
+
+
+def person_residuals(fit: Refit, names: Sequence[str], executor: Executor | None = None) -> list[PersonResiduals]:
+    """Residuals of a fitted model, whitened, with the elements' tangent spaces.
+
+    Parameters
+    ----------
+    fit : Refit
+    names : sequence of str
+        Of the people.
+    executor : Executor, optional
+        Works person by person; here, one after the other, if not given.
+    """
+    ends = np.cumsum([d.z.shape[0] for d in fit.data])[:-1]
+    function = partial(_residuals_of, fit.model.kernel, fit.model.n_elements)
+    rows = np.split(fit.u, ends)
+    if executor is None:
+        return [function(*person) for person in zip(fit.data, names, rows, strict=True)]
+    return list(map_persons(executor, function, fit.data, names, rows))
+
+
+def _residuals_of(kernel: Kernel, n_elements: int, d: Likelihood, name: str, u: np.ndarray) -> PersonResiduals:
+    """One person's, at u (J, P)."""
+    frequency = d.omega / (2 * np.pi)
+    z, dz = kernel.derivative(u, frequency)
+    difference = (d.z[:, 0] + 1j * d.z[:, 1] - z) * np.sqrt(d.weight)
+    basis = orthonormal(np.swapaxes(real_and_imaginary(dz[:, :n_elements] * np.sqrt(d.weight)[:, None]), 1, 2))
+    own = sharper_weight(own_weight(real_and_imaginary(difference), basis), difference)
+    sd = 1 / np.sqrt(d.weight * own)
+    return PersonResiduals(name, frequency, z, sd, real_and_imaginary(difference) * np.sqrt(own), basis)
+
+
+def own_weight(white: np.ndarray, basis: np.ndarray) -> float:
+    """1/scale^2 of a person's noise from what is outside of the elements, with the numbers they use up taken off.
+
+    Parameters
+    ----------
+    white : ndarray, shape (J, 2 F)
+        Residuals over the noise before the person's own scale.
+    basis : ndarray, shape (J, 2 F, P)
+    """
+    square = np.sum(white**2) - np.sum(np.einsum("jfp,jf->jp", basis, white) ** 2)
+    freedom = white.size - np.sum(basis**2)
+    return float((SCALE_SHAPE + 0.5 * freedom) / (SCALE_SHAPE + 0.5 * square))
+
+
+def sharper_weight(weight: float, residual: np.ndarray) -> float:
+    """1/scale^2 of a person's noise, from the residual's roughness if that says that the noise is much smaller.
+
+    The scale that a fit infers counts as noise whatever the model misses. A smooth misfit hardly enters the difference
+    between a point and the mean of its neighbours, which has 3/2 of the variance of white noise.
+    """
+    rough = residual[:, 1:-1] - 0.5 * (residual[:, :-2] + residual[:, 2:])
+    square = float(np.mean(np.abs(rough) ** 2)) / (2 * 1.5)
+    own = 1 / max(square, 1e-300)
+    return own if own > _SHARPER * weight else weight
+
+
+def orthonormal(columns: np.ndarray) -> np.ndarray:
+    """Orthonormal bases of columns (..., 2 F, P); zeros where a column depends on the others or is not seen."""
+    length = np.linalg.norm(columns, axis=-2, keepdims=True)
+    unit = columns / np.where(length > 0, length, 1.0)
+    u, singular, _ = np.linalg.svd(unit, full_matrices=False)
+    return np.asarray(u * (singular > 1e-7 * singular[..., :1])[..., None, :])
+
+
+def real_and_imaginary(values: np.ndarray) -> np.ndarray:
+    """Real parts, then imaginary parts: complex (..., F) as real (..., 2 F)."""
+    return np.concatenate([values.real, values.imag], axis=-1)

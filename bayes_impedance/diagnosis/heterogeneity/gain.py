@@ -1,0 +1,75 @@
+r"""What a covariate or a drift is worth on people who had no part in estimating it.
+
+The population is fitted to the people outside of a fold with and without the slopes that were found; the gain of a
+person in the fold is the difference of the log likelihoods that the two populations give to the person's recordings,
+the elements integrated out (:func:`bayes_impedance.diagnosis.heterogeneity.person_likelihoods.log_marginal`). Which
+slopes were looked at was decided with everybody: what is held out is their size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods, log_marginal
+from bayes_impedance.diagnosis.heterogeneity.regression import RepetitionLikelihoods, drift_model
+from bayes_impedance.diagnosis.heterogeneity.reml import Covariance, FullCovariance, centred_fit, fit_population
+
+FOLDS = 5
+HELD_OUT = ("body.covariate", "body.drift")
+"""Effects whose gain is computed here; of other structures only a likelihood ratio is known."""
+
+
+def gain_of_covariate(
+    likelihoods: PersonLikelihoods, regressor: np.ndarray, elements: Sequence[str], seed: int
+) -> tuple[float, float]:
+    """Gain of letting some elements follow a regressor.
+
+    Parameters
+    ----------
+    likelihoods : PersonLikelihoods
+        Of N persons.
+    regressor : ndarray, shape (N,)
+        The covariate as it enters the model; NaN where it is unknown.
+    elements : sequence of str
+    seed : int
+
+    Returns
+    -------
+    gain, se : float
+        Sum over people who know the regressor, in natural logarithms, and its standard error.
+    """
+    known = np.isfinite(regressor)
+    people = likelihoods.persons(known)
+    centre, null = centred_fit(people)
+    n, p = len(people), len(people.elements)
+    x = (regressor[known] - regressor[known].mean()) / regressor[known].std()
+    columns = [people.elements.index(e) for e in elements]
+    without = np.broadcast_to(np.eye(p), (n, p, p))
+    slopes = x[:, None, None] * np.eye(p)[:, columns]
+    return _gain(
+        people.around(centre), np.concatenate([without, slopes], axis=2), without, FullCovariance(null.covariance), seed
+    )
+
+
+def gain_of_drift(repetitions: RepetitionLikelihoods, elements: Sequence[str], seed: int) -> tuple[float, float]:
+    """Gain of letting some elements drift over the repetitions; as :func:`gain_of_covariate`."""
+    stacked, design, covariance = drift_model(repetitions)
+    columns = [repetitions.elements.index(e) for e in elements]
+    return _gain(stacked, design[:, :, columns], design[:, :, :0], covariance, seed)
+
+
+def _gain(
+    likelihoods: PersonLikelihoods, with_it: np.ndarray, without: np.ndarray, start: Covariance, seed: int
+) -> tuple[float, float]:
+    n = len(likelihoods)
+    fold = np.random.default_rng(seed).permutation(n) % min(FOLDS, n)
+    gains = np.zeros(n)
+    for k in range(min(FOLDS, n)):
+        inside, outside = fold == k, fold != k
+        for design, sign in ((with_it, 1.0), (without, -1.0)):
+            fit = fit_population(likelihoods.persons(outside), design[outside], start)
+            means = design[inside] @ fit.coefficients
+            gains[inside] += sign * log_marginal(likelihoods.persons(inside), means, fit.covariance)
+    return float(gains.sum()), float(np.sqrt(n) * gains.std(ddof=1))

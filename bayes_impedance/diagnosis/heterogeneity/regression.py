@@ -1,0 +1,329 @@
+r"""Whether elements follow a covariate of the person, or change from one repetition to the next.
+
+**Covariates.** :math:`\theta_i = \mu + B x_i + N(0, T)`, with mu, T and the slopes of all elements free: an element's
+slope is then its own and not what a correlated element lends it. The statistic is the restricted estimate over its
+standard error, against Student's t, with Kenward and Roger's standard error and degrees of freedom: exact if everybody
+sees every element, whatever N. Nothing has to be simulated, and p values have no floor. Each covariate is tested beside
+those already found (the best one is added as long as its p, times everything tried, is below `alpha`): age does not get
+the credit for a contact force that happens to grow with age. Corrected p values are Holm's over all elements times all
+covariates.
+
+A covariate x that is positive enters as ln x. Elements are positive and their logarithms normal, so the plain law
+between two positive quantities is a power, :math:`\text{element} \propto x^b`: stiffness and damping of a fingertip
+grow with contact force as :math:`F^{0.35}`. Its exponent has no unit. Linear stay covariates that are not positive,
+that take two values (a code, where ln is the same test in an odd unit) and temperatures in Celsius, whose zero is
+arbitrary.
+
+**Drift.** The deviation of repetition j from the person's elements is
+
+.. math:: \delta_{ij} = a_i + (\beta + \beta_i)\,c_j + N(0, \operatorname{diag}\rho^2), \qquad
+          \beta_i \sim N(0, \operatorname{diag}\omega^2),\quad a_i \sim N(0, 1)
+
+with c the repetition's number. Offsets a are left free because the person's elements are themselves estimated from
+these recordings. Slopes may differ between persons (omega): otherwise people who drift to either side, without any
+common trend, make the common trend look surer than it is. All repetitions of a person are one vector of J P elements,
+so means, variances and degrees of freedom are those of :mod:`bayes_impedance.diagnosis.heterogeneity.reml`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods, holm
+from bayes_impedance.diagnosis.heterogeneity.reml import (
+    AdditiveCovariance,
+    Fit,
+    FullCovariance,
+    centred_fit,
+    fit_population,
+)
+from bayes_impedance.errors import InputError
+
+ALPHA = 0.005
+MINIMUM_PERSONS = 5
+"""With fewer, a slope has hardly any degree of freedom left, and nothing is tested."""
+
+_CELSIUS = ("_c", "_degc", "_celsius")
+_START_RHO, _START_OMEGA = 0.05, 0.01
+_OFFSET_SD = 1.0
+_LARGEST_SLOPE_SD = 1.0  # of one standard deviation of the covariate: a factor e is more than anybody asks for
+
+
+@dataclass(frozen=True)
+class Trend:
+    """The slope of one element.
+
+    Attributes
+    ----------
+    element : str
+    covariate : str
+        ``repetition`` for a drift.
+    transform : str
+        ``log``: the slope is an exponent. ``linear``: it is the change of the log element per unit of the covariate.
+    estimate, q05, q95 : float
+        Slope and its 90 % interval.
+    statistic : float
+        Slope over its standard error.
+    degrees_of_freedom : float
+        Of Student's t.
+    p_value : float
+        Two-sided.
+    p_corrected : float
+        For all elements and covariates that were tried (Holm).
+    persons : int
+        Number of persons used.
+    """
+
+    element: str
+    covariate: str
+    transform: str
+    estimate: float
+    q05: float
+    q95: float
+    statistic: float
+    degrees_of_freedom: float
+    p_value: float
+    p_corrected: float
+    persons: int
+
+
+@dataclass(frozen=True)
+class Trends:
+    """All slopes that were tested.
+
+    Attributes
+    ----------
+    trends : tuple of Trend
+        Smallest p first.
+    tried : int
+        How many were tested, for which p is corrected.
+    beside : tuple of str
+        Covariates beside which the others were tested, in the order in which they were found.
+    reason : str
+        Why nothing was tested; empty if something was.
+    remarks : tuple of str
+        What was left out, and why.
+    """
+
+    trends: tuple[Trend, ...]
+    tried: int
+    beside: tuple[str, ...] = ()
+    reason: str = ""
+    remarks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class RepetitionLikelihoods:
+    """Log likelihoods of the deviations of every repetition from the person's elements.
+
+    Attributes
+    ----------
+    elements : tuple of str
+    linear : tuple of ndarray, shape (J_i, P)
+        One for each person, as in
+        :class:`~bayes_impedance.diagnosis.heterogeneity.person_likelihoods.PersonLikelihoods`.
+    information : tuple of ndarray, shape (J_i, P, P)
+    order : tuple of ndarray, shape (J_i,)
+        Number of each repetition, from 0; a repetition that is missing leaves its number out.
+    """
+
+    elements: tuple[str, ...]
+    linear: tuple[np.ndarray, ...]
+    information: tuple[np.ndarray, ...]
+    order: tuple[np.ndarray, ...]
+
+    def __post_init__(self) -> None:
+        p = len(self.elements)
+        for i, (b, h, order) in enumerate(zip(self.linear, self.information, self.order, strict=True)):
+            j = len(order)
+            if b.shape != (j, p) or h.shape != (j, p, p) or np.unique(order).size != j:
+                raise InputError(
+                    f"repetitions of person {i}: {j} numbers, linear {b.shape}, information {h.shape}; give each "
+                    f"repetition its own number and {p} elements"
+                )
+
+    def stacked(self) -> tuple[PersonLikelihoods, np.ndarray]:
+        """Persons with at least two repetitions as likelihoods of U P elements, and the U numbers of repetitions.
+
+        A repetition that somebody lacks is one without information.
+        """
+        chosen = [i for i, order in enumerate(self.order) if len(order) > 1]
+        numbers = np.unique(np.concatenate([self.order[i] for i in chosen])) if chosen else np.empty(0, dtype=int)
+        n, u, p = len(chosen), numbers.size, len(self.elements)
+        linear, information = np.zeros((n, u, p)), np.zeros((n, u, p, u, p))
+        for k, i in enumerate(chosen):
+            rows = np.searchsorted(numbers, self.order[i])
+            linear[k, rows] = self.linear[i]
+            for row, h in zip(rows, self.information[i], strict=True):
+                information[k, row, :, row, :] = h
+        names = tuple(f"{e} {j}" for j in numbers for e in self.elements)
+        return PersonLikelihoods(names, linear.reshape(n, u * p), information.reshape(n, u * p, u * p)), numbers
+
+
+def find_covariates(
+    likelihoods: PersonLikelihoods, covariates: Mapping[str, np.ndarray], *, alpha: float = ALPHA
+) -> Trends:
+    """Test every element against every covariate.
+
+    Parameters
+    ----------
+    likelihoods : PersonLikelihoods
+        Of N persons.
+    covariates : mapping of str to ndarray, shape (N,)
+        NaN where unknown: the person is left out of that covariate's tests.
+    alpha : float
+        Corrected p below which a covariate joins those beside which the others are tested.
+
+    Returns
+    -------
+    Trends
+    """
+    n = len(likelihoods)
+    for name, values in covariates.items():
+        if np.shape(values) != (n,):
+            raise InputError(
+                f"covariate '{name}' has shape {np.shape(values)}: give one number for each of {n} persons"
+            )
+    if n < MINIMUM_PERSONS:
+        return Trends((), 0, reason=f"{n} persons, and at least {MINIMUM_PERSONS} are needed")
+    if not covariates:
+        return Trends((), 0, reason="there are no covariates")
+    remarks: list[str] = []
+    regressors = regressors_of(covariates, remarks)
+    centre, null = centred_fit(likelihoods)
+    kept = np.flatnonzero(null.determined)
+    remarks += [f"{e} is not determined by the recordings" for e in _others(likelihoods.elements, kept)]
+    if not regressors or not kept.size:
+        return Trends((), 0, reason="no covariate varies, or no element is determined", remarks=tuple(remarks))
+    search = _Search(likelihoods.around(centre), null.covariance, regressors, kept)
+    beside: list[str] = []
+    while True:
+        rows = {q: search.slopes([b for b in beside if b != q], q) for q in regressors}
+        tried = sum(len(r) for r in rows.values())
+        best = {q: min((t.p_value for t in r), default=1.0) for q, r in rows.items() if q not in beside}
+        if not best or min(best.values()) * tried > alpha:
+            break
+        beside.append(min(best, key=lambda q: best[q]))
+    remarks += [f"covariate '{q}' has too few persons, or does not differ from others" for q in rows if not rows[q]]
+    found = [t for r in rows.values() for t in r]
+    return Trends(_corrected(found), tried, tuple(beside), "" if found else "no slope is determined", tuple(remarks))
+
+
+def find_drift(repetitions: RepetitionLikelihoods) -> Trends:
+    """Test every element for a common linear trend over the repetitions.
+
+    Parameters
+    ----------
+    repetitions : RepetitionLikelihoods
+
+    Returns
+    -------
+    Trends
+        Slopes in log change per repetition.
+    """
+    n = sum(len(order) > 1 for order in repetitions.order)
+    if n < MINIMUM_PERSONS:
+        return Trends((), 0, reason=f"{n} persons have repetitions, and at least {MINIMUM_PERSONS} are needed")
+    fit = fit_population(*drift_model(repetitions))
+    kept = np.flatnonzero(np.sqrt(np.diag(fit.variance)) < _LARGEST_SLOPE_SD)
+    remarks = tuple(f"{e} is not determined by the repetitions" for e in _others(repetitions.elements, kept))
+    found = _trends(fit, {int(e): repetitions.elements[e] for e in kept}, "repetition", "linear", 1.0)
+    return Trends(_corrected(found), len(found), (), "" if found else "no element is determined", remarks)
+
+
+def drift_model(repetitions: RepetitionLikelihoods) -> tuple[PersonLikelihoods, np.ndarray, AdditiveCovariance]:
+    """Likelihoods of persons with repetitions, the design of a slope for every element, and where variances begin."""
+    stacked, numbers = repetitions.stacked()
+    n, p = len(stacked), len(repetitions.elements)
+    c = numbers - numbers.mean()
+    unit = np.eye(p)[:, :, None] * np.eye(p)[:, None, :]
+    rho = np.array([np.kron(np.eye(c.size), e) for e in unit])
+    omega = np.array([np.kron(np.outer(c, c), e) for e in unit])
+    offsets = _OFFSET_SD**2 * np.kron(np.ones((c.size, c.size)), np.eye(p))
+    variances = np.repeat([_START_RHO**2, _START_OMEGA**2], p)
+    design = np.broadcast_to(np.kron(c[:, None], np.eye(p)), (n, c.size * p, p))
+    return stacked, design, AdditiveCovariance(offsets, np.concatenate([rho, omega]), variances)
+
+
+@dataclass(frozen=True)
+class _Search:
+    """What the fits beside different covariates have in common."""
+
+    likelihoods: PersonLikelihoods
+    covariance: np.ndarray
+    regressors: Mapping[str, tuple[np.ndarray, str]]
+    kept: np.ndarray
+
+    def slopes(self, beside: list[str], name: str) -> list[Trend]:
+        """Slopes of all elements on one covariate, with others in the model; empty if that cannot be done."""
+        columns = np.array([self.regressors[q][0] for q in [*beside, name]]).T
+        rows = np.all(np.isfinite(columns), axis=1)
+        n, k = int(rows.sum()), columns.shape[1]
+        if n < max(MINIMUM_PERSONS, k + 3):
+            return []
+        x = columns[rows]
+        sd = x.std(axis=0)
+        if not np.all(sd > 0):
+            return []
+        z = np.hstack([np.ones((n, 1)), (x - x.mean(axis=0)) / sd])
+        if np.linalg.svd(z, compute_uv=False)[-1] < 0.1 * np.sqrt(n):
+            return []  # almost the same as those beside it: no recording could tell which it is
+        p = len(self.likelihoods.elements)
+        design = np.einsum("nk,pq->npkq", z, np.eye(p)).reshape(n, p, -1)
+        fit = fit_population(self.likelihoods.persons(rows), design, FullCovariance(self.covariance))
+        wanted = {k * p + int(e): self.likelihoods.elements[e] for e in self.kept}
+        wanted = {c: e for c, e in wanted.items() if fit.variance[c, c] < _LARGEST_SLOPE_SD**2}
+        return _trends(fit, wanted, name, self.regressors[name][1], float(sd[-1]))
+
+
+def regressors_of(covariates: Mapping[str, np.ndarray], remarks: list[str]) -> dict[str, tuple[np.ndarray, str]]:
+    """Covariates as they enter the model, with the name of the transform; those that cannot are remarked upon."""
+    found = {}
+    for name, raw in covariates.items():
+        values = np.where(np.isfinite(np.asarray(raw, dtype=float)), raw, np.nan)
+        known = values[np.isfinite(values)]
+        if known.size < MINIMUM_PERSONS:
+            remarks.append(f"covariate '{name}' is known of {known.size} persons only")
+        elif np.ptp(known) <= 1e-9 * np.abs(known).max():
+            remarks.append(f"covariate '{name}' is the same for everybody")
+        elif known.min() > 0 and np.unique(known).size > 2 and not name.lower().endswith(_CELSIUS):
+            found[name] = np.log(values), "log"
+        else:
+            found[name] = values, "linear"
+        if name in found and known.size < values.size:
+            remarks.append(f"covariate '{name}' is unknown of {values.size - known.size} persons, who were left out")
+    return found
+
+
+def _trends(fit: Fit, wanted: Mapping[int, str], covariate: str, transform: str, unit: float) -> list[Trend]:
+    """Trends of some coefficients (number: element), with `unit` of the covariate to one of the regressor."""
+    from scipy.stats import t as student
+
+    variances, freedom = fit.small_sample()
+    found = []
+    for c, element in wanted.items():
+        sd, df = float(np.sqrt(variances[c])), float(freedom[c])
+        statistic = float(fit.coefficients[c]) / sd
+        half = float(student.ppf(0.95, df)) * sd / unit
+        estimate = float(fit.coefficients[c]) / unit
+        p_value = float(2 * student.sf(abs(statistic), df))
+        interval = estimate, estimate - half, estimate + half
+        found.append(
+            Trend(element, covariate, transform, *interval, statistic, df, p_value, p_value, fit.pull.shape[0])
+        )
+    return found
+
+
+def _corrected(found: list[Trend]) -> tuple[Trend, ...]:
+    from dataclasses import replace
+
+    corrected = holm(np.array([t.p_value for t in found]))
+    pairs = [replace(t, p_corrected=float(p)) for t, p in zip(found, corrected, strict=True)]
+    return tuple(sorted(pairs, key=lambda t: (t.p_value, -abs(t.statistic))))
+
+
+def _others(elements: tuple[str, ...], kept: np.ndarray) -> list[str]:
+    return [e for k, e in enumerate(elements) if k not in kept]

@@ -1,0 +1,276 @@
+r"""Whether some people differ from the others as a group.
+
+One population :math:`\theta_i \sim N(\mu, T)` is compared with two of the same covariance,
+
+.. math:: \theta_i \sim (1-\pi)\,N(\mu, T) + \pi\,N(\mu + \delta, T),
+
+where delta is a change of one element, or of all of them in any proportion. These are two searches, each with its own
+largest likelihood ratio (:mod:`bayes_impedance.diagnosis.heterogeneity.two_groups`); twice the smaller p counts.
+Likelihood ratios of mixtures have no chi-square distribution, so p comes from replicates of one population in which
+everything is done again (:mod:`bayes_impedance.diagnosis.heterogeneity.bootstrap`). Replicates are made in batches, and
+no more of them once the first ones have shown that there is nothing.
+
+The covariance of the single population is full, whatever the fitted one: correlated elements, persons of whom little is
+known and elements that the band does not see are no groups. A distribution of the log elements with heavy tails or a
+skew is not normal either, and two groups may describe it best: `separation` below two means that the groups overlap so
+much that there need not be two.
+
+What is reported is the maximum of the whole likelihood, found from there by expectation-maximisation: the change of one
+element unless the change of all is significantly more likely. Standard errors of mean, shift and share are from the
+observed information (Louis, J. R. Statist. Soc. B 44, 226-233, 1982) at the covariance found; those of the shift are
+enlarged for the degrees of freedom that the covariance took.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayes_impedance.diagnosis.heterogeneity.bootstrap import Residuals, replicates, tail_probability
+from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods, log_marginal
+from bayes_impedance.diagnosis.heterogeneity.reml import Fit, centred_fit
+from bayes_impedance.diagnosis.heterogeneity.two_groups import (
+    SMALLEST_GROUP,
+    SMALLEST_SHARE,
+    Mixture,
+    along_any,
+    along_elements,
+)
+
+REPLICATES = 200
+MINIMUM_PERSONS = 12
+"""With fewer, two groups of at least three differ by chance too often for any shift to stand out."""
+
+_BATCH = 40
+_ENOUGH_ABOVE = 6  # replicates of each batch with a larger statistic: p is above 0.1, which is all one wants to know
+_ROUNDS = 60
+_PRIOR_PERSONS = 2.0
+
+
+@dataclass(frozen=True)
+class Subgroup:
+    """The group that differs most from the others, and whether it is one.
+
+    Attributes
+    ----------
+    element : str
+        The one that is changed; empty if the change is of all elements.
+    shift, shift_q05, shift_q95 : ndarray, shape (P,)
+        Change of the log elements in the group, with 90 % intervals; zero for elements that do not change.
+    share, share_q05, share_q95 : float
+        Part of the population that belongs to the group, which is the smaller one.
+    separation : float
+        Distance between the groups in standard deviations within a group.
+    statistic : float
+        Twice the log likelihood ratio in the better search.
+    p_value : float
+        Of that search.
+    p_corrected : float
+        For both searches, each of which counts its directions through its replicates.
+    tried : int
+        Directions tried: the elements, and any.
+    persons, replicates : int
+    membership : ndarray, shape (N,)
+        Probability of belonging to the group.
+    reason : str
+        Why nothing was tested; empty if it was.
+    remarks : tuple of str
+        What was left out.
+    """
+
+    element: str
+    shift: np.ndarray
+    shift_q05: np.ndarray
+    shift_q95: np.ndarray
+    share: float
+    share_q05: float
+    share_q95: float
+    separation: float
+    statistic: float
+    p_value: float
+    p_corrected: float
+    tried: int
+    persons: int
+    replicates: int
+    membership: np.ndarray
+    reason: str = ""
+    remarks: tuple[str, ...] = ()
+
+
+def find_subgroup(
+    likelihoods: PersonLikelihoods, mu: np.ndarray, covariance: np.ndarray, seed: int, count: int = REPLICATES
+) -> Subgroup:
+    """Look for a group of people with other elements.
+
+    Parameters
+    ----------
+    likelihoods : PersonLikelihoods
+    mu : ndarray, shape (P,) or (N, P)
+        Mean of the population, at each person if it follows covariates. A common correction is fitted.
+    covariance : ndarray, shape (P, P)
+        Between persons: where the fit of the single population begins.
+    seed : int
+        Of the replicates.
+    count : int
+        Largest number of replicates.
+
+    Returns
+    -------
+    Subgroup
+    """
+    from scipy.stats import chi2
+
+    n, elements = len(likelihoods), likelihoods.elements
+    if n < MINIMUM_PERSONS:
+        return _nothing(n, len(elements), f"{n} persons, and at least {MINIMUM_PERSONS} are needed")
+    _, fit = centred_fit(likelihoods.around(mu), covariance + 1e-6 * np.eye(len(elements)))
+    kept = np.flatnonzero(fit.determined)
+    remarks = tuple(f"{e} is not determined by the recordings" for k, e in enumerate(elements) if k not in kept)
+    if not kept.size:
+        return _nothing(n, len(elements), "no element is determined", remarks)
+    one, anything = _search(Residuals.of(fit), kept)
+    real = np.array([one.statistic.max(), anything.statistic[0, 0]])
+    null = np.empty((0, 2))
+    for batch in replicates(fit, count, _BATCH, seed):
+        rivals = _search(batch, kept)
+        null = np.vstack([null, np.array([m.statistic.max(axis=1) for m in rivals]).T])
+        if np.all(np.sum(null >= real, axis=0) >= _ENOUGH_ABOVE * len(null) / _BATCH):
+            break
+    p = [tail_probability(float(s), column) for s, column in zip(real, null.T, strict=True)]
+    element = int(kept[np.argmax(one.statistic[0]) % kept.size])
+    every = np.eye(len(elements))
+    shape = every[:, [element]]
+    groups, free = _Groups.of(fit, one.best(1)).maximised(shape), _Groups.of(fit, anything).maximised(every)
+    # Freedom to change the other elements too raises twice the log likelihood by chi-square(P - 1) if only one does.
+    axis = 2 * (free.log_likelihood() - groups.log_likelihood()) < chi2.isf(0.01, max(len(elements) - 1, 1))
+    groups, shape = (groups, shape) if axis else (free, every)
+    shift, sd, share_sd = groups.shift, *groups.errors(shape)
+    logit = np.log(groups.share / (1 - groups.share)) + 1.645 * min(share_sd, 400.0) * np.array([-1, 0, 1])
+    share, membership = 1 / (1 + np.exp(-logit)), groups.membership()
+    if groups.share > 0.5:
+        shift, share, membership = -shift, 1 - share[::-1], 1 - membership
+    return Subgroup(
+        elements[element] if axis else "",
+        shift,
+        shift - 1.645 * sd,
+        shift + 1.645 * sd,
+        float(share[1]),
+        float(share[0]),
+        float(share[2]),
+        float(np.sqrt(shift @ np.linalg.solve(groups.covariance, shift))),
+        float(real[int(np.argmin(p))]),
+        min(p),
+        min(1.0, 2 * min(p)),
+        kept.size + 1,
+        n,
+        len(null),
+        membership,
+        "",
+        remarks,
+    )
+
+
+def _search(residuals: Residuals, elements: np.ndarray) -> tuple[Mixture, Mixture]:
+    one = along_elements(residuals, elements)
+    return one, along_any(residuals, one)
+
+
+@dataclass(frozen=True)
+class _Groups:
+    """Two groups with means (P,) and mean + shift, a common covariance (P, P), and the share of the second."""
+
+    likelihoods: PersonLikelihoods
+    mean: np.ndarray
+    shift: np.ndarray
+    covariance: np.ndarray
+    share: float
+
+    @classmethod
+    def of(cls, fit: Fit, mixture: Mixture) -> _Groups:
+        """From a mixture along one direction, whose groups' spread is less than that of all."""
+        middle, shift, spread = (float(v[0, 0]) for v in (mixture.middle, mixture.shift, mixture.spread))
+        along = fit.factor @ mixture.direction[0, 0]
+        covariance = fit.covariance + (spread - 1) * np.outer(along, along)
+        mean = fit.coefficients + middle * along
+        return cls(fit.problem.likelihoods, mean, shift * along, covariance, float(mixture.share[0, 0]))
+
+    def both(self) -> tuple[np.ndarray, np.ndarray]:
+        """Log likelihood of each person as a member of either group, with the shares: shapes (N,)."""
+        first = log_marginal(self.likelihoods, self.mean, self.covariance)
+        second = log_marginal(self.likelihoods, self.mean + self.shift, self.covariance)
+        return first + np.log(1 - self.share), second + np.log(self.share)
+
+    def log_likelihood(self) -> float:
+        """Of all persons."""
+        return float(np.sum(np.logaddexp(*self.both())))
+
+    def membership(self) -> np.ndarray:
+        """Probability of the second group, shape (N,)."""
+        first, second = self.both()
+        return np.asarray(1 / (1 + np.exp(-np.clip(second - first, -700, 700))))
+
+    def maximised(self, shape: np.ndarray) -> _Groups:
+        """After rounds of expectation-maximisation, the shift being shape (P, K) times anything."""
+        groups = self
+        n, p = self.likelihoods.linear.shape
+        h = self.likelihoods.information
+        least = max(SMALLEST_SHARE, SMALLEST_GROUP / n)
+        for _ in range(_ROUNDS):
+            r = groups.membership()
+            weight, free = groups.weights()
+            own, second = weight.sum(axis=0), np.tensordot(r, weight, 1)
+            normal = np.block([[own, second @ shape], [shape.T @ second, shape.T @ second @ shape]])
+            right = np.concatenate([free.sum(axis=0), shape.T @ (r @ free)])
+            # A shift that nobody's data can see stays zero.
+            solution = np.linalg.lstsq(normal, right, rcond=1e-12)[0]
+            mean, shift = solution[:p], shape @ solution[p:]
+            covariance = groups.covariance
+            rest = np.linalg.inv(np.eye(p) + covariance @ h) @ covariance
+            total = rest.sum(axis=0)
+            for centre, part in ((mean, 1 - r), (mean + shift, r)):
+                away = np.einsum("npq,nq->np", rest, self.likelihoods.around(centre).linear)
+                total = total + (part[:, None] * away).T @ away
+            total = 0.5 * (total + total.T) + _PRIOR_PERSONS * np.diag(np.diag(covariance))
+            share = float(np.clip(r.mean(), least, 1 - least))
+            groups = _Groups(self.likelihoods, mean, shift, total / (n + _PRIOR_PERSONS), share)
+        return groups
+
+    def weights(self) -> tuple[np.ndarray, np.ndarray]:
+        """Weight W of each person, (N, P, P), and the pull towards it from zero, (N, P)."""
+        factor = np.linalg.cholesky(self.covariance)
+        inverse = np.linalg.inv(factor)
+        p = factor.shape[0]
+        shrink = np.linalg.inv(np.eye(p) + factor.T @ self.likelihoods.information @ factor)
+        free = np.einsum("npq,nq->np", shrink, self.likelihoods.linear @ factor) @ inverse
+        return inverse.T @ (np.eye(p) - shrink) @ inverse, free
+
+    def errors(self, shape: np.ndarray) -> tuple[np.ndarray, float]:
+        """Standard errors of the shift, (P,), and of the share's logit; infinite where the data do not tell."""
+        p, k = shape.shape
+        r = self.membership()
+        weight, free = self.weights()
+        second = np.concatenate([np.eye(p), shape], axis=1)
+        first = np.concatenate([np.eye(p), np.zeros((p, k))], axis=1)
+        # Difference of the scores that a person has as a member of either group, for mean, shift and logit.
+        pulls = [free - weight @ m for m in (self.mean, self.mean + self.shift)]
+        difference = np.hstack([pulls[1] @ second - pulls[0] @ first, np.ones((len(r), 1))])
+        information = np.zeros((p + k + 1, p + k + 1))
+        for design, part in ((first, 1 - r), (second, r)):
+            information[:-1, :-1] += design.T @ np.tensordot(part, weight, 1) @ design
+        information[-1, -1] = len(r) * self.share * (1 - self.share)
+        information -= (difference * (r * (1 - r))[:, None]).T @ difference
+        values, vectors = np.linalg.eigh(0.5 * (information + information.T))
+        if values[0] <= 1e-9 * values[-1]:
+            return np.where(np.any(shape != 0, axis=1), np.inf, 0.0), np.inf
+        variance = (vectors / values) @ vectors.T
+        # As in an analysis of covariance: what the unchanged elements let expect has been estimated too.
+        n, others = len(r), p - k
+        larger = n / max(n - 2 - others, 1) * (1 + others / max(n - others - 3, 1))
+        return np.sqrt(larger * np.diag(shape @ variance[p:-1, p:-1] @ shape.T)), float(np.sqrt(variance[-1, -1]))
+
+
+def _nothing(n: int, p: int, reason: str, remarks: tuple[str, ...] = ()) -> Subgroup:
+    none = np.zeros(p)
+    numbers = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0)
+    return Subgroup("", none, none, none, *numbers, 0, n, 0, np.zeros(n), reason, remarks)

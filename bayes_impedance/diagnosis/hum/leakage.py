@@ -1,0 +1,174 @@
+r"""Hum of the mains as an analyser with a finite averaging time sees it: no line, but a window with skirts.
+
+A lock-in that averages K periods of its own frequency f takes of a hum at :math:`f_h`, with the phase that it happens
+to have, the part :math:`\operatorname{sinc}(K(f_h/f - 1))`. So hum of the random phase that an unsynchronised sweep
+meets adds scatter of the variance
+
+.. math:: v(f) = B(f)\,\Bigl[1 + a\,p(f)\Bigr], \qquad
+          p(f) = \sum_h h^{-2\gamma} \operatorname{sinc}^2\bigl(K(h f_1/f - 1)\bigr)
+
+over a smooth background B. A noise estimate that is smooth in frequency takes this for noise of its own, so the scatter
+itself is looked at: the contrasts between the repetitions of each person, of which a misfit of the network is no part,
+and a change of the elements was taken out. The logarithm of their mean square over people is normal with known
+variance; ln B is a cubic spline with about one knot per factor e, and for every :math:`f_1`, K and gamma the amplitude
+a is profiled. Hum is claimed if the best :math:`f_1` of all is that of a mains, and better than none after correction
+for everything that was tried. Where the background is rougher than its spline, that counts as scatter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from scipy.interpolate import BSpline
+from scipy.special import digamma, polygamma
+
+from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
+from bayes_impedance.diagnosis.hum.line import HARMONICS, LINES_HZ, Hum
+from bayes_impedance.diagnosis.hum.neighbours import projected
+
+PERIODS = (3.0, 5.0, 7.0, 10.0, 14.0, 20.0)
+_DECAYS = (0.0, 1.0)
+_AMPLITUDES = np.geomspace(0.03, 3000.0, 36)
+_FIRST_HZ = np.geomspace(33.0, 90.0, 101)
+_OF_MAINS = 0.03
+"""The best first harmonic may be this far from the mains'."""
+_AFFECTED = 3.0
+"""Points whose noise is doubled are left out; less is covered by the noise as it is estimated."""
+_FEWEST_FREEDOM, _FEWEST_POINTS = 30.0, 30
+_REACH = (0.38, 13.0)
+"""What is looked at, in multiples of the first harmonics: noise that grows below is none of it."""
+
+
+def find_skirts(residuals: Sequence[PersonResiduals], alpha: float = 0.01) -> Hum | None:
+    """Look for hum that is smeared by the averaging time.
+
+    Parameters
+    ----------
+    residuals : sequence of PersonResiduals
+        All on the same frequencies, some people with several repetitions; otherwise nothing is found.
+    alpha : float
+        Probability of finding hum where there is none.
+
+    Returns
+    -------
+    Hum or None
+    """
+    grid = residuals[0].frequency_hz
+    if any(not np.array_equal(person.frequency_hz, grid) for person in residuals):
+        return None
+    square, freedom, felt = _scatter(residuals)
+    near = (grid > _REACH[0] * LINES_HZ[0]) & (grid < _REACH[1] * LINES_HZ[-1])
+    if near.sum() < _FEWEST_POINTS or freedom.min() < _FEWEST_FREEDOM or not grid[0] < LINES_HZ[0] < grid[-1] / 2:
+        return None
+    grid, square, freedom, felt = grid[near], square[near], freedom[near], felt[near]
+    y = np.log(square) - digamma(freedom / 2) + np.log(freedom / 2)
+    weight = 1 / polygamma(1, freedom / 2)
+    design = _spline(np.log(grid))
+    root = np.sqrt(weight)
+    basis, _ = np.linalg.qr(design * root[:, None])
+
+    def misfit(values: np.ndarray) -> np.ndarray:
+        white = values * root
+        return np.asarray(np.sum(white**2, axis=-1) - np.sum((white @ basis) ** 2, axis=-1))
+
+    without = float(misfit(y))
+    best: tuple[float, float, float, float, np.ndarray] | None = None
+    for first in (*_FIRST_HZ, *LINES_HZ):
+        for periods in PERIODS:
+            for decay in _DECAYS:
+                p = pattern(grid, first, periods, decay)
+                found = misfit(y - np.log1p(_AMPLITUDES[:, None] * p))
+                k = int(np.argmin(found))
+                if best is None or found[k] < best[0]:
+                    best = float(found[k]), float(first), float(_AMPLITUDES[k]), periods, p
+    assert best is not None  # there is something to try
+    least, first, amplitude, periods, p = best
+    line = min(LINES_HZ, key=lambda f: abs(first / f - 1))
+    rough = max(least / (grid.size - design.shape[1] - 4), 1.0)
+    tried = len(LINES_HZ) * len(PERIODS) * len(_DECAYS)
+    from scipy.stats import norm
+
+    p_value = min(float(norm.sf(np.sqrt(max(without - least, 0.0) / rough))) * tried, 1.0)
+    if abs(first / line - 1) > _OF_MAINS or p_value > alpha:
+        return None
+    return _hum(grid, felt, line, periods, amplitude, p, y, misfit, rough, p_value)
+
+
+def pattern(frequency_hz: np.ndarray, first_hz: float, periods: float, decay: float) -> np.ndarray:
+    """p(f): what an average over some periods takes of hum whose harmonics fall as 1/h^decay, shape (F,)."""
+    harmonics = np.arange(1, HARMONICS + 1)[:, None]
+    window = np.sinc(periods * (harmonics * first_hz / frequency_hz - 1)) ** 2
+    return np.asarray(np.sum(harmonics ** (-2 * decay) * window, axis=0))
+
+
+def _scatter(residuals: Sequence[PersonResiduals]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Mean square of contrasts between repetitions, its freedom, and what a unit of variance adds to it, all (F,).
+
+    Contrasts are relative to the impedance and to the person's own mean square, so that everybody has the same weight.
+    """
+    size = residuals[0].frequency_hz.size
+    total, freedom, felt = np.zeros(size), np.zeros(size), np.zeros(size)
+    for person in residuals:
+        if len(person.white) < 2:
+            continue
+        value, left = projected(person)
+        magnitude = np.abs(person.model)
+        value = value * person.sd / magnitude
+        contrast = value - value.mean(axis=0)
+        n = (1 - 1 / len(value)) * left.sum(axis=(0, 1))
+        energy = np.sum(np.abs(contrast) ** 2, axis=0)
+        own = energy.sum() / n.sum()
+        total += energy / own
+        freedom += n
+        felt += n / own * np.mean(magnitude**-2.0, axis=0)
+    known = np.maximum(freedom, 1e-12)
+    return total / known, freedom, felt / known
+
+
+def _spline(log_f: np.ndarray) -> np.ndarray:
+    """Cubic B-splines with about one knot per factor e, shape (F, K)."""
+    inner = max(2, round(float(log_f[-1] - log_f[0])))
+    knots = np.linspace(log_f[0], log_f[-1], inner + 1)
+    step = knots[1] - knots[0]
+    full = np.concatenate([knots[0] - step * np.arange(3, 0, -1), knots, knots[-1] + step * np.arange(1, 4)])
+    return np.asarray(BSpline.design_matrix(np.clip(log_f, knots[0], knots[-1]), full, 3).toarray())
+
+
+def _hum(
+    grid: np.ndarray,
+    felt: np.ndarray,
+    line: float,
+    periods: float,
+    amplitude: float,
+    p: np.ndarray,
+    y: np.ndarray,
+    misfit: Callable[[np.ndarray], np.ndarray],
+    rough: float,
+    p_value: float,
+) -> Hum:
+    """Amplitude at the strongest point in the impedance's unit, from the profile of a."""
+    fine = np.geomspace(amplitude / 10, amplitude * 10, 401)
+    found = misfit(y - np.log1p(fine[:, None] * p))
+    inside = fine[found < found.min() + 2.706 * rough]
+    values = np.array([fine[int(np.argmin(found))], inside[0], inside[-1]])
+    strongest = int(np.argmax(p * (np.abs(grid / line - 1) < 0.5)))
+    own = np.abs(grid / grid[strongest] - 1) < 0.2
+    background = float(np.exp(np.mean(y[own] - np.log1p(values[0] * p[own]))))
+    # The scatter there is B (1 + a p), of which B a p is hum.
+    rms = np.sqrt(background * values * p[strongest] / felt[strongest])
+    spoilt = grid[values[0] * p > _AFFECTED]
+    harmonics = [h for h in range(1, HARMONICS + 1) if np.any(np.abs(spoilt / (h * line) - 1) < 0.5 / periods)]
+    kept = [f for f in spoilt.tolist() if min(abs(f / (h * line) - 1) for h in harmonics or [1]) <= 1 / periods]
+    width = max((min(abs(f / (h * line) - 1) for h in harmonics) for f in kept), default=0.0) if harmonics else 0.0
+    return Hum(
+        line_hz=line,
+        harmonics=tuple(harmonics or [1]),
+        frequencies_hz=tuple(kept or [float(grid[strongest])]),
+        near=float(width),
+        amplitude=float(rms[0]),
+        q05=float(rms[1]),
+        q95=float(rms[2]),
+        coherent=False,
+        p_value=p_value,
+    )

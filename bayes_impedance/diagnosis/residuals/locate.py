@@ -1,0 +1,379 @@
+r"""Where structure is left: at which frequencies, in magnitude or phase, in whom, when, and following what.
+
+:mod:`~bayes_impedance.diagnosis.residuals.windows` says how significant each of many windows is. Here they become an
+answer. The most significant window explains a part of the structure; with its template A absorbed from the pooled sums
+x,
+
+.. math:: x \leftarrow x - C A (A^T C A)^{-1} A^T x, \qquad C \leftarrow C - C A (A^T C A)^{-1} A^T C,
+
+the next one is found among what is left, until nothing significant is. Among windows that explain almost as much the
+narrowest is taken. So a structure that the elements' freedom has smeared over all frequencies is reported where it
+entered, not where it can be seen.
+
+Coherent structure comes first. What each recording's own amplitude of it does not explain is searched for incoherent
+structure. Its templates, too, are absorbed with each recording's amplitude; windows in which only the energy is too
+large are masked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
+from bayes_impedance.diagnosis.residuals.amplitudes import (
+    Amplitudes,
+    Trend,
+    carriers,
+    correlations,
+    energy_amplitudes,
+    pattern_amplitudes,
+    trend,
+)
+from bayes_impedance.diagnosis.residuals.nodes import Pooled, pool, turn
+from bayes_impedance.diagnosis.residuals.windows import (
+    Null,
+    Ratios,
+    Windows,
+    normal_score,
+    null_distributions,
+    refined,
+    scatter_between,
+    scatter_ratios,
+    visible,
+    windows,
+)
+from bayes_impedance.errors import InputError
+
+Noise = Literal["repetitions", "assumed"]
+
+_PARTS: tuple[Literal["magnitude"], Literal["phase"]] = ("magnitude", "phase")
+_MOST_WINDOWS = 12
+_LEAST_SHARE = {"coherent": 0.01, "incoherent": 0.05}
+"""A further window must explain this part of the most that one does: the rest is how templates differ from reality."""
+
+_NEARLY = 0.8
+"""Part of the energy's statistic that a template must reach to be preferred: it says more."""
+
+_FEWEST_CONTRASTS = 10
+_EXCESS = {"repetitions": 1.02, "assumed": 1.3}
+"""Variance between persons that is not called structure: rounding of a linear theory, and what one can know of the
+noise without repetitions."""
+
+
+@dataclass(frozen=True)
+class Band:
+    """A band of frequencies with structure in it.
+
+    Attributes
+    ----------
+    low_hz, high_hz : float
+    part : {"magnitude", "phase"}
+    kind : {"coherent", "incoherent"}
+        Whether everybody has the same or everybody has something else.
+    statistic : float
+        Standard deviations from nothing; signed if coherent (the sign where the magnitude or phase is too large
+        is positive, or of the slope or bend if its mean is zero).
+    p_value : float
+        Corrected for everything that was tried.
+    """
+
+    low_hz: float
+    high_hz: float
+    part: Literal["magnitude", "phase"]
+    kind: Literal["coherent", "incoherent"]
+    statistic: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class Location:
+    """Where structure is left.
+
+    Attributes
+    ----------
+    mismatch : bool
+        Whether there is any.
+    p_value : float
+        That there is none, corrected for everything that was tried.
+    bands : tuple of Band
+        Most significant first; disjoint within a part and kind; empty if there is no mismatch.
+    part : {"magnitude", "phase", "both"}
+        Which has more than four fifths of the structure.
+    magnitude_share : float
+        Part of the structure, as chi-square, that is in magnitude; NaN if there is none.
+    subjects : "all" or tuple of str
+        The few who have it.
+    subjects_p_value : float
+        Largest corrected p-value of a named person; 1 if nobody is named.
+    repetitions : Trend or None
+        None with fewer than three persons who have two repetitions.
+    covariates : dict of str to float
+        Corrected p-values of what the amplitude follows.
+    noise : {"repetitions", "assumed"}
+        What incoherent structure was compared with. With ``assumed`` it must exceed the noise by a third, because
+        noise that was taken too small looks the same.
+    """
+
+    mismatch: bool
+    p_value: float
+    bands: tuple[Band, ...]
+    part: Literal["magnitude", "phase", "both"]
+    magnitude_share: float
+    subjects: Literal["all"] | tuple[str, ...]
+    subjects_p_value: float
+    repetitions: Trend | None
+    covariates: dict[str, float]
+    noise: Noise
+
+
+@dataclass(frozen=True)
+class _Found:
+    """One window: nodes low <= k < high of a part, what it explains, and its template unless it is about energy."""
+
+    low: int
+    high: int
+    part: int
+    kind: Literal["coherent", "incoherent"]
+    statistic: float
+    p_value: float
+    gain: float
+    template: np.ndarray | None
+    noise: float = 1.0
+
+
+def locate(
+    residuals: Sequence[PersonResiduals],
+    seed: int,
+    alpha: float = 0.01,
+    covariates: Mapping[str, np.ndarray] | None = None,
+    draws: int = 500,
+) -> Location:
+    """Find where structure is left in everybody's residuals.
+
+    Parameters
+    ----------
+    residuals : sequence of PersonResiduals
+        N persons.
+    seed : int
+        Of the Monte-Carlo draws.
+    alpha : float
+        Probability of a mismatch where there is none.
+    covariates : mapping of str to ndarray, shape (N,), optional
+        NaN where unknown.
+    draws : int
+        Of the null distribution.
+
+    Raises
+    ------
+    InputError
+        If there is nobody, or a covariate has another number of values.
+    """
+    if not residuals:
+        raise InputError("there are no residuals to locate structure in: give at least one person's")
+    pooled = pool(residuals)
+    scan = windows(pooled.frequency_hz)
+    covariance = pooled.covariance()
+    usable = visible(pooled, scan, covariance)
+    pairs = pooled.owner.size - pooled.persons
+    noise: Noise = "repetitions" if pairs >= _FEWEST_CONTRASTS else "assumed"
+    rng = np.random.default_rng(seed)
+    nulls = null_distributions(pooled, scan, usable, pairs if noise == "repetitions" else 0, rng, draws)
+    kinds = 1 if pooled.persons == 1 else 2
+
+    limits = [null.threshold(alpha / kinds) for null in nulls]
+    ratios = scatter_ratios(pooled, scan, use_contrasts=noise == "repetitions")
+    coherent, p_coherent, top = _coherent(pooled, scan, covariance, usable, ratios, nulls[0], limits[0], kinds)
+    found, p_value = coherent, kinds * p_coherent
+    if kinds == 2:
+        templates = [f.template for f in coherent if f.template is not None]
+        left = pooled.without(np.array(templates).T) if templates else pooled
+        ratios = scatter_ratios(left, scan, use_contrasts=noise == "repetitions") if templates else ratios
+        largest = max((f.gain for f in coherent), default=0.0)
+        incoherent, p_incoherent = _incoherent(left, scan, usable, ratios, nulls[1], limits[1], noise, largest)
+        found, p_value = coherent + incoherent, min(p_value, kinds * p_incoherent, 1.0)
+
+    amplitudes, signed = _amplitudes(pooled, found, top)
+    named, p_named = carriers(amplitudes, alpha) if found else (np.zeros(0, dtype=int), 1.0)
+    total = sum(f.gain for f in found)
+    share = sum(f.gain for f in found if f.part == 0) / total if total > 0 else float("nan")
+    return Location(
+        mismatch=bool(found),
+        p_value=float(p_value),
+        bands=_bands(found, pooled.frequency_hz),
+        part="magnitude" if share > 0.8 else "phase" if share < 0.2 else "both",
+        magnitude_share=float(share),
+        subjects=tuple(residuals[int(i)].name for i in named) or "all",
+        subjects_p_value=p_named,
+        repetitions=trend(amplitudes, signed),
+        covariates=correlations(amplitudes, covariates or {}),
+        noise=noise,
+    )
+
+
+def _coherent(
+    pooled: Pooled,
+    scan: Windows,
+    covariance: np.ndarray,
+    usable: np.ndarray,
+    ratios: Ratios,
+    null: Null,
+    limit: float,
+    kinds: int,
+) -> tuple[list[_Found], float, np.ndarray]:
+    """Coherent windows, the p-value of the first whether significant or not, and its template (2 G,)."""
+    templates = scan.templates()
+    usable = usable[: templates.shape[1]]
+    scatter = np.ones(usable.size)
+    if pooled.persons > 1:
+        scatter = np.maximum((ratios.excess * ratios.noise)[: usable.size], 1.0)
+    whole = np.sum(templates * (covariance @ templates), axis=0)
+    found: list[_Found] = []
+    p_first, top = 1.0, templates[:, 0]
+    sums, left = pooled.scores.sum(axis=0), covariance
+    for _ in range(_MOST_WINDOWS):
+        variance = np.sum(templates * (left @ templates), axis=0)
+        seen = usable & (variance > 0.1 * whole)
+        z = np.where(seen, templates.T @ sums / np.sqrt(np.where(seen, variance, 1.0)), 0.0)
+        c = np.abs(z) / np.sqrt(scatter)
+
+        def explained(shapes: np.ndarray, x: np.ndarray = sums, covariance: np.ndarray = left) -> np.ndarray:
+            variance = np.sum(shapes * (covariance @ shapes), axis=0)
+            return np.asarray((shapes.T @ x) ** 2 / np.maximum(variance, 1e-6))
+
+        # c says what is significant. Among that, z says what explains most: c stops growing with the structure's size.
+        best, low, high, template = refined(pooled, scan, np.where(c >= min(limit, c.max()), z**2, 0.0), explained)
+        gain = float(explained(template[:, None])[0])
+        if not found:
+            p_first, top = null.p_value(float(c.max())), template
+        if c.max() < limit or (found and gain < _LEAST_SHARE["coherent"] * max(f.gain for f in found)):
+            break
+        p_value, statistic = kinds * null.p_value(float(c[best])), float(np.sign(z[best]) * c[best])
+        part = best // scan.window.size
+        found.append(_Found(low, high, part, "coherent", statistic, p_value, gain, template))
+        direction = left @ template
+        direction /= np.sqrt(template @ direction)
+        sums = sums - direction * (template @ sums) / np.sqrt(template @ left @ template)
+        left = left - np.outer(direction, direction)
+    return found, p_first, top
+
+
+def _incoherent(
+    pooled: Pooled,
+    scan: Windows,
+    usable: np.ndarray,
+    ratios: Ratios,
+    null: Null,
+    limit: float,
+    noise: Noise,
+    largest: float,
+) -> tuple[list[_Found], float]:
+    """Incoherent windows, and the p-value of the first, whether significant or not."""
+    t, b = scan.window.size, scan.low.size
+    part = np.concatenate([np.repeat([0, 1], t), np.repeat([0, 1], b)])
+    window = np.concatenate([np.tile(scan.window, 2), np.tile(np.arange(b), 2)])
+    masked = np.zeros(part.size, dtype=bool)
+    p_first = 1.0
+    found: list[_Found] = []
+    for _ in range(_MOST_WINDOWS):
+        excess = ratios.excess / _EXCESS[noise]
+        score = normal_score(excess, ratios.freedom, ratios.noise_freedom)
+        score = np.where(usable & ~masked & (ratios.freedom > 0.5), score, -np.inf)
+        if not found:
+            p_first = null.p_value(float(score.max()))
+        if score.max() < limit:
+            break
+
+        def spread(shapes: np.ndarray, pooled: Pooled = pooled) -> np.ndarray:
+            return scatter_between(pooled, shapes)[0]
+
+        best, low, high, template = refined(
+            pooled, scan, np.where(score[: 2 * t] >= limit, score[: 2 * t], 0.0), spread
+        )
+        shape: np.ndarray | None = template
+        if score[best] < max(limit, _NEARLY * score.max()):
+            best, shape = int(np.argmax(score)), None
+            low, high = int(scan.low[window[best]]), int(scan.high[window[best]])
+        gain = float((excess[best] - 1) * ratios.freedom[best])
+        if gain < _LEAST_SHARE["incoherent"] * max([largest, *(f.gain for f in found)]):
+            break
+        p_value = 2 * null.p_value(float(score[best]))
+        found.append(
+            _Found(low, high, int(part[best]), "incoherent", float(score[best]), p_value, gain, shape,
+                   float(ratios.noise[best]))
+        )  # fmt: skip
+        if shape is None:
+            masked |= (part == part[best]) & (scan.low[window] < high) & (scan.high[window] > low)
+        else:
+            pooled = pooled.without(shape[:, None])
+            ratios = scatter_ratios(pooled, scan, use_contrasts=noise == "repetitions")
+    return found, p_first
+
+
+def _amplitudes(pooled: Pooled, found: list[_Found], top: np.ndarray) -> tuple[Amplitudes, bool]:
+    """Everybody's amplitude of what was found (or of the best template, if nothing was), and whether it is signed."""
+    if not found:
+        return pattern_amplitudes(pooled, top[:, None]), True
+    main = max(found, key=lambda f: f.gain)
+    if main.template is not None:
+        templates = np.array([f.template for f in found if f.template is not None]).T
+        return pattern_amplitudes(pooled, templates), main.kind == "coherent"
+    inside = np.zeros((2, pooled.frequency_hz.size))
+    for f in found:
+        if f.kind == "incoherent":
+            inside[f.part, f.low : f.high] = 1.0
+    return energy_amplitudes(pooled, inside.ravel(), max(main.noise, 1.0)), True
+
+
+def _bands(found: list[_Found], frequency_hz: np.ndarray) -> tuple[Band, ...]:
+    """Merge windows of the same part and kind whose gap is less than half of the narrower."""
+    groups: list[list[_Found]] = []
+    for f in sorted(found, key=lambda f: (f.part, f.kind, f.low)):
+        same = groups and (f.part, f.kind) == (groups[-1][0].part, groups[-1][0].kind)
+        low, high = (groups[-1][0].low, max(g.high for g in groups[-1])) if same else (0, 0)
+        if same and f.low - high <= max(1, 0.5 * min(f.high - f.low, high - low)):
+            groups[-1].append(f)
+        else:
+            groups.append([f])
+    bands = []
+    for group in groups:
+        best = max(group, key=lambda f: abs(f.statistic))
+        low, high = min(f.low for f in group), max(f.high for f in group)
+        bands.append(
+            Band(float(frequency_hz[low]), float(frequency_hz[high - 1]), _PARTS[best.part], best.kind,
+                 best.statistic, min(f.p_value for f in group))
+        )  # fmt: skip
+    return tuple(sorted(bands, key=lambda band: -abs(band.statistic)))
+
+
+def residual_maps(residuals: Sequence[PersonResiduals], frequency_hz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Everybody's residual outside of what the elements absorb, for pictures.
+
+    Parameters
+    ----------
+    residuals : sequence of PersonResiduals
+        N persons.
+    frequency_hz : ndarray, shape (F,)
+        Of the picture; a person's nearest point, in log frequency, is shown, since interpolation would shrink noise.
+
+    Returns
+    -------
+    magnitude, phase : ndarray, shape (N, F)
+        Along |z| and across it, averaged over repetitions and scaled to unit variance if nothing is missing; NaN
+        outside of the person's range.
+    """
+    maps = np.full((2, len(residuals), frequency_hz.size), np.nan)
+    x = np.log(frequency_hz)
+    for i, person in enumerate(residuals):
+        own = np.log(person.frequency_hz)
+        n = own.size
+        left = 1 - np.sum(turn(person, person.basis) ** 2, axis=2)
+        score = turn(person, person.outside(person.white)).sum(axis=0)
+        unit = (score / np.sqrt(np.maximum(left.sum(axis=0), 1e-3))).reshape(2, n)
+        nearest = np.searchsorted(0.5 * (own[1:] + own[:-1]), x)
+        inside = (x >= own[0] - 1e-9) & (x <= own[-1] + 1e-9)
+        maps[:, i, inside] = unit[:, nearest[inside]]
+    return maps[0], maps[1]

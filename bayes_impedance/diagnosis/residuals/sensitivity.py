@@ -1,0 +1,113 @@
+r"""The impedance at every place of a network, and how the port feels a change of it.
+
+From the leaves to the port impedances are added up; from the port back to the leaves the derivative
+:math:`a_p = \partial z_\text{port}/\partial z_p` is handed down:
+
+.. math:: \text{parallel: } a_\text{part} = a, \qquad \text{series: } a_\text{part} = a\,(z/z_\text{part})^2, \qquad
+          \text{operation: } a_\text{inside} = a\,T'(z).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayes_impedance.diagnosis.fit.model import Model, inner_places
+from bayes_impedance.network.elements import kind_of
+from bayes_impedance.network.notation import Element, Network, Parallel
+from bayes_impedance.network.operations import N_PARAMETERS, transform_many
+
+INSIDE = "port, inside the rig"
+
+
+@dataclass(frozen=True)
+class Local:
+    """A place in many recordings.
+
+    Attributes
+    ----------
+    z : ndarray, complex, shape (M, F)
+        Impedance of what stands there.
+    adjoint : ndarray, complex, shape (M, F)
+        Derivative of the impedance at the port.
+    """
+
+    z: np.ndarray
+    adjoint: np.ndarray
+
+
+def local_impedances(model: Model, u: np.ndarray, omega: np.ndarray) -> dict[str, Local]:
+    """Every place of the network as given, with the additions in place.
+
+    Parameters
+    ----------
+    model : Model
+    u : ndarray, shape (M, P)
+        Parameters in the kernel's order.
+    omega : ndarray, shape (F,)
+
+    Returns
+    -------
+    dict of str to Local
+        By the names of the places; ``port`` is the whole, after everything, and :data:`INSIDE` the port as the body's
+        effects have it, before the rig's operations.
+    """
+    kernel = model.kernel
+    values = {name: u[:, i, None] for i, name in enumerate(kernel.elements)}
+    inside_rig: list[Local] = []
+    before: dict[tuple[int, ...], list[np.ndarray]] = {}
+    after: dict[tuple[int, ...], np.ndarray] = {}
+
+    def up(node: Network, path: tuple[int, ...]) -> np.ndarray:
+        if isinstance(node, Element):
+            z = kind_of(node.name).impedance(1j * omega, np.exp(values[node.name]))
+        else:
+            parts = [up(part, (*path, i)) for i, part in enumerate(node.parts)]
+            z = np.sum(parts, axis=0) if isinstance(node, Parallel) else 1 / np.sum([1 / p for p in parts], axis=0)
+        slopes, stages = [], [np.asarray(z)]
+        for operation in kernel.operations:
+            if operation.path == path:
+                own = np.zeros((u.shape[0], N_PARAMETERS))
+                for k, name in enumerate(operation.parameters):
+                    own[:, k] = values[name][:, 0]
+                constants = np.array((*operation.constants, 0.0, 0.0))[:N_PARAMETERS]
+                t = transform_many(operation.code, own, constants, omega, np.ascontiguousarray(z))
+                slopes.append(t[1])
+                z = t[0]
+                stages.append(z)
+        before[path], after[path] = slopes, np.asarray(z)
+        if not path:
+            n_rig = sum(bool(a.effect.operation) and a.effect.side == "rig" for a in model.additions)
+            inner = len(slopes) - n_rig
+            felt = np.ones_like(stages[0])
+            for slope in slopes[inner:]:
+                felt = felt * slope
+            inside_rig.append(Local(stages[inner], felt))
+        return after[path]
+
+    up(kernel.network, ())
+    adjoints: dict[tuple[int, ...], np.ndarray] = {}
+
+    def down(node: Network, path: tuple[int, ...], adjoint: np.ndarray) -> None:
+        adjoints[path] = adjoint
+        inside = adjoint
+        for slope in reversed(before[path]):
+            inside = inside * slope
+        bare = after[path]
+        if before[path]:
+            parts = [after[(*path, i)] for i in range(len(node.parts))]
+            if parts:
+                total = (
+                    np.sum(parts, axis=0) if isinstance(node, Parallel) else 1 / np.sum([1 / p for p in parts], axis=0)
+                )
+                bare = np.asarray(total)
+        for i, part in enumerate(node.parts):
+            child = after[(*path, i)]
+            down(part, (*path, i), inside if isinstance(node, Parallel) else inside * (bare / child) ** 2)
+
+    down(kernel.network, (), np.ones_like(after[()]))
+    found: Mapping[str, tuple[int, ...]] = inner_places(model)
+    places = {name: Local(after[path], adjoints[path]) for name, path in found.items()}
+    return {**places, INSIDE: inside_rig[0]}

@@ -1,0 +1,132 @@
+r"""Does an explanation predict what it has not seen: other people, and other frequencies of the same people.
+
+**People.** They are dealt into folds. Population, shared parameters and mean coefficients are estimated without a fold,
+and the evidence of the people in it is computed under that population: their own elements are integrated out.
+
+**Frequencies.** The band is cut into blocks. Without a block everything is estimated, and
+
+.. math:: \ln p(z_\text{block} \mid z_\text{rest}) = \ell_i(\text{all}) - \ell_i(\text{rest})
+
+under that population is everybody's predictive density of the block, summed over blocks.
+
+Both are differences between two models, person by person; the standard error of their sum is
+:math:`\sqrt{N}` times the standard deviation of everybody's difference.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter
+from bayes_impedance.diagnosis.fit.normal_equations import Population
+from bayes_impedance.person.likelihood import Likelihood
+
+FOLDS, BLOCKS = 5, 8
+_ROUNDS = 12
+_FEWEST = 10
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Expected log predictive density gained, elpd, with standard errors.
+
+    Attributes
+    ----------
+    people, people_se : float or None
+        None where there are too few people for folds.
+    blocks, blocks_se : float or None
+        None if they were not held out.
+    described : str
+        What was held out.
+    """
+
+    people: float | None
+    people_se: float | None
+    blocks: float | None
+    blocks_se: float | None
+    described: str
+
+
+def held_out(refitter: Refitter, before: Refit, after: Refit, seed: int, blocks: bool = True) -> HeldOut:
+    """Compare two fitted models on what they have not seen.
+
+    Parameters
+    ----------
+    refitter : Refitter
+        With all people.
+    before, after : Refit
+    seed : int
+        Of the dealing into folds.
+    blocks : bool
+        Whether frequencies are held out too; with too few people for folds they always are.
+    """
+    n = len(refitter.data)
+    folds = n >= _FEWEST
+    people = people_se = None
+    if folds:
+        fold = np.random.default_rng(seed).permutation(n) % FOLDS
+        difference = _people(refitter, after, fold) - _people(refitter, before, fold)
+        people, people_se = float(difference.sum()), _se(difference)
+    if folds and not blocks:
+        return HeldOut(people, people_se, None, None, f"{FOLDS} subject folds")
+    difference_blocks = _blocks(refitter, after) - _blocks(refitter, before)
+    described = f"{FOLDS} subject folds, {BLOCKS} frequency blocks" if folds else f"{BLOCKS} frequency blocks"
+    return HeldOut(people, people_se, float(difference_blocks.sum()), _se(difference_blocks), described)
+
+
+def people_gain(refitter: Refitter, before: Refit, after: Refit, seed: int) -> tuple[float, float | None]:
+    """Gain on held-out people alone, with its standard error."""
+    fold = np.random.default_rng(seed).permutation(len(refitter.data)) % FOLDS
+    difference = _people(refitter, after, fold) - _people(refitter, before, fold)
+    return float(difference.sum()), _se(difference)
+
+
+def _se(difference: np.ndarray) -> float | None:
+    if difference.size < 2:
+        return None
+    return float(np.sqrt(difference.size) * difference.std(ddof=1))
+
+
+def _people(refitter: Refitter, fit: Refit, fold: np.ndarray) -> np.ndarray:
+    """Everybody's evidence under a population that was estimated without their fold, shape (N,)."""
+    result = np.empty(fold.size)
+    for k in np.unique(fold):
+        inside, outside = np.flatnonzero(fold == k), np.flatnonzero(fold != k)
+        rows = np.isin(refitter.owner, outside)
+        trained = refitter.subset(outside).fit(fit.model, fit.u[rows], fit.population, _ROUNDS)
+        result[inside] = _under(refitter.subset(inside), fit, trained, fit.u[~rows])
+    return result
+
+
+def _blocks(refitter: Refitter, fit: Refit) -> np.ndarray:
+    """Everybody's log predictive density of the blocks, summed, shape (N,)."""
+    total = np.zeros(len(refitter.data))
+    low = np.log(min(d.omega[0] for d in refitter.data))
+    high = np.log(max(d.omega[-1] for d in refitter.data))
+    edges = np.linspace(low, high + 1e-9, BLOCKS + 1)
+    for k in range(BLOCKS):
+        kept = [_without(d, edges[k], edges[k + 1]) for d in refitter.data]
+        rest = Refitter(kept, refitter.executor, refitter.one_person)
+        trained = rest.fit(fit.model, fit.u, fit.population, _ROUNDS)
+        total += _under(refitter, fit, trained, trained.u) - trained.evidence
+    return total
+
+
+def _under(refitter: Refitter, fit: Refit, trained: Refit, u: np.ndarray) -> np.ndarray:
+    """Evidence of people under a population and shared parameters that were estimated from others, shape (N,)."""
+    start = u.copy()
+    start[:, fit.model.shared] = trained.shared_value
+    population: Population = trained.population
+    return refitter.fit(fit.model, start, population, _ROUNDS, hold_population=True, hold_additions=True).evidence
+
+
+def _without(d: Likelihood, low: float, high: float) -> Likelihood:
+    """A person's data without a block of frequencies; at least a few points stay."""
+    keep = ~((np.log(d.omega) >= low) & (np.log(d.omega) < high))
+    if keep.sum() < 3:
+        keep[:] = True
+    parts = (np.ascontiguousarray(a[..., keep]) for a in (d.omega, d.z, d.weight))
+    omega, z, weight = parts
+    return Likelihood(omega, z, weight, d.deviations, max(d.count - float((~keep).sum() * d.z.shape[0]), 1.0))

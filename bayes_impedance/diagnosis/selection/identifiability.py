@@ -1,0 +1,143 @@
+"""Whether the names that a search has found hold, or stand together for physics that has none.
+
+A search among names puts anything smooth together from enough of them: by Foster and Prony every passive one-port is a
+sum of resonances or of relaxations. Three things give this away:
+
+- what the names leave is not small beside what they explain, and a small network without a name does more than they;
+- several relaxations or resonances are found that matter at the same frequencies, and structure remains even so;
+- two different names may stand for what is at the same place of the body and matters at the same frequencies: tissue
+  that neither describes.
+
+Then the verdict says ``unknown``, and what was found stands in for it. That structure remains is not enough by itself:
+of real recordings precise enough no model is left standing, and the names that explain most of them are worth having.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+
+from bayes_impedance.diagnosis.fit.extend import gain
+from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter
+from bayes_impedance.diagnosis.fit.model import Addition
+from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
+from bayes_impedance.diagnosis.selection.cross_validation import people_gain
+from bayes_impedance.diagnosis.selection.stepwise import Found, rivals
+from bayes_impedance.diagnosis.selection.unnamed import Realised, realise
+from bayes_impedance.diagnosis.types import OnePort
+
+SERIES_TERMS = ("rig.resonance", "body.relaxation", "body.resonator")
+"""Entries of which a sum can be any passive one-port."""
+
+ONE_PORTS = (
+    "body.springpot",
+    "body.hysteresis",
+    "body.relaxation",
+    "body.resonator",
+    "body.mass",
+    "body.line",
+    "body.bypass",
+)
+"""Entries that say what the tissue at one place is made of."""
+
+_NAMED_SHARE = 0.9
+_SAME_BAND = 0.5
+_FEWEST = 10
+
+
+def names_that_hold(
+    refitter: Refitter,
+    found: Found,
+    rest: Realised | None,
+    remains: bool,
+    residuals: Sequence[PersonResiduals],
+    one_ports: Sequence[OnePort],
+    seed: int,
+    executor: Executor,
+) -> tuple[Found, Realised | None]:
+    """What was found, with the names that do not hold taken back.
+
+    Parameters
+    ----------
+    refitter : Refitter
+    found : Found
+    rest : Realised or None
+        Small network for what no name explains.
+    remains : bool
+        Whether structure remains beside the names.
+    residuals : sequence of PersonResiduals
+        Of the fit with the names.
+    one_ports : sequence of OnePort
+        Missing at each place before anything was added, best place first.
+    seed : int
+    executor : Executor
+
+    Returns
+    -------
+    found : Found
+        Without names, if they do not hold.
+    unknown : Realised or None
+        What has no name: all of it if no names hold.
+    """
+    own = found.final.model.additions[len(found.base.model.additions) :]
+    named = gain(found.final, found.base)
+    if rest is not None and named < _NAMED_SHARE * (named + rest.trial.gain):
+        alone = realise(refitter, found.base, found.steps[0].residuals, one_ports, seed, executor)
+        if alone is not None and alone.trial.gain > named:
+            return _without_names(found), alone
+    doubtful = _of_one_thing(found, own, residuals, remains)
+    if doubtful and len(refitter.data) >= _FEWEST:
+        trial = rest.trial if rest is not None else next(s.chosen for s in reversed(found.steps) if s.chosen)
+        whole = rest.trial.fit if rest is not None else found.final
+        total, se = people_gain(refitter, found.base, whole, seed)
+        return _without_names(found), Realised(replace(trial, fit=whole, gain=gain(whole, found.base)), total, se)
+    return found, rest
+
+
+def _of_one_thing(found: Found, own: Sequence[Addition], residuals: Sequence[PersonResiduals], remains: bool) -> bool:
+    """Whether two entries matter in one band, and are terms of a sum that leaves structure, or may be at one place."""
+    model = found.final.model
+    power = [felt(found.final, model.columns(model.additions.index(a)), residuals)[1] ** 2 for a in own]
+    for i, k in combinations(range(len(own)), 2):
+        one, other = own[i], own[k]
+        if _overlap(power[i], power[k]) < _SAME_BAND:
+            continue
+        if remains and one.effect.id in SERIES_TERMS and other.effect.id in SERIES_TERMS:
+            return True
+        both = one.effect.id in ONE_PORTS and other.effect.id in ONE_PORTS and one.effect.id != other.effect.id
+        if both and _possible_places(found, one) & _possible_places(found, other):
+            return True
+    return False
+
+
+def felt(fit: Refit, columns: Sequence[int], residuals: Sequence[PersonResiduals]) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies (F,), and by how much a change of some parameters moves everybody's recordings over their noise."""
+    grid, power = residuals[0].frequency_hz, np.zeros(residuals[0].frequency_hz.size)
+    start = 0
+    for person in residuals:
+        rows = slice(start, start + len(person.white))
+        start = rows.stop
+        slope = fit.model.kernel.derivative(fit.u[rows], person.frequency_hz)[1][:, list(columns)]
+        own = np.sum(np.abs(slope / person.sd[:, None]) ** 2, axis=(0, 1))
+        power = power + np.interp(np.log(grid), np.log(person.frequency_hz), own)
+    return grid, np.sqrt(power)
+
+
+def _overlap(one: np.ndarray, other: np.ndarray) -> float:
+    """Bhattacharyya's coefficient of two distributions over frequency: 1 if they are equal, 0 if they never meet."""
+    return float(np.sum(np.sqrt(one * other)) / np.sqrt(one.sum() * other.sum()))
+
+
+def _possible_places(found: Found, addition: Addition) -> set[str]:
+    """Its place, and those at which the recordings might as well have it or what they cannot tell it from."""
+    step = found.step_of(addition)
+    others = [] if step is None else rivals(step)
+    return {addition.place} | {trial.candidate.place for trial, _, separated in others if not separated}
+
+
+def _without_names(found: Found) -> Found:
+    return Found(found.base, found.base, found.steps[:1], None)

@@ -1,0 +1,284 @@
+r"""All candidates at all places in one pass, without a refit.
+
+A candidate's **signature** in a recording is the whitened change of the port's impedance per unit of its coefficient,
+with what the elements of that recording can absorb taken out, :math:`\tilde g = (1 - QQ^T)\,g`. If r are the whitened
+residuals, everybody's share of score and information is
+
+.. math:: b_i = \sum_j \tilde g_{ij}\cdot r_{ij}, \qquad m_i = \sum_j \tilde g_{ij}\cdot\tilde g_{ij},
+
+and with :math:`B = \sum b_i`, :math:`I = \sum m_i` the estimate of a **shared** coefficient is B/I, its score
+
+.. math:: Z = B/\sqrt{I} \sim N(0, 1)
+
+when nothing is missing. What was added before is taken out of B and I as well. Coefficients that **vary** are looked
+for by the spread of the shares about the common coefficient,
+
+.. math:: V = \sum_i \frac{(b_i - m_i\hat x)^2 - m_i}{\sqrt{2\sum m_i^2}} ,
+
+a sum of chi-squares whose distribution is that of one scaled chi-square with the same mean and variance.
+
+**The price of many.** All Z are linear in the residuals, so together they are normal with the correlations of the
+signatures: the distribution of the largest |Z| is found by drawing from it, and its tail by
+:math:`p \approx n_\text{eff}\, 2\Phi(-|Z|)` with the effective number of candidates fitted to the draws.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from scipy.special import gammaincc, gammaln, log_ndtr
+
+from bayes_impedance.diagnosis.catalogue.effect import ADDING, Candidate, Effect, direction, shape_grid
+from bayes_impedance.diagnosis.fit.fitter import Refit
+from bayes_impedance.diagnosis.fit.model import Model
+from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
+from bayes_impedance.diagnosis.residuals.sensitivity import INSIDE, local_impedances
+
+_DRAWS = 6_000
+
+_MOST_SUMS = 128
+"""Sums of products of all signatures that travel, each of a person or, of more people, of some."""
+
+_SMALLEST_LOG = -600.0
+
+_INVISIBLE = 1e-3
+"""A signature of which less than this part is left outside of the elements says nothing: it is rounding."""
+
+
+@dataclass(frozen=True)
+class Screening:
+    """Scores of C candidates.
+
+    Attributes
+    ----------
+    candidates : tuple of Candidate
+    score, information : ndarray, shape (N, C)
+        Everybody's b and m.
+    z : ndarray, shape (C,)
+        Of a shared coefficient; NaN for invisible candidates.
+    size : ndarray, shape (C,)
+        One-step estimate of the coefficient.
+    spread : ndarray, shape (C,)
+        V.
+    log_p_spread : ndarray, shape (C,)
+        Natural logarithm of the p-value of V, corrected for all candidates.
+    cosine : ndarray, shape (C, C)
+        Of the signatures, outside of the elements and of what was added before.
+    visible : ndarray, shape (C,)
+        Part of each signature's length that is left outside of the elements.
+    effective : float
+        Effective number of independent candidates.
+    """
+
+    candidates: tuple[Candidate, ...]
+    score: np.ndarray
+    information: np.ndarray
+    z: np.ndarray
+    size: np.ndarray
+    spread: np.ndarray
+    log_p_spread: np.ndarray
+    cosine: np.ndarray
+    visible: np.ndarray
+    effective: float
+
+    def log_p(self, z: np.ndarray | float, two_sided: bool = True) -> np.ndarray:
+        """Natural logarithm of the p-value of scores, corrected for all candidates."""
+        tail = log_ndtr(-np.abs(z)) + (np.log(2) if two_sided else 0.0)
+        return np.asarray(np.minimum(tail + np.log(self.effective), 0.0))
+
+    @property
+    def physical(self) -> np.ndarray:
+        """Whether each coefficient has a sign that its effect can have, shape (C,)."""
+        return np.array([c.effect.signed for c in self.candidates], dtype=bool) | (self.size > 0)
+
+
+def candidates_for(fit: Refit, effects: Sequence[Effect]) -> tuple[Candidate, ...]:
+    """Every effect at every place with every shape that is scanned, but for what was added already."""
+    model = fit.model
+    taken = {addition.key for addition in model.additions}
+    found = []
+    for effect in effects:
+        for place in effect.sites(model.network):
+            if (effect.id, effect.form, place.name) in taken:
+                continue
+            found += [Candidate(effect, place.name, shape) for shape in shape_grid(effect, model.scales)]
+    return tuple(found)
+
+
+def screen(
+    fit: Refit, residuals: Sequence[PersonResiduals], effects: Sequence[Effect], seed: int, executor: Executor
+) -> Screening:
+    """Score all candidates.
+
+    Parameters
+    ----------
+    fit : Refit
+    residuals : sequence of PersonResiduals
+        Of that fit.
+    effects : sequence of Effect
+    seed : int
+        Of the draws for the largest score.
+    executor : Executor
+    """
+    candidates = candidates_for(fit, effects)
+    n, c = len(residuals), len(candidates)
+    starts = np.r_[0, np.cumsum([len(r.white) for r in residuals])]
+    added = np.arange(fit.model.n_elements, fit.u.shape[1])
+    grids: dict[bytes, int] = {}
+    grid_of = [grids.setdefault(r.frequency_hz.tobytes(), len(grids)) for r in residuals]
+    frequencies = [residuals[grid_of.index(k)].frequency_hz for k in range(len(grids))]
+    directions = [_constant_directions(fit, candidates, frequency) for frequency in frequencies]
+
+    u = [fit.u[starts[i] : starts[i + 1]] for i in range(n)]
+    own_directions = [directions[k] for k in grid_of]
+    size = -(-n // _MOST_SUMS)
+    chunks = [[column[i : i + size] for i in range(0, n, size)] for column in (residuals, own_directions, u)]
+    shares = executor.map(partial(_shares, fit.model, candidates, added), *chunks)
+
+    gram, score, information, total = np.zeros((c + len(added),) * 2), [], [], np.zeros(c + len(added))
+    for b, m, before, own in shares:
+        gram += own
+        score.append(b)
+        information.append(m)
+        total += before
+    b, m = np.concatenate(score), np.concatenate(information)
+    length = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    gram *= np.outer(np.sqrt(m.sum(axis=0)) / length, np.sqrt(m.sum(axis=0)) / length)
+    return _pooled(candidates, b, m, gram, total, c, seed)
+
+
+def _shares(
+    model: Model,
+    candidates: Sequence[Candidate],
+    added: np.ndarray,
+    persons: Sequence[PersonResiduals],
+    directions: Sequence[Sequence[np.ndarray | None]],
+    u: Sequence[np.ndarray],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Some persons' b and m, shape (n, C + A), and over them the sums of the signatures' squares and of their products.
+
+    The products, (C + A)^2 numbers, are what is large of it.
+    """
+    score, information = [], []
+    squares, products = np.zeros(len(candidates) + added.size), np.zeros((len(candidates) + added.size,) * 2)
+    for person, constant, own in zip(persons, directions, u, strict=True):
+        g = _signatures(model, candidates, constant, added, person, own)
+        squares += np.einsum("jcf,jcf->c", g, g)
+        g -= np.matmul(np.matmul(g, person.basis), np.swapaxes(person.basis, 1, 2))
+        score.append(np.einsum("jcf,jf->c", g, person.white))
+        information.append(np.einsum("jcf,jcf->c", g, g))
+        # For the correlations one recording of everybody is enough; the lengths are exact.
+        products += (g[0] @ g[0].T) * len(person.white)
+    return np.array(score), np.array(information), squares, products
+
+
+def _pooled(
+    candidates: tuple[Candidate, ...],
+    b: np.ndarray,
+    m: np.ndarray,
+    gram: np.ndarray,
+    total: np.ndarray,
+    c: int,
+    seed: int,
+) -> Screening:
+    """Take what was added before out of the pooled scores, and find the price of many."""
+    pooled_score, nuisance = b.sum(axis=0), slice(c, None)
+    visible = np.sqrt(m.sum(axis=0)[:c] / np.maximum(total[:c], 1e-300))
+    net, net_gram = pooled_score[:c], gram[:c, :c]
+    if gram.shape[0] > c:
+        scale = np.sqrt(np.diag(gram)[nuisance]) + 1e-300
+        inner = gram[nuisance, nuisance] / np.outer(scale, scale) + 1e-9 * np.eye(scale.size)
+        cross = gram[:c, nuisance] / scale
+        weight = np.linalg.solve(inner, cross.T).T
+        net = net - weight @ (pooled_score[nuisance] / scale)
+        net_gram = net_gram - weight @ cross.T
+    information = np.diag(net_gram).copy()
+    seen = (visible > _INVISIBLE) & (information > 1e-6 * np.diag(gram)[:c])
+    information[~seen] = np.nan
+    z = net / np.sqrt(information)
+    size = net / information
+    own, shares = m[:, :c], b[:, :c]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        cosine = net_gram / np.sqrt(np.outer(information, information))
+        squares = np.sum(own**2, axis=0)
+        around = np.sum((shares - own * size) ** 2, axis=0)
+        spread = (around - own.sum(axis=0)) / np.sqrt(2 * squares)
+        freedom = own.sum(axis=0) ** 2 / squares
+        log_p = _log_chi_square_tail(around * own.sum(axis=0) / squares, freedom)
+    effective = _effective(cosine[np.ix_(seen, seen)], seed)
+    log_p_spread = np.minimum(np.nan_to_num(log_p) + np.log(effective), 0.0)
+    return Screening(candidates, shares, own, z, size, spread, log_p_spread, cosine, visible, effective)
+
+
+def _log_chi_square_tail(x: np.ndarray, freedom: np.ndarray) -> np.ndarray:
+    """Logarithm of the chance that a chi-square exceeds x, where it is too small for a number as well."""
+    a, half = 0.5 * freedom, 0.5 * x
+    direct = np.log(gammaincc(a, half))
+    tail = (a - 1) * np.log(half) - half - gammaln(a) - np.log1p(-(a - 1) / half)
+    return np.asarray(np.where(direct > _SMALLEST_LOG, direct, tail))
+
+
+def _effective(correlation: np.ndarray, seed: int) -> float:
+    """Effective number of independent scores among correlated ones, from the largest of them in many draws."""
+    if not correlation.size:
+        return 1.0
+    values, vectors = np.linalg.eigh(0.5 * (correlation + correlation.T))
+    keep = values > 1e-6 * values[-1]
+    factor = vectors[:, keep] * np.sqrt(values[keep])
+    rng = np.random.default_rng(seed)
+    largest = np.concatenate(
+        [np.abs(factor @ rng.normal(size=(keep.sum(), 1000))).max(axis=0) for _ in range(_DRAWS // 1000)]
+    )
+    level = np.quantile(largest, 0.98)
+    return float(max(1.0, 0.02 / (2 * np.exp(log_ndtr(-level)))))
+
+
+def _constant_directions(
+    fit: Refit, candidates: Sequence[Candidate], frequency_hz: np.ndarray
+) -> list[np.ndarray | None]:
+    """Directions (F,) that are the same whatever stands at the place; None for the others."""
+    omega = 2 * np.pi * frequency_hz
+    anything = np.ones((1, omega.size), dtype=complex)
+    known: dict[tuple[object, ...], np.ndarray] = {}
+    result: list[np.ndarray | None] = []
+    for candidate in candidates:
+        if candidate.effect.operation not in ADDING:
+            result.append(None)
+            continue
+        key = (candidate.effect.operation, candidate.effect.coefficients[0].unit, *candidate.shape.values())
+        if key not in known:
+            known[key] = direction(candidate.effect, candidate.shape, fit.model.scales, omega, anything)[0]
+        result.append(known[key])
+    return result
+
+
+def _signatures(
+    model: Model,
+    candidates: Sequence[Candidate],
+    constant: Sequence[np.ndarray | None],
+    added: np.ndarray,
+    person: PersonResiduals,
+    u: np.ndarray,
+) -> np.ndarray:
+    """Whitened signatures of a person's recordings, shape (J, C + A, 2 F), those of what was added before last."""
+    omega = 2 * np.pi * person.frequency_hz
+    local = local_impedances(model, u, omega)
+    result = np.empty((len(u), len(candidates) + added.size, 2 * omega.size))
+    n = omega.size
+    felt = {name: place.adjoint / person.sd for name, place in local.items()}
+    for k, candidate in enumerate(candidates):
+        inside = candidate.place == "port" and candidate.effect.side == "body"
+        spot = INSIDE if inside else candidate.place
+        d = constant[k]
+        if d is None:
+            d = direction(candidate.effect, candidate.shape, model.scales, omega, local[spot].z)
+        dz = d * felt[spot]
+        result[:, k, :n], result[:, k, n:] = dz.real, dz.imag
+    if added.size:
+        dz = model.kernel.derivative(u, person.frequency_hz)[1][:, added] / person.sd[:, None]
+        result[:, len(candidates) :, :n], result[:, len(candidates) :, n:] = dz.real, dz.imag
+    return result

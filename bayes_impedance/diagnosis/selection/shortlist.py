@@ -1,0 +1,239 @@
+"""The best candidates of the scan, each refitted with the whole population.
+
+Each is tried as a coefficient that is the same for everybody and as one that differs, and the one with the largest gain
+(:mod:`bayes_impedance.diagnosis.fit.extend`) leads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bayes_impedance.diagnosis.catalogue.effect import Candidate, Effect, registered
+from bayes_impedance.diagnosis.fit.extend import extended, extended_start, gain, has_shapes, is_physical
+from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter
+from bayes_impedance.diagnosis.selection.score_scan import Screening
+
+ALPHA = 0.01
+"""Family-wise error of one screening."""
+
+SHORTLIST = 8
+
+_LEAST_SHARE = 0.4
+_PLACES_EACH, _BY_SPREAD = 2, 2
+_CLEARLY_VARIES = -10.0  # logarithm of a p-value
+_SURE = 12.0  # chi-square of one person's own best shape
+_FIRST_ROUNDS, _MORE_ROUNDS = 8, 22
+_FAR_BEHIND = 40.0
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A refit of one candidate.
+
+    Attributes
+    ----------
+    candidate : Candidate
+    pooling : str
+    fit : Refit
+    gain : float
+        Of evidence over the model without it, less the price of its parameters.
+    physical : bool
+        Whether the fitted coefficient has a sign that the effect can have.
+    """
+
+    candidate: Candidate
+    pooling: str
+    fit: Refit
+    gain: float
+    physical: bool
+
+    @property
+    def effect(self) -> Effect:
+        """The candidate's effect."""
+        return self.candidate.effect
+
+
+def best_shapes(screening: Screening, physical_only: bool = True, by_spread: bool = False) -> list[int]:
+    """For every effect and place the index of the best shape, best first.
+
+    Parameters
+    ----------
+    screening : Screening
+    physical_only : bool
+        Only coefficients with a sign that their effect can have.
+    by_spread : bool
+        Rank effects of the body by how much their coefficients differ between people, in place of their common score.
+    """
+    strength = np.abs(np.nan_to_num(screening.z))
+    if by_spread:
+        body = np.array([c.effect.side == "body" for c in screening.candidates], dtype=bool)
+        strength = np.where(body, -screening.log_p_spread, 0.0)
+    if physical_only:
+        strength = np.where(screening.physical, strength, 0.0)
+    best: dict[tuple[str, str, str], int] = {}
+    for k in np.argsort(-strength, kind="stable"):
+        c = screening.candidates[k]
+        if strength[k] > 0:
+            best.setdefault((c.effect.id, c.effect.form, c.place), int(k))
+    return list(best.values())
+
+
+def shortlist(screening: Screening, n: int = SHORTLIST) -> list[int]:
+    """Candidates worth a refit.
+
+    The best that explain much of what the best one explains, each effect at two places at most, and the two whose
+    coefficients differ most between people: a resonance that lies elsewhere in everybody has no common score.
+    """
+    order = best_shapes(screening)
+    strength = np.abs(screening.z)
+    chosen: list[int] = []
+    places: dict[Effect, int] = {}
+    for k in order:
+        effect = screening.candidates[k].effect
+        if strength[k] < _LEAST_SHARE * strength[order[0]] or len(chosen) == n:
+            break
+        if places.get(effect, 0) < _PLACES_EACH:
+            places[effect] = places.get(effect, 0) + 1
+            chosen.append(k)
+    for k in best_shapes(screening, by_spread=True):
+        if len(chosen) >= n + _BY_SPREAD or screening.log_p_spread[k] > _CLEARLY_VARIES:
+            break
+        if screening.candidates[k].effect not in places:
+            places[screening.candidates[k].effect] = 1
+            chosen.append(k)
+    return chosen
+
+
+def try_candidate(
+    refitter: Refitter,
+    fit: Refit,
+    candidate: Candidate,
+    size: float,
+    poolings: Sequence[str],
+    rounds: int = 30,
+    begin: Refit | None = None,
+) -> list[Trial]:
+    """Refit the model with one candidate added.
+
+    Parameters
+    ----------
+    refitter : Refitter
+    fit : Refit
+        Without it.
+    candidate : Candidate
+    size : float
+        One-step estimate of the coefficient: a branch cannot begin at nothing.
+    poolings : sequence of str
+    rounds : int
+    begin : Refit, optional
+        Of the model without it: where the refits begin, if not at `fit`.
+    """
+    # The coefficient is linear: at zero the larger model is the smaller one, and the elements follow from there.
+    model = extended(fit.model, candidate, "shared", size)
+    grown = refitter.fit(model, *extended_start(begin or fit, model), rounds)
+    trials = [Trial(candidate, "shared", grown, gain(grown, fit), is_physical(grown))]
+    for pooling in poolings:
+        if pooling != "shared":
+            model = extended(fit.model, candidate, pooling, size)
+            grown = refitter.fit(model, *extended_start(trials[-1].fit, model), rounds)
+            trials.append(Trial(candidate, pooling, grown, gain(grown, fit), is_physical(grown)))
+    return [t for t in trials if t.pooling in poolings]
+
+
+def own_shapes(
+    refitter: Refitter, fit: Refit, screening: Screening, k: int, rounds: int = 30, begin: Refit | None = None
+) -> Trial:
+    """Refit with shapes that differ between people, everybody beginning at the best of the own scores over the grid.
+
+    A resonance that lies elsewhere in everybody is invisible to a search from a common start.
+    """
+    chosen = screening.candidates[k]
+    effect = chosen.effect
+    same = [i for i, c in enumerate(screening.candidates) if c.effect == effect and c.place == chosen.place]
+    b, m = screening.score[:, same], screening.information[:, same]
+    strength = np.where(b > 0, b**2 / np.maximum(m, 1e-300), 0.0)
+    own = np.argmax(strength, axis=1)
+    sure = strength.max(axis=1) > _SURE
+    model = extended(fit.model, chosen, "free", float(screening.size[k]))
+    u, population = extended_start(begin or fit, model)
+    scales, columns = model.scales, model.columns(len(model.additions) - 1)
+    mu = population.mu.copy()
+    rows = np.arange(len(own))
+    people = np.flatnonzero(sure) if sure.sum() > 2 else rows
+    size = float(np.sum(b[people, own[people]]) / np.sum(m[people, own[people]]))
+    varying = np.flatnonzero(~model.shared)
+    for coefficient, column in zip(effect.coefficients, columns, strict=True):
+        if coefficient.link == "linear":
+            values = np.full(len(own), size / coefficient.scale(scales))
+        else:
+            shapes = [coefficient.unbounded(screening.candidates[i].shape[coefficient.name], scales) for i in same]
+            values = np.array(shapes)[own]
+            values = np.where(sure, values, np.median(values[people]))
+        u[:, column] = values[fit.owner]
+        mu[int(np.flatnonzero(varying == column)[0])] = values.mean()
+    grown = refitter.fit(model, u, replace(population, mu=mu), rounds)
+    return Trial(chosen, "free", grown, gain(grown, fit), is_physical(grown))
+
+
+def try_shortlist(refitter: Refitter, fit: Refit, screening: Screening, begin: Refit | None = None) -> list[Trial]:
+    """Refit the shortlist, and the best of it at the places that the list had no room for.
+
+    The refits begin at `fit`, or where they are told to.
+    """
+    trials: list[Trial] = []
+    for k in shortlist(screening):
+        candidate = screening.candidates[k]
+        poolings = poolings_for(candidate, len(refitter.data))
+        trials += try_candidate(refitter, fit, candidate, float(screening.size[k]), poolings, _FIRST_ROUNDS, begin)
+        if "varying" in poolings and has_shapes(candidate.effect) and screening.log_p_spread[k] < _CLEARLY_VARIES:
+            trials.append(own_shapes(refitter, fit, screening, k, _FIRST_ROUNDS, begin))
+    trials = _continued(refitter, fit, trials)
+    possible = [t for t in trials if t.physical and np.isfinite(t.gain)]
+    if not possible:
+        return trials
+    leader = max(possible, key=lambda t: t.gain)
+    for k in best_shapes(screening):
+        other = screening.candidates[k]
+        tried = {(t.candidate.place, t.pooling) for t in trials if t.effect == leader.effect}
+        if other.effect == leader.effect and (other.place, leader.pooling) not in tried:
+            if leader.pooling == "free":
+                trials.append(own_shapes(refitter, fit, screening, k, begin=begin))
+            else:
+                size = float(screening.size[k])
+                trials.append(try_candidate(refitter, fit, other, size, (leader.pooling,), begin=begin)[-1])
+    return trials
+
+
+def _continued(refitter: Refitter, fit: Refit, trials: list[Trial]) -> list[Trial]:
+    """The trials that are not far behind after their first rounds, with more rounds; the others as they are."""
+    gains = [t.gain for t in trials if np.isfinite(t.gain) and t.physical]
+    if not gains:
+        return trials
+    enough = max(gains) - max(_FAR_BEHIND, (1 - _LEAST_SHARE) * max(gains))
+    result = []
+    for trial in trials:
+        if trial.gain > enough and not trial.fit.settled:
+            grown = refitter.fit(trial.fit.model, trial.fit.u, trial.fit.population, _MORE_ROUNDS)
+            trial = replace(trial, fit=grown, gain=gain(grown, fit), physical=is_physical(grown))
+        result.append(trial)
+    return result
+
+
+def poolings_for(candidate: Candidate, n_people: int) -> tuple[str, ...]:
+    """How a coefficient may be spread over people: the rig's is the same for all, the body's may differ.
+
+    Where rig and body have the same effect at the same place, being the same for all makes it the rig's.
+    """
+    effect = candidate.effect
+    if n_people < 3 or effect.side == "rig":
+        return ("shared",)
+    if effect.pooling == "some":
+        return ("varying",)
+    twin = candidate.place == "port" and any(
+        other.side == "rig" and other.operation == effect.operation and other.coefficients == effect.coefficients
+        for other in registered()
+    )
+    return ("varying",) if twin else ("shared", "varying")

@@ -1,0 +1,239 @@
+"""Forward selection of what is missing, a backward pass, and what cannot be told apart.
+
+Each step looks at all candidates with what was found before in place, refits the most promising with the whole
+population and keeps the best one. It stops when no candidate is significant after correction for all that were tried,
+when none improves the evidence, or when the people are too few for more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bayes_impedance.diagnosis.catalogue.effect import Effect
+from bayes_impedance.diagnosis.fit.coefficient_posterior import CoefficientPosterior
+from bayes_impedance.diagnosis.fit.extend import LEAST_GAIN, gain, measured, rebuilt, shrunk
+from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter
+from bayes_impedance.diagnosis.fit.model import Addition
+from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals
+from bayes_impedance.diagnosis.selection.compare import at_rest, finalists, is_separated, whole_gain
+from bayes_impedance.diagnosis.selection.rig_or_body import sided
+from bayes_impedance.diagnosis.selection.score_scan import Screening, screen
+from bayes_impedance.diagnosis.selection.shortlist import ALPHA, Trial, try_shortlist
+
+MOST_ADDITIONS = 4
+_PEOPLE_PER_ADDITION = 8
+_REPEATS = 3
+_FEWEST = 10
+_SURE = 3.0
+_SECOND_CHANCES = 3
+
+SPREAD_PENALTY = float(np.log(100.0))
+"""The spread between people is held to a stricter level: noise of another shape in some people looks like it."""
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of the forward selection.
+
+    Attributes
+    ----------
+    before : Refit
+        Without the addition.
+    residuals : tuple of PersonResiduals
+        Of that.
+    screening : Screening
+        Of that.
+    trials : tuple of Trial
+        Everything that was refitted.
+    chosen : Trial or None
+        What was added.
+    """
+
+    before: Refit
+    residuals: tuple[PersonResiduals, ...]
+    screening: Screening
+    trials: tuple[Trial, ...]
+    chosen: Trial | None
+
+    @property
+    def log_p(self) -> float:
+        """Smallest corrected log p-value among candidates with a possible sign, of a common size or of its spread."""
+        s = self.screening
+        z = np.where(s.physical, np.nan_to_num(s.z), 0.0)
+        body = np.array([c.effect.side == "body" for c in s.candidates], dtype=bool)
+        spread = float(np.min(np.where(body & s.physical, s.log_p_spread, 0.0), initial=0.0))
+        return min(float(s.log_p(np.abs(z).max(initial=0.0))), spread + SPREAD_PENALTY)
+
+
+@dataclass(frozen=True)
+class Found:
+    """Where the search ended.
+
+    Attributes
+    ----------
+    base, final : Refit
+    steps : tuple of Step
+        The last one found nothing more.
+    posterior : CoefficientPosterior or None
+        Joint posterior of everything that was added, from the quadratic expansion.
+    """
+
+    base: Refit
+    final: Refit
+    steps: tuple[Step, ...]
+    posterior: CoefficientPosterior | None
+
+    def step_of(self, addition: Addition) -> Step | None:
+        """The step in which an addition was found."""
+        for step in self.steps:
+            if step.chosen is not None and step.chosen.fit.model.additions[-1].key == addition.key:
+                return step
+        return None
+
+
+def search(
+    refitter: Refitter,
+    base: Refit,
+    names: Sequence[str],
+    effects: Sequence[Effect],
+    seed: int,
+    executor: Executor,
+    progress: Progress,
+    begin: Refit | None = None,
+) -> Found:
+    """Find what is missing.
+
+    Parameters
+    ----------
+    refitter : Refitter
+    base : Refit
+        The network alone, or with what is known to belong to it.
+    names : sequence of str
+        Of the people.
+    effects : sequence of Effect
+    seed : int
+    executor : Executor
+    progress : callable
+    begin : Refit, optional
+        Of the same model as `base`: where the first step looks and where its refits begin, if it finds something there.
+    """
+    most = min(MOST_ADDITIONS, max(1, len(refitter.data) // _PEOPLE_PER_ADDITION))
+    fit, steps, posterior = base, list[Step](), None
+    number = repeats = 0
+    while number <= most:
+        progress("looking for what is missing", number, most + 1)
+        residuals = tuple(person_residuals(fit, names, executor))
+        if begin is None:
+            screening = screen(fit, residuals, effects, seed, executor)
+        else:
+            screening = screen(begin, person_residuals(begin, names, executor), effects, seed, executor)
+        step = Step(fit, residuals, screening, (), None)
+        if number < most and step.log_p < np.log(ALPHA):
+            trials = try_shortlist(refitter, fit, screening, begin)
+            ranked = finalists(refitter, fit, trials, seed)
+            ranked = at_rest(refitter, fit, ranked, seed) if ranked else []
+            ranked = sided(refitter, fit, ranked, trials, seed) if ranked else []
+            chosen, better = None, None
+            for trial in ranked[:_SECOND_CHANCES]:
+                grown, measure = measured(refitter, trial.fit, seed)
+                better = _without_last(refitter, fit, grown) if repeats < _REPEATS else None
+                if better is not None:
+                    break
+                grown_gain = whole_gain(grown, fit)
+                if grown_gain > LEAST_GAIN and _sure(grown, measure) and _shared_by_many(grown, fit):
+                    chosen, posterior = replace(trial, fit=grown, gain=grown_gain), measure
+                    break
+            if better is not None:  # it was not physics that was missing but convergence
+                repeats += 1
+                base = better if fit is base else base
+                fit = better
+                continue
+            step = replace(step, trials=(*trials, *ranked), chosen=chosen)
+        if begin is not None:
+            begin = None
+            if step.chosen is None:
+                continue
+        steps.append(step)
+        if step.chosen is None:
+            break
+        fit = step.chosen.fit
+        number += 1
+    final = _backward(refitter, base, fit)
+    if final is not fit and final.model.additions:
+        final, posterior = measured(refitter, final, seed)
+    progress("looking for what is missing", most + 1, most + 1)
+    return Found(base, final, tuple(steps), posterior if final.model.additions else None)
+
+
+def _without_last(refitter: Refitter, fit: Refit, grown: Refit) -> Refit | None:
+    """The fit without the last addition, begun where the larger model has ended; None if that is no better."""
+    columns = [grown.model.kernel.elements.index(name) for name in fit.model.kernel.elements]
+    again = refitter.fit(fit.model, grown.u[:, columns], fit.population)
+    return again if again.evidence.sum() > fit.evidence.sum() + LEAST_GAIN else None
+
+
+def _sure(fit: Refit, posterior: CoefficientPosterior) -> bool:
+    """Whether the coefficient of the last addition is surely not zero."""
+    last = len(fit.model.additions) - 1
+    columns = [
+        c - fit.model.n_elements
+        for c in fit.model.columns(last)
+        if fit.model.parameters[c - fit.model.n_elements].is_coefficient
+    ]
+    if not columns or fit.model.additions[last].effect.pooling == "some":
+        return True  # a branch has no zero; who has a layer and who has not was tested already
+    draws = posterior.central[:, columns]
+    return bool(np.any(np.abs(draws.mean(axis=0)) > _SURE * draws.std(axis=0)))
+
+
+def _shared_by_many(grown: Refit, fit: Refit) -> bool:
+    """Whether the gain exceeds its scatter over people: what one person gains is a local optimum and not physics."""
+    difference = grown.evidence - fit.evidence
+    if difference.size < _FEWEST or grown.model.additions[-1].effect.pooling == "some":
+        return True
+    return bool(difference.sum() > 2 * np.sqrt(difference.size) * difference.std(ddof=1))
+
+
+def _backward(refitter: Refitter, base: Refit, fit: Refit) -> Refit:
+    """Take out what later additions have made superfluous."""
+    first = len(base.model.additions)
+    while len(fit.model.additions) > first + 1:
+        losses = []
+        for k in range(first, len(fit.model.additions)):
+            kept = [i for i in range(len(fit.model.additions)) if i != k]
+            model = rebuilt(fit.model, [fit.model.additions[i] for i in kept], kept)
+            smaller = shrunk(refitter, fit, model, kept)
+            losses.append((gain(fit, smaller), smaller))
+        loss, smaller = min(losses, key=lambda pair: pair[0])
+        if loss > LEAST_GAIN:
+            return fit
+        fit = smaller
+    return fit
+
+
+_MOST_ALIASES = 12
+
+
+def rivals(step: Step) -> list[tuple[Trial, float, bool]]:
+    """Other explanations than what a step has chosen, how far behind they are, and whether they are separated."""
+    assert step.chosen is not None  # steps without a choice have no rivals
+    chosen = step.chosen
+    best: dict[tuple[str, str, str], Trial] = {}
+    for trial in step.trials:
+        if not trial.physical or not np.isfinite(trial.gain):
+            continue
+        key = (trial.effect.id, trial.effect.form, trial.candidate.place)
+        if key == chosen.fit.model.additions[-1].key:
+            continue
+        if key not in best or best[key].gain < trial.gain:
+            best[key] = trial
+    result = []
+    for trial in best.values():
+        result.append((trial, float(chosen.gain - trial.gain), is_separated(chosen, trial)))
+    return sorted(result, key=lambda row: row[1])[:_MOST_ALIASES]

@@ -1,0 +1,138 @@
+"""Physics that no candidate explains: a small passive network that closes the gap, chosen by what it has not seen.
+
+Small branches of masses, springs and dampers are tried beside and in series with the places at which the missing
+one-port closes most of the gap. Every one of them is passive by construction. They are screened like any candidate, the
+best are refitted, and the one that gains most on **held-out people** is taken: more elements do not win by being more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayes_impedance.diagnosis.catalogue.effect import Effect
+from bayes_impedance.diagnosis.fit.extend import LEAST_GAIN
+from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter
+from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
+from bayes_impedance.diagnosis.selection.cross_validation import held_out, people_gain
+from bayes_impedance.diagnosis.selection.score_scan import screen
+from bayes_impedance.diagnosis.selection.shortlist import Trial, best_shapes, try_candidate
+from bayes_impedance.diagnosis.selection.stepwise import Found
+from bayes_impedance.diagnosis.types import OnePort
+
+ALPHA = 1e-3
+"""Structure counts as left over below this p-value."""
+
+BRANCHES = ("m", "n", "r", "n|r", "m-r", "n-r", "m-(n|r)", "n-(m|r)", "(n-r)|(n-r)", "(n-r)-(m|r)")
+_PLACES = 3
+_REFITTED = 6
+_SURE = 2.0
+
+
+@dataclass(frozen=True)
+class Realised:
+    """A network that stands for unknown physics.
+
+    Attributes
+    ----------
+    trial : Trial
+    gain, gain_se : float
+        On held-out people, over the model without it.
+    """
+
+    trial: Trial
+    gain: float
+    gain_se: float | None
+
+
+def structure_remains(found: Found, p_value: float) -> bool:
+    """Whether a search has left structure: in the residuals (p-value), or in the scores of candidates that it refused.
+
+    A search that ended because no more additions are allowed has not looked for what is left.
+    """
+    last = found.steps[-1]
+    return bool(p_value < ALPHA or (last.log_p < np.log(ALPHA) and last.chosen is None))
+
+
+def branch_effects() -> tuple[Effect, ...]:
+    """The small branches, as effects without a name."""
+    return tuple(
+        Effect(
+            id="unknown",
+            name="unknown physics",
+            side="body",
+            pooling="varying",
+            places=("port", "groups", "springs", "dampers"),
+            formula=f"{branch} {'beside' if connection == 'beside' else 'in series with'} the place",
+            story="Something is missing that is not in the catalogue. A small passive network stands in for it.",
+            look_for="structure that stays after everything known was tried",
+            separates="more kinds of measurement",
+            source="inversion of the network",
+            branch=_numbered(branch),
+            connection=connection,
+        )
+        for branch in BRANCHES
+        for connection in ("beside", "series")
+    )
+
+
+def realise(
+    refitter: Refitter,
+    fit: Refit,
+    residuals: Sequence[PersonResiduals],
+    one_ports: Sequence[OnePort],
+    seed: int,
+    executor: Executor,
+) -> Realised | None:
+    """The small network that helps most on held-out people; None if none helps.
+
+    Parameters
+    ----------
+    refitter : Refitter
+    fit : Refit
+    residuals : sequence of PersonResiduals
+        Of that fit.
+    one_ports : sequence of OnePort
+        Best place first.
+    seed : int
+    executor : Executor
+    """
+    wanted = [port.place for port in one_ports[:_PLACES]]
+    screening = screen(fit, residuals, branch_effects(), seed, executor)
+    order = [k for k in best_shapes(screening) if screening.candidates[k].place in wanted][:_REFITTED]
+    pooling = "varying" if len(refitter.data) >= 3 else "shared"
+    trials = [
+        t
+        for k in order
+        for t in try_candidate(refitter, fit, screening.candidates[k], float(screening.size[k]), ("shared", pooling))
+    ]
+    good = [t for t in trials if np.isfinite(t.gain) and t.gain > LEAST_GAIN]
+    if not good:
+        return None
+    good = sorted(good, key=lambda t: -t.gain)[:3]
+    if len(refitter.data) < 10:
+        held = [held_out(refitter, fit, t.fit, seed) for t in good]
+        best = int(np.argmax([h.blocks or 0.0 for h in held]))
+        gain = held[best].blocks or 0.0
+        return Realised(good[best], gain, held[best].blocks_se) if gain > 0 else None
+    gains = [people_gain(refitter, fit, t.fit, seed) for t in good]
+    best = int(np.argmax([g for g, _ in gains]))
+    total, se = gains[best]
+    # What a single person gains is that person's local optimum, not physics.
+    return Realised(good[best], total, se) if total > _SURE * (se or 0.0) else None
+
+
+def _numbered(branch: str) -> str:
+    """Give every element of a branch a name of its own."""
+    counts: dict[str, int] = {}
+    text = ""
+    for character in branch:
+        if character in "mnr":
+            counts[character] = counts.get(character, 0) + 1
+            text += f"{character}{counts[character]}"
+        else:
+            text += character
+    return text

@@ -1,0 +1,120 @@
+"""What the screening says about every candidate: the ranking, and the smallest effects that would have been found."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from bayes_impedance.diagnosis.catalogue.effect import Coefficient, Effect
+from bayes_impedance.diagnosis.fit.coefficient_posterior import unit_of
+from bayes_impedance.diagnosis.fit.model import Model
+from bayes_impedance.diagnosis.selection.score_scan import Screening
+from bayes_impedance.diagnosis.selection.shortlist import ALPHA, best_shapes
+from bayes_impedance.diagnosis.selection.stepwise import Step, rivals
+from bayes_impedance.diagnosis.types import Ranked
+from bayes_impedance.diagnosis.verdict.sentence import number
+
+_POWER = 1.2816
+"""A true effect at the limit is found nine times out of ten."""
+
+_RANKED = 40
+
+
+def detection_limits(model: Model, screening: Screening) -> tuple[list[dict[str, Any]], list[str]]:
+    """The smallest effect of each kind that would have been found, and what no such recording could show."""
+    level = critical_z(screening) + _POWER
+    information = _information(screening)
+    groups: dict[tuple[str, str], list[tuple[float, Any]]] = {}
+    hidden: list[str] = []
+    for k, candidate in enumerate(screening.candidates):
+        groups.setdefault((candidate.effect.id, candidate.place), [])
+        if np.isfinite(information[k]) and information[k] > 0:
+            groups[candidate.effect.id, candidate.place].append((level / np.sqrt(information[k]), candidate))
+    limits = []
+    for (name, place), rows in groups.items():
+        if not rows:
+            hidden.append(f"{name} at {place}")
+            continue
+        rows.sort(key=lambda row: row[0])
+        above, candidate = rows[len(rows) // 2]
+        effect = candidate.effect
+        first = effect.coefficients[0] if effect.operation else None
+        scale = first.scale(model.scales) if first else 1.0
+        if above > 30 * scale:  # so large that nothing of the present curve would be left
+            hidden.append(f"{name} at {place}")
+            continue
+        unit = unit_of(first.unit, model.scales.unit) if first else ""
+        value = above / (2 * np.pi) if unit == "Hz" else above
+        limits.append(
+            {
+                "id": name,
+                "name": effect.name,
+                "place": place,
+                "parameter": first.name if first else "size",
+                "above": float(value),
+                "unit": unit,
+                "shape": {k: float(v) for k, v in candidate.shape.items()},
+            }
+        )
+    return limits, hidden
+
+
+def _information(screening: Screening) -> np.ndarray:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray((screening.z / screening.size) ** 2)
+
+
+def critical_z(screening: Screening) -> float:
+    """Score at which a candidate becomes significant after correction for all."""
+    grid = np.linspace(2.0, 8.0, 601)
+    return float(grid[np.argmax(screening.log_p(grid) < np.log(ALPHA))])
+
+
+def ranking(step: Step) -> tuple[Ranked, ...]:
+    """All effects at all places, each with its best shape, the strongest evidence first."""
+    s = step.screening
+    order = best_shapes(s, physical_only=False)[:_RANKED]
+    if not order:
+        return ()
+    notes = {}
+    if step.chosen is not None:
+        notes[step.chosen.fit.model.additions[-1].key] = "found"
+        for trial, behind, separated in rivals(step):
+            key = (trial.effect.id, trial.effect.form, trial.candidate.place)
+            notes[key] = f"{'behind' if separated else 'alias'}, {behind:.1f}"
+    rows = []
+    for k in order:
+        c = s.candidates[k]
+        first = c.effect.coefficients[0] if c.effect.operation else None
+        shape = ", ".join(f"{n.replace('_', ' ')} {_shape_text(c.effect, n, v)}" for n, v in c.shape.items())
+        key = (c.effect.id, c.effect.form, c.place)
+        note = notes.get(key, "" if s.physical[k] else "unphysical sign")
+        rows.append(
+            Ranked(
+                c.effect.id,
+                c.place,
+                c.effect.pooling,
+                shape,
+                float(s.z[k] ** 2),
+                float(np.exp(s.log_p(s.z[k]))),
+                _size_text(step.before.model, first, float(s.size[k])),
+                bool(s.physical[k]),
+                float(abs(np.nan_to_num(s.cosine[k, order[0]]))),
+                note,
+            )
+        )
+    return tuple(rows)
+
+
+def _shape_text(effect: Effect, name: str, value: float) -> str:
+    unit = next((c.unit for c in effect.coefficients if c.name == name), "")
+    return number(value / (2 * np.pi), "Hz") if unit == "Hz" else number(value, unit)
+
+
+def _size_text(model: Model, coefficient: Coefficient | None, size: float) -> str:
+    if coefficient is None:
+        return f"{size:.3g}"
+    if coefficient.unit == "Hz":
+        return number(size / (2 * np.pi), "Hz")
+    return number(size, unit_of(coefficient.unit, model.scales.unit))

@@ -1,0 +1,12 @@
+"""The language of models and its arithmetic: networks of masses, springs and dampers.
+
+In comes notation such as ``(n3|r3)-(m2|r1|n1)``; out comes impedance over frequency with its derivatives.
+Open :mod:`.notation` first (the tree), then :mod:`.elements` (what a letter means), :mod:`.kernel` (compiled
+evaluation); :mod:`.operations` are what may happen at a place, :mod:`.rational` holds the network as a fraction of
+polynomials.
+"""
+
+from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.network.notation import PAPER_NETWORK, Element, Network, parse
+
+__all__ = ["PAPER_NETWORK", "Element", "Kernel", "Network", "parse"]

@@ -1,0 +1,413 @@
+r"""Impedance and its derivative for many parameter sets and frequencies at once, compiled.
+
+A network alternates between two kinds of sum: impedances add in a parallel group, mobilities in a series group. Each
+group is therefore one **node** that sums in its own domain, and passes its sum on to its parent, inverted where the
+domains differ. Expressed in the node's domain a leaf is :math:`c\,(j\omega)^p` with :math:`c = e^{\pm\theta}` and
+:math:`p \in \{-1, 0, 1\}`, so the leaves of a node contribute
+
+.. math:: v = B + j\left(\omega A - C/\omega\right)
+
+with three real numbers A, B, C whatever their count. One complex reciprocal per group is all that remains per
+frequency: five for the fingertip's eight elements.
+
+The derivative runs the same program backwards. With :math:`w = 1/v` the adjoint of a node's sum is
+
+.. math:: \bar v = \frac{\partial z}{\partial v} = -w^2\, \bar w \quad\text{(inverted)}, \qquad
+          \bar v = \bar w \quad\text{(passed on)},
+
+and a leaf's derivative with respect to its logarithm is :math:`\pm\bar v\, c\,(j\omega)^p`: nothing is divided twice.
+
+An :mod:`operation <bayes_impedance.network.operations>` at a place is a node of its own: its sum is the impedance z of
+the place, its output T(z), and backwards :math:`\\bar z = T'(z)\\,\\bar T`.
+
+The program is data (small arrays), so one compiled function serves every network; it is compiled once per
+machine and cached. Real and imaginary parts live in separate contiguous arrays over frequency, which is the layout
+that compilers vectorise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from bayes_impedance.errors import InputError
+from bayes_impedance.network.elements import kind_of
+from bayes_impedance.network.notation import Element, Network, Series
+from bayes_impedance.network.operations import N_PARAMETERS, Operation, transform
+
+
+class Program(NamedTuple):
+    """A network as straight-line arithmetic.
+
+    Attributes
+    ----------
+    term_node, term_element, term_exponent, term_power : ndarray of int, shape (T,)
+        For each leaf: the node it is summed in, the element it is, and c = exp(exponent * theta), p in that domain.
+    node_parent, node_invert : ndarray of int, shape (N,)
+        For each node, parts before parents: where its sum goes (-1 for the port), and whether it is inverted first.
+    node_code : ndarray of int, shape (N,)
+        Operation on the node's sum; 0 for none.
+    node_parameter : ndarray of int, shape (N, 3)
+        Its parameters' positions in theta; -1 for none.
+    node_constant : ndarray of float, shape (N, 3)
+    """
+
+    term_node: np.ndarray
+    term_element: np.ndarray
+    term_exponent: np.ndarray
+    term_power: np.ndarray
+    node_parent: np.ndarray
+    node_invert: np.ndarray
+    node_code: np.ndarray
+    node_parameter: np.ndarray
+    node_constant: np.ndarray
+
+
+def compile_network(network: Network, operations: Sequence[Operation] = ()) -> Program:
+    """Translate a network into a program for the compiled functions.
+
+    Parameters
+    ----------
+    network : Network
+        Elements are numbered in the order of ``network.elements``.
+    operations : sequence of Operation
+        Those at one place are applied in this order; their parameters are numbered after the elements.
+    """
+    index = {name: i for i, name in enumerate(parameter_names(network, operations))}
+    terms: list[tuple[int, int, int, int]] = []
+    nodes: list[_Node] = []
+
+    def visit(node: Network, path: tuple[int, ...], parent_is_mobility: bool) -> int:
+        """Append the nodes below and then this one; the parent's number is filled in by the caller."""
+        here = [operation for operation in operations if operation.path == path]
+        mobility = isinstance(node, Series)
+        parts = list(enumerate(node.parts))
+        plain = {
+            i for i, part in parts if isinstance(part, Element) and not any(o.path == (*path, i) for o in operations)
+        }
+        leaves = [node] if isinstance(node, Element) else [part for i, part in parts if i in plain]
+        children = [visit(part, (*path, i), mobility) for i, part in parts if i not in plain]
+        number = len(nodes)
+        nodes.append(_Node(invert=mobility != (parent_is_mobility and not here)))
+        for child in children:
+            nodes[child].parent = number
+        for leaf in leaves:
+            assert isinstance(leaf, Element)  # by how they were chosen
+            kind, sign = kind_of(leaf.name), -1 if mobility else 1
+            terms.append((number, index[leaf.name], sign * kind.exponent, sign * kind.power))
+        for i, operation in enumerate(here):
+            nodes[-1].parent = len(nodes)
+            last = i == len(here) - 1
+            parameters = [index[name] for name in operation.parameters]
+            nodes.append(_Node(parent_is_mobility and last, operation.code, parameters, list(operation.constants)))
+        return len(nodes) - 1
+
+    visit(network, (), False)
+    columns = np.array(terms, dtype=np.int64).T
+    padded = [(n.parameters + [-1] * N_PARAMETERS)[:N_PARAMETERS] for n in nodes]
+    constants = [(n.constants + [0.0] * N_PARAMETERS)[:N_PARAMETERS] for n in nodes]
+    node, element, exponent, power = (np.ascontiguousarray(column) for column in columns)
+    return Program(
+        node,
+        element,
+        exponent,
+        power,
+        np.array([n.parent for n in nodes], dtype=np.int64),
+        np.array([n.invert for n in nodes], dtype=np.int64),
+        np.array([n.code for n in nodes], dtype=np.int64),
+        np.array(padded, dtype=np.int64),
+        np.array(constants, dtype=float),
+    )
+
+
+def parameter_names(network: Network, operations: Sequence[Operation]) -> tuple[str, ...]:
+    """Names of all parameters: the elements, then those of the operations."""
+    return network.elements + tuple(name for operation in operations for name in operation.parameters)
+
+
+@dataclass
+class _Node:
+    """A node while the program is written."""
+
+    invert: bool
+    code: int = 0
+    parameters: list[int] = field(default_factory=list)
+    constants: list[float] = field(default_factory=list)
+    parent: int = -1
+
+
+compiled: Any = njit(cache=True, nogil=True, error_model="numpy")
+"""Decorator of every compiled function: kept on disk, runs beside other threads, divides as numpy does (inf, nan)."""
+
+
+@compiled
+def workspace(program: Program, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Scratch for :func:`forward`: sums and outputs of the nodes, both (N + 1, 2, F).
+
+    The last row of the sums holds 1/omega and 0, that of the outputs zeros: what a node without children adds.
+    """
+    n_nodes = program.node_parent.size
+    sums, outputs = np.empty((n_nodes + 1, 2, omega.size)), np.empty((n_nodes + 1, 2, omega.size))
+    for f in range(omega.size):
+        sums[n_nodes, 0, f], sums[n_nodes, 1, f] = 1.0 / omega[f], 0.0
+        outputs[n_nodes, 0, f], outputs[n_nodes, 1, f] = 0.0, 0.0
+    return sums, outputs
+
+
+@compiled
+def forward(program: Program, theta: np.ndarray, omega: np.ndarray, sums: np.ndarray, outputs: np.ndarray) -> None:
+    """One parameter set: fill the nodes' sums and outputs, arrays of :func:`workspace`; the last node's output is z.
+
+    Elements of the arrays are named by all their indices: a row that is taken out first counts its references, which
+    in short loops costs as much as the arithmetic.
+    """
+    n_nodes, n_frequencies = program.node_parent.size, omega.size
+    for node in range(n_nodes):
+        inertial, resistive, elastic = 0.0, 0.0, 0.0
+        for t in range(program.term_node.size):
+            if program.term_node[t] == node:
+                c = np.exp(program.term_exponent[t] * theta[program.term_element[t]])
+                if program.term_power[t] == 1:
+                    inertial += c
+                elif program.term_power[t] == 0:
+                    resistive += c
+                else:
+                    elastic += c
+        first, second, children = n_nodes, n_nodes, 0
+        for child in range(node):
+            if program.node_parent[child] == node:
+                first, second, children = child, first, children + 1
+        inverted = program.node_invert[node] == 1 and program.node_code[node] == 0
+        if inverted and children <= 2:  # what most nodes are, in one pass over the frequencies
+            for f in range(n_frequencies):
+                x = resistive + outputs[first, 0, f] + outputs[second, 0, f]
+                y = inertial * omega[f] - elastic * sums[n_nodes, 0, f] + outputs[first, 1, f] + outputs[second, 1, f]
+                scale = 1.0 / (x * x + y * y)
+                outputs[node, 0, f] = x * scale
+                outputs[node, 1, f] = -y * scale
+            continue
+        for f in range(n_frequencies):
+            sums[node, 0, f] = resistive
+            sums[node, 1, f] = inertial * omega[f] - elastic * sums[n_nodes, 0, f]
+        for child in range(node):
+            if program.node_parent[child] == node:
+                for f in range(n_frequencies):
+                    sums[node, 0, f] += outputs[child, 0, f]
+                    sums[node, 1, f] += outputs[child, 1, f]
+        if program.node_code[node] > 0:
+            u, c = _parameters(program, node, theta), program.node_constant[node]
+            for f in range(n_frequencies):
+                z = complex(sums[node, 0, f], sums[node, 1, f])
+                out = transform(program.node_code[node], u[0], u[1], u[2], c[0], c[1], c[2], omega[f], z)[0]
+                if program.node_invert[node] == 1:
+                    out = 1.0 / out
+                outputs[node, 0, f] = out.real
+                outputs[node, 1, f] = out.imag
+        elif inverted:
+            for f in range(n_frequencies):
+                x, y = sums[node, 0, f], sums[node, 1, f]
+                scale = 1.0 / (x * x + y * y)
+                outputs[node, 0, f] = x * scale
+                outputs[node, 1, f] = -y * scale
+        else:
+            for f in range(n_frequencies):
+                outputs[node, 0, f] = sums[node, 0, f]
+                outputs[node, 1, f] = sums[node, 1, f]
+
+
+@compiled
+def _parameters(program: Program, node: int, theta: np.ndarray) -> tuple[float, float, float]:
+    u0, u1, u2 = 0.0, 0.0, 0.0
+    if program.node_parameter[node, 0] >= 0:
+        u0 = theta[program.node_parameter[node, 0]]
+    if program.node_parameter[node, 1] >= 0:
+        u1 = theta[program.node_parameter[node, 1]]
+    if program.node_parameter[node, 2] >= 0:
+        u2 = theta[program.node_parameter[node, 2]]
+    return u0, u1, u2
+
+
+@compiled
+def _through_reciprocal(adjoints: np.ndarray, outputs: np.ndarray, node: int, parent: int, n: int) -> None:
+    for f in range(n):
+        w_real, w_imag = outputs[node, 0, f], outputs[node, 1, f]
+        square_real, square_imag = w_imag * w_imag - w_real * w_real, -2.0 * w_real * w_imag
+        a, b = adjoints[parent, 0, f], adjoints[parent, 1, f]
+        adjoints[node, 0, f] = a * square_real - b * square_imag
+        adjoints[node, 1, f] = a * square_imag + b * square_real
+
+
+@compiled
+def backward(
+    program: Program,
+    theta: np.ndarray,
+    omega: np.ndarray,
+    sums: np.ndarray,
+    outputs: np.ndarray,
+    adjoints: np.ndarray,
+    derivative: np.ndarray,
+) -> None:
+    """After :func:`forward`: fill the derivative by theta, shape (P, 2, F).
+
+    `adjoints` is scratch of shape (N + 1, 2, F). Its last row is the derivative of a result by z, real and imaginary
+    part: one and zero if the result is z itself.
+    """
+    n_nodes, n_frequencies = program.node_parent.size, omega.size
+    for node in range(n_nodes - 1, -1, -1):
+        parent = program.node_parent[node]
+        if parent < 0:
+            parent = n_nodes
+        if program.node_invert[node] == 1:
+            _through_reciprocal(adjoints, outputs, node, parent, n_frequencies)
+        else:
+            for f in range(n_frequencies):
+                adjoints[node, 0, f] = adjoints[parent, 0, f]
+                adjoints[node, 1, f] = adjoints[parent, 1, f]
+        if program.node_code[node] > 0:
+            u, c = _parameters(program, node, theta), program.node_constant[node]
+            for f in range(n_frequencies):
+                z = complex(sums[node, 0, f], sums[node, 1, f])
+                bar = complex(adjoints[node, 0, f], adjoints[node, 1, f])
+                t = transform(program.node_code[node], u[0], u[1], u[2], c[0], c[1], c[2], omega[f], z)
+                for k in range(3):
+                    p = program.node_parameter[node, k]
+                    if p >= 0:
+                        slope = bar * (t[2] if k == 0 else t[3] if k == 1 else t[4])
+                        derivative[p, 0, f] = slope.real
+                        derivative[p, 1, f] = slope.imag
+                bar = bar * t[1]
+                adjoints[node, 0, f] = bar.real
+                adjoints[node, 1, f] = bar.imag
+    for t in range(program.term_node.size):
+        node, element = program.term_node[t], program.term_element[t]
+        exponent, power = program.term_exponent[t], program.term_power[t]
+        c = exponent * np.exp(exponent * theta[element])
+        if power == 0:
+            for f in range(n_frequencies):
+                derivative[element, 0, f] = c * adjoints[node, 0, f]
+                derivative[element, 1, f] = c * adjoints[node, 1, f]
+        elif power == 1:
+            for f in range(n_frequencies):
+                derivative[element, 0, f] = -c * omega[f] * adjoints[node, 1, f]
+                derivative[element, 1, f] = c * omega[f] * adjoints[node, 0, f]
+        else:
+            for f in range(n_frequencies):
+                derivative[element, 0, f] = c * sums[n_nodes, 0, f] * adjoints[node, 1, f]
+                derivative[element, 1, f] = -c * sums[n_nodes, 0, f] * adjoints[node, 0, f]
+
+
+@compiled
+def _impedance(program: Program, theta: np.ndarray, omega: np.ndarray) -> np.ndarray:
+    n_nodes = program.node_parent.size
+    sums, outputs = workspace(program, omega)
+    z = np.empty((theta.shape[0], omega.size), dtype=np.complex128)
+    for i in range(theta.shape[0]):
+        forward(program, theta[i], omega, sums, outputs)
+        for f in range(omega.size):
+            z[i, f] = complex(outputs[n_nodes - 1, 0, f], outputs[n_nodes - 1, 1, f])
+    return z
+
+
+@compiled
+def _derivative(program: Program, theta: np.ndarray, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    n_nodes = program.node_parent.size
+    n_sets, n_elements = theta.shape
+    sums, outputs = workspace(program, omega)
+    adjoints = np.empty((n_nodes + 1, 2, omega.size))
+    adjoints[n_nodes, 0], adjoints[n_nodes, 1] = 1.0, 0.0
+    one = np.empty((n_elements, 2, omega.size))
+    z = np.empty((n_sets, omega.size), dtype=np.complex128)
+    dz = np.empty((n_sets, n_elements, omega.size), dtype=np.complex128)
+    for i in range(n_sets):
+        forward(program, theta[i], omega, sums, outputs)
+        backward(program, theta[i], omega, sums, outputs, adjoints, one)
+        for f in range(omega.size):
+            z[i, f] = complex(outputs[n_nodes - 1, 0, f], outputs[n_nodes - 1, 1, f])
+        for p in range(n_elements):
+            for f in range(omega.size):
+                dz[i, p, f] = complex(one[p, 0, f], one[p, 1, f])
+    return z, dz
+
+
+class Kernel:
+    """A network ready for computation.
+
+    Parameters
+    ----------
+    network : Network
+        Any network of masses, compliances and dampers.
+    operations : sequence of Operation
+        What else happens to the impedance at its places.
+
+    Attributes
+    ----------
+    network : Network
+    elements : tuple of str
+        The order of elements in every array, P of them; parameters of the operations come after the elements.
+    program : Program
+        What the compiled functions take.
+    """
+
+    def __init__(self, network: Network, operations: Sequence[Operation] = ()) -> None:
+        self.network = network
+        self.operations = tuple(operations)
+        self.elements = parameter_names(network, operations)
+        self.program = compile_network(network, operations)
+
+    def impedance(self, log_elements: npt.ArrayLike, frequency_hz: npt.ArrayLike) -> np.ndarray:
+        """Impedance of many parameter sets.
+
+        Parameters
+        ----------
+        log_elements : array_like, shape (..., P)
+            Natural logarithms of the elements' values in their units.
+        frequency_hz : array_like, shape (F,)
+            Frequencies in Hz, positive.
+
+        Returns
+        -------
+        ndarray, complex, shape (..., F)
+            z in the recordings' unit.
+
+        Raises
+        ------
+        InputError
+            If the last axis of `log_elements` does not match the number of elements.
+        """
+        theta, omega, lead = self._prepare(log_elements, frequency_hz)
+        return np.asarray(_impedance(self.program, theta, omega).reshape(*lead, omega.size))
+
+    def derivative(self, log_elements: npt.ArrayLike, frequency_hz: npt.ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """Impedance and its exact derivative with respect to the logarithm of every element.
+
+        Parameters
+        ----------
+        log_elements, frequency_hz
+            As in :meth:`impedance`.
+
+        Returns
+        -------
+        z : ndarray, complex, shape (..., F)
+        dz : ndarray, complex, shape (..., P, F)
+        """
+        theta, omega, lead = self._prepare(log_elements, frequency_hz)
+        z, dz = _derivative(self.program, theta, omega)
+        return z.reshape(*lead, omega.size), dz.reshape(*lead, len(self.elements), omega.size)
+
+    def _prepare(
+        self, log_elements: npt.ArrayLike, frequency_hz: npt.ArrayLike
+    ) -> tuple[np.ndarray, np.ndarray, tuple[int, ...]]:
+        theta = np.asarray(log_elements, dtype=float)
+        if theta.shape[-1:] != (len(self.elements),):
+            raise InputError(
+                f"log_elements has shape {theta.shape}: its last axis must be the {len(self.elements)} elements "
+                f"{', '.join(self.elements)}"
+            )
+        lead = theta.shape[:-1]
+        omega = 2 * np.pi * np.ascontiguousarray(frequency_hz, dtype=float)
+        return np.ascontiguousarray(theta.reshape(-1, theta.shape[-1])), omega, lead

@@ -1,0 +1,12 @@
+"""One person: noise, likelihood, mode, exact posterior draws.
+
+In come one person's recordings and a kernel; out come log-likelihoods over log elements and draws from the posterior.
+Open :mod:`.likelihood` first, then :mod:`.noise` (its size), :mod:`.mode` (where the posterior is highest) and
+:mod:`.importance_draws` (draws with weights).
+"""
+
+from bayes_impedance.person.importance_draws import draw
+from bayes_impedance.person.likelihood import Likelihood
+from bayes_impedance.person.mode import find_mode
+
+__all__ = ["Likelihood", "draw", "find_mode"]

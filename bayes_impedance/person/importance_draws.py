@@ -1,0 +1,181 @@
+r"""Weighted draws from one person's exact posterior under a reference population.
+
+The proposal q is a mixture: mostly a multivariate t (10 degrees of freedom: tails heavier than the target's), at first
+around the person's mode, and in part the reference population itself, which finds what the mode does not know of and
+bounds the weights (Owen and Zhou 2000). Draws and weights of one round give the mean and covariance of the next round's
+t, which takes care of posteriors that are wider on one side than the curvature at the mode says. Points come from
+scrambled Sobol sequences, which cover eight dimensions far more evenly than random ones.
+
+What is kept of a draw is its log elements and :math:`\ln L(\theta) - \ln q(\theta)`. Multiplied with **any** population
+density :math:`N(\theta; \mu, \Sigma)` and averaged, this is the person's marginal likelihood under that population: the
+reference only decides where the draws lie. It must be near the truth (a broad one leaves a handful of effective draws
+for elements that a single person hardly determines), and a little wider.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import gammaincinv, gammaln, ndtri
+
+from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.person.likelihood import Likelihood, Ridge, marginal_log_likelihood
+from bayes_impedance.person.mode import Mode
+
+
+def widening(n_persons: int) -> float:
+    """Spread of the reference population relative to the estimate it stands for.
+
+    The dispersion of n persons is known to about 1/sqrt(2 n) of itself: 8 % for 71 of them, 30 % for six.
+    """
+    return float(1 + 1 / np.sqrt(2 * n_persons))
+
+
+_DEGREES_OF_FREEDOM = 10.0
+_EXPLORING, _DEFENSIVE = 0.5, 0.125
+"""Share of the reference population in the proposal of the first round and of the later ones."""
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A population in whose shadow draws are made.
+
+    Attributes
+    ----------
+    mean : ndarray, shape (P,)
+        The mean for this person, covariates included.
+    covariance : ndarray, shape (P, P)
+    """
+
+    mean: np.ndarray
+    covariance: np.ndarray
+
+    def log_density(self, theta: np.ndarray) -> np.ndarray:
+        """Log normal density at theta (S, P), shape (S,)."""
+        factor = np.linalg.cholesky(self.covariance)
+        u = np.linalg.solve(factor, (theta - self.mean).T)
+        return np.asarray(-0.5 * np.sum(u**2, axis=0) - np.sum(np.log(np.diag(factor))))
+
+
+@dataclass(frozen=True)
+class Draws:
+    """Weighted draws of one person.
+
+    Attributes
+    ----------
+    theta : ndarray, shape (K, P)
+        Log elements.
+    log_ratio : ndarray, shape (K,)
+        ln L - ln q, up to a constant.
+    log_weight : ndarray, shape (K,)
+        Logarithm of the weights under the reference, normalised to sum to one.
+    """
+
+    theta: np.ndarray
+    log_ratio: np.ndarray
+    log_weight: np.ndarray
+
+    @property
+    def effective(self) -> float:
+        """Effective number of draws under the reference, 1 / sum of squared weights."""
+        return float(np.exp(-np.logaddexp.reduce(2 * self.log_weight)))
+
+
+def draw(
+    kernel: Kernel,
+    likelihood: Likelihood,
+    mode: Mode,
+    ridge: Ridge,
+    reference: Reference,
+    n: int,
+    seed: np.random.SeedSequence,
+) -> Draws:
+    """Draw from a person's posterior under the reference population.
+
+    Parameters
+    ----------
+    kernel : Kernel
+    likelihood : Likelihood
+    mode : Mode
+        The person's mode under the reference.
+    ridge : Ridge
+        How the deviations of the repetitions follow.
+    reference : Reference
+        Already widened.
+    n : int
+        Number of draws, a power of two.
+    seed : SeedSequence
+
+    Returns
+    -------
+    Draws
+        Ask ``effective`` how good they are.
+    """
+    centre = mode.theta
+    laplace = covariance = np.linalg.inv(ridge.precision + np.linalg.inv(reference.covariance))
+    best: Draws | None = None
+    for attempt, child in enumerate(seed.spawn(6)):
+        share = _DEFENSIVE if attempt else _EXPLORING
+        theta, log_q = _propose(centre, covariance, reference, share, n if attempt else min(n, 256), child)
+        log_ratio = marginal_log_likelihood(kernel, likelihood, ridge, theta) - log_q
+        log_weight = log_ratio + reference.log_density(theta)
+        draws = Draws(theta, log_ratio, log_weight - np.logaddexp.reduce(log_weight))
+        if attempt and (best is None or draws.effective > best.effective):
+            best = draws
+        if best is not None and best.effective > 0.5 * n:
+            break
+        # Weights are tempered until they rest on enough draws to give a covariance.
+        log_weight = draws.log_weight
+        while np.exp(-np.logaddexp.reduce(2 * log_weight)) < 6 * centre.size:
+            log_weight = 0.7 * log_weight
+            log_weight = log_weight - np.logaddexp.reduce(log_weight)
+        weight = np.exp(log_weight)
+        centre = weight @ draws.theta
+        offset = draws.theta - centre
+        covariance = (offset * weight[:, None]).T @ offset + 0.02 * laplace
+    assert best is not None  # at least two rounds are made
+    return best
+
+
+def _propose(
+    centre: np.ndarray,
+    covariance: np.ndarray,
+    reference: Reference,
+    share: float,
+    n: int,
+    seed: np.random.SeedSequence,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points (n, P) of the mixture of a t and a share of the reference, and their log density (n,)."""
+    from scipy.stats import qmc  # half a second to import
+
+    dimension, nu = centre.size, _DEGREES_OF_FREEDOM
+    from_reference = round(share * n)
+    seeds = seed.spawn(2)
+
+    def uniform(size: int, columns: int, child: np.random.SeedSequence) -> np.ndarray:
+        sequence = qmc.Sobol(columns, rng=np.random.default_rng(child))
+        power = int(np.ceil(np.log2(max(size, 1))))  # whole powers of two keep the points balanced
+        return np.asarray(np.clip(sequence.random(2**power)[:size], 1e-12, 1 - 1e-12))
+
+    own = uniform(n - from_reference, dimension + 1, seeds[0])
+    stretch = np.sqrt(nu / (2 * gammaincinv(nu / 2, own[:, -1])))
+    factor = np.linalg.cholesky(covariance)
+    theta = np.vstack(
+        [
+            centre + (ndtri(own[:, :-1]) * stretch[:, None]) @ factor.T,
+            reference.mean
+            + ndtri(uniform(from_reference, dimension, seeds[1])) @ np.linalg.cholesky(reference.covariance).T,
+        ]
+    )
+    square = np.sum(np.linalg.solve(factor, (theta - centre).T) ** 2, axis=0)
+    log_t = (
+        gammaln((nu + dimension) / 2)
+        - gammaln(nu / 2)
+        - 0.5 * dimension * np.log(nu * np.pi)
+        - np.sum(np.log(np.diag(factor)))
+        - 0.5 * (nu + dimension) * np.log1p(square / nu)
+    )
+    log_reference = reference.log_density(theta) - 0.5 * dimension * np.log(2 * np.pi)
+    part = from_reference / n
+    return theta, np.logaddexp(np.log1p(-part) + log_t, np.log(max(part, 1e-300)) + log_reference)

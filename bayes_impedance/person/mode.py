@@ -1,0 +1,241 @@
+r"""One person's mode: where the posterior of the log elements is highest, and how sharply.
+
+Levenberg-Marquardt on the exact objective, the likelihood of :mod:`bayes_impedance.person.likelihood` under a normal
+prior :math:`N(m, \Lambda^{-1})`. At the current point the likelihood acts like a Gaussian one of weight
+:math:`w = (\alpha+N)/(\beta+\chi^2/2)`, which gives the curvature :math:`A = w J^TJ/\sigma^2 + \Lambda`. Where the
+network misses something the residuals stay large and that curvature is not the true one: steps become short and many.
+After some of them the exact second derivative is used, from differences of the exact gradient.
+
+Converged means that the Newton decrement :math:`g^T A^{-1} g`, the squared distance to the mode in posterior standard
+deviations, is below 1e-6. Several starts guard against local minima: an unconverged fit looks exactly like
+missing physics.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayes_impedance.network.kernel import Kernel, Program, compiled, workspace
+from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood, all_repetitions, chi_square, log_likelihood
+
+__all__ = ["DECREMENT_LIMIT", "Likelihood", "Mode", "all_modes", "find_mode", "log_likelihood", "mode_at"]
+
+DECREMENT_LIMIT = 1e-6
+"""A mode is converged when it is closer than this to the optimum, in squared posterior standard deviations."""
+
+_MAX_ITERATIONS = 100
+_GAUSS_NEWTON_ITERATIONS = 15
+
+
+@dataclass(frozen=True)
+class Mode:
+    """Where one person's posterior is highest.
+
+    Attributes
+    ----------
+    theta : ndarray, shape (P,)
+        Log elements at the mode.
+    objective : float
+        Minus log posterior density there, up to a constant.
+    precision : ndarray, shape (P, P)
+        Curvature with the prior's.
+    information : ndarray, shape (P, P)
+        Curvature of the likelihood alone, in units of the inferred noise.
+    scale : float
+        Noise scale s at the mode: 1 when the network fits to within the noise.
+    decrement : float
+        Squared distance to the mode in posterior standard deviations.
+    """
+
+    theta: np.ndarray
+    objective: float
+    precision: np.ndarray
+    information: np.ndarray
+    scale: float
+    decrement: float
+
+    @property
+    def converged(self) -> bool:
+        """Whether the gradient test is passed."""
+        return bool(self.decrement < DECREMENT_LIMIT)
+
+
+@compiled
+def _gradient(
+    program: Program,
+    theta: np.ndarray,
+    deviations: np.ndarray,
+    omega: np.ndarray,
+    z: np.ndarray,
+    weight: np.ndarray,
+    exponent: float,
+    prior_mean: np.ndarray,
+    prior_precision: np.ndarray,
+) -> np.ndarray:
+    chi, gradient, _ = all_repetitions(program, theta, deviations, omega, z, weight)
+    result: np.ndarray = exponent / (SCALE_SHAPE + 0.5 * chi) * gradient + prior_precision @ (theta - prior_mean)
+    return result
+
+
+@compiled
+def _hessian(
+    program: Program,
+    theta: np.ndarray,
+    deviations: np.ndarray,
+    omega: np.ndarray,
+    z: np.ndarray,
+    weight: np.ndarray,
+    exponent: float,
+    prior_mean: np.ndarray,
+    prior_precision: np.ndarray,
+) -> np.ndarray:
+    """Second derivative of the objective by central differences of its exact gradient."""
+    n = theta.size
+    result = np.empty((n, n))
+    for p in range(n):
+        shift = np.zeros(n)
+        shift[p] = 1e-4
+        args = (deviations, omega, z, weight, exponent, prior_mean, prior_precision)
+        ahead = _gradient(program, theta + shift, *args)
+        behind = _gradient(program, theta - shift, *args)
+        result[p] = (ahead - behind) / 2e-4
+    return 0.5 * (result + result.T)
+
+
+@compiled
+def _minimise(
+    program: Program,
+    starts: np.ndarray,
+    deviations: np.ndarray,
+    omega: np.ndarray,
+    z: np.ndarray,
+    weight: np.ndarray,
+    count: float,
+    prior_mean: np.ndarray,
+    prior_precision: np.ndarray,
+    max_iterations: int,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Levenberg-Marquardt from every start: end points (S, P), objectives (S,), decrements (S,)."""
+    sums, outputs = workspace(program, omega)
+    ends = starts.copy()
+    objectives = np.full(starts.shape[0], np.inf)
+    decrements = np.full(starts.shape[0], np.inf)
+    n_elements = starts.shape[1]
+    exponent = SCALE_SHAPE + count
+    for i in range(starts.shape[0]):
+        theta = starts[i].copy()
+        damping = 1e-2
+        chi, gradient, information = all_repetitions(program, theta, deviations, omega, z, weight)
+        offset = theta - prior_mean
+        objective = exponent * np.log(SCALE_SHAPE + 0.5 * chi) + 0.5 * offset @ (prior_precision @ offset)
+        if not np.isfinite(objective):
+            continue
+        for iteration in range(max_iterations):
+            w = exponent / (SCALE_SHAPE + 0.5 * chi)
+            g = w * gradient + prior_precision @ (theta - prior_mean)
+            curvature = w * information + prior_precision
+            diagonal = np.diag(curvature).copy()
+            if iteration >= _GAUSS_NEWTON_ITERATIONS:
+                exact = _hessian(program, theta, deviations, omega, z, weight, exponent, prior_mean, prior_precision)
+                lowest = np.linalg.eigvalsh(exact)[0]
+                if lowest > 0.0:
+                    curvature = exact
+            decrements[i] = g @ np.linalg.solve(curvature, g)
+            if decrements[i] < 1e-9:
+                break
+            accepted = False
+            for _attempt in range(12):
+                damped = curvature.copy()
+                for p in range(n_elements):
+                    damped[p, p] += damping * diagonal[p]
+                step = -np.linalg.solve(damped, g)
+                longest = np.abs(step).max()
+                if longest > 2.0:  # more than a factor of e^2 at once leaves the region where the tangent means much
+                    step *= 2.0 / longest
+                trial = theta + step
+                trial_chi = chi_square(program, trial, deviations, omega, z, weight, sums, outputs)
+                offset = trial - prior_mean
+                value = exponent * np.log(SCALE_SHAPE + 0.5 * trial_chi) + 0.5 * offset @ (prior_precision @ offset)
+                if value <= objective:
+                    accepted = True
+                    break
+                damping = min(damping * 5.0, 1e8)
+            if not accepted:
+                break
+            damping = max(damping / 5.0, 1e-9)
+            theta = trial
+            objective = value
+            chi, gradient, information = all_repetitions(program, theta, deviations, omega, z, weight)
+        ends[i] = theta
+        objectives[i] = objective
+    return ends, objectives, decrements
+
+
+def all_modes(
+    kernel: Kernel,
+    likelihood: Likelihood,
+    starts: np.ndarray,
+    prior_mean: np.ndarray,
+    prior_precision: np.ndarray,
+    max_iterations: int = _MAX_ITERATIONS,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Levenberg-Marquardt from every start, shape (S, P): end points (S, P), objectives (S,), decrements (S,)."""
+    d = likelihood
+    ends, objectives, decrements = _minimise(
+        kernel.program,
+        np.ascontiguousarray(starts),
+        d.deviations,
+        d.omega,
+        d.z,
+        d.weight,
+        d.count,
+        np.ascontiguousarray(prior_mean),
+        np.ascontiguousarray(prior_precision),
+        max_iterations,
+    )
+    return ends, objectives, decrements
+
+
+def find_mode(
+    kernel: Kernel, likelihood: Likelihood, starts: np.ndarray, prior_mean: np.ndarray, prior_precision: np.ndarray
+) -> Mode:
+    """The highest mode that any start reaches under a normal prior.
+
+    Parameters
+    ----------
+    kernel : Kernel
+    likelihood : Likelihood
+    starts : ndarray, shape (S, P)
+        The first is preferred among equals, so that parts of a network that could change places keep theirs.
+    prior_mean : ndarray, shape (P,)
+    prior_precision : ndarray, shape (P, P)
+
+    Returns
+    -------
+    Mode
+        Check ``converged``; nothing is raised, because one person in many may be set right later.
+    """
+    ends, objectives, decrements = all_modes(kernel, likelihood, starts, prior_mean, prior_precision)
+    best = int(np.argmax(objectives <= objectives.min() + 1e-3))
+    return mode_at(kernel, likelihood, ends[best], prior_mean, prior_precision, float(decrements[best]))
+
+
+def mode_at(
+    kernel: Kernel,
+    likelihood: Likelihood,
+    theta: np.ndarray,
+    prior_mean: np.ndarray,
+    prior_precision: np.ndarray,
+    decrement: float,
+) -> Mode:
+    """Describe the posterior around theta, which is taken to be its mode."""
+    d = likelihood
+    chi, _, information = all_repetitions(kernel.program, theta, d.deviations, d.omega, d.z, d.weight)
+    exponent = SCALE_SHAPE + d.count
+    w = exponent / (SCALE_SHAPE + 0.5 * chi)
+    offset = theta - prior_mean
+    objective = exponent * np.log(SCALE_SHAPE + 0.5 * chi) + 0.5 * offset @ prior_precision @ offset
+    scale = float(np.sqrt((SCALE_SHAPE + 0.5 * chi) / exponent))  # inf, and no error, where chi is
+    return Mode(theta, float(objective), w * information + prior_precision, w * information, scale, decrement)

@@ -1,0 +1,148 @@
+"""How far a fit can be trusted: limits, and what is said when one is passed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayes_impedance.mcmc.ensemble import Chains
+from bayes_impedance.population.em import Estimate
+from bayes_impedance.population.parameters import PopulationParameters
+from bayes_impedance.population.posterior import noise_within
+from bayes_impedance.population.sharded_likelihood import KeptDraws
+from bayes_impedance.recordings.files import Recordings
+
+VARIANCE_LIMIT = 1.0
+"""Above this Monte-Carlo variance of the log likelihood, the posterior is refused."""
+
+RHAT_LIMIT = 1.05
+"""Above this disagreement between ensembles, the posterior is refused."""
+
+SHORTEST_CHAIN = 2.0
+"""Ensembles of fewer autocorrelation times than this say little, not even how long their memory is."""
+
+FEWEST_EFFECTIVE = 200.0
+"""Fewer effective samples than this give no 5 % quantile worth the name."""
+
+CLOSE_RIVAL = 10.0
+"""A solution for the whole population whose log evidence is less than this behind is worth a remark."""
+
+PARETO_LIMIT = 0.7
+"""Above this tail of a person's weights, the effective number of draws means little (Vehtari et al. 2024)."""
+
+
+@dataclass(frozen=True)
+class Diagnostics:
+    """How far the result can be trusted.
+
+    Attributes
+    ----------
+    rhat_max, effective_min, autocorrelation_max, acceptance : float
+        Of the worst population coordinate.
+    ensembles, steps, walkers : int
+    log_likelihood_variance : float
+        Monte-Carlo variance of the population's log likelihood, summed over persons, as far as it differs between
+        populations of the posterior (:func:`~bayes_impedance.population.posterior.noise_within`); mean over the
+        posterior.
+    pareto_k, effective_draws : ndarray, shape (N,)
+        Tail of each person's importance weights, and the number of draws they are worth, under the posterior's centre.
+    unconverged : tuple of str
+        Persons whose mode failed the gradient test.
+    redrawn : int
+        How often the reference population was moved.
+    rivals : tuple of float
+        By how much other solutions for the whole population fall short in log evidence.
+    """
+
+    rhat_max: float
+    effective_min: float
+    autocorrelation_max: float
+    acceptance: float
+    ensembles: int
+    steps: int
+    walkers: int
+    log_likelihood_variance: float
+    pareto_k: np.ndarray
+    effective_draws: np.ndarray
+    unconverged: tuple[str, ...]
+    redrawn: int
+    rivals: tuple[float, ...]
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """Reasons not to report numbers, one sentence each; empty if all is well."""
+        found = []
+        if not self.rhat_max <= RHAT_LIMIT:
+            found.append(
+                f"the ensembles disagree (R-hat {self.rhat_max:.3f}, limit {RHAT_LIMIT}): sample longer, or the "
+                "posterior has several modes"
+            )
+        if not self.steps >= SHORTEST_CHAIN * self.autocorrelation_max:
+            found.append(
+                f"the chains are too short ({self.steps} steps, autocorrelation time {self.autocorrelation_max:.0f}): "
+                "sample longer"
+            )
+        if not self.effective_min >= FEWEST_EFFECTIVE:
+            found.append(f"there are only {self.effective_min:.0f} effective samples of some parameter: sample longer")
+        if not self.log_likelihood_variance <= VARIANCE_LIMIT:
+            found.append(
+                f"the population likelihood is too noisy (variance {self.log_likelihood_variance:.2g}, limit "
+                f"{VARIANCE_LIMIT}): use more draws for each person"
+            )
+        if self.unconverged:
+            some = ", ".join(self.unconverged[:5])
+            found.append(
+                f"the fit of {len(self.unconverged)} person(s) did not converge ({some}): check their recordings"
+            )
+        return tuple(found)
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a reader should know although it does not spoil the result."""
+        found = []
+        if self.rivals and min(self.rivals) < CLOSE_RIVAL:
+            found.append(
+                "Another solution for all subjects is nearly as good (its log evidence is only "
+                f"{min(self.rivals):.1f} lower): the elements may be those of the other; a wider band would tell."
+            )
+        bad = int(np.sum(self.pareto_k > PARETO_LIMIT))
+        if bad:
+            found.append(
+                f"{bad} subject(s) have importance weights with a heavy tail (Pareto k up to "
+                f"{self.pareto_k.max():.2f}): "
+                "their own posteriors are less certain than they look."
+            )
+        return tuple(found)
+
+
+def diagnose(
+    recordings: Recordings,
+    point: Estimate,
+    chains: Chains,
+    marginal: KeptDraws | None,
+    parameters: PopulationParameters,
+    redrawn: int,
+) -> Diagnostics:
+    """Collect the diagnostics of a fit; without a marginal likelihood (one person) there are no weights to judge."""
+    n = len(recordings.subjects)
+    tail, effective, noise = np.zeros(n), np.full(n, float(chains.log_probability.size)), 0.0
+    if marginal is not None:
+        some = parameters[np.linspace(0, parameters.mu.shape[0] - 1, 16).astype(int)]
+        tail, effective = marginal.pareto_k(some), marginal.effective(some)
+        noise = noise_within(float(np.mean(marginal.variance(some))), n, chains.coordinates.shape[-1])
+    return Diagnostics(
+        float(chains.rhat.max()),
+        float(chains.effective.min()),
+        float(chains.autocorrelation_time.max()),
+        chains.acceptance,
+        chains.coordinates.shape[0],
+        chains.steps,
+        chains.walkers,
+        noise,
+        tail,
+        effective,
+        tuple(s.name for s, well in zip(recordings.subjects, point.converged, strict=True) if not well),
+        redrawn,
+        point.rivals,
+    )

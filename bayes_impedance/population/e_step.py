@@ -1,0 +1,217 @@
+r"""The E step: each person's fit under a population, and the sums over persons that the M step needs.
+
+Under the current population person i is :math:`N(m_i, C_i)` with :math:`C_i = (H_i + T^{-1})^{-1}`, and the deviations
+of the repetitions are at their conditional mode. A fit stays where it was made
+(:class:`~bayes_impedance.runtime.sharded.Kept`); a part of the persons is asked for sums, whose size does not depend on
+how many they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.person.likelihood import Likelihood, repetition_equations
+from bayes_impedance.person.mode import Mode, find_mode
+from bayes_impedance.person.noise import contrasts
+from bayes_impedance.population.importance_likelihood import Contrasts
+
+
+@dataclass(frozen=True)
+class Begun:
+    """Where the search for a person's mode begins.
+
+    Attributes
+    ----------
+    theta : ndarray, shape (P,)
+    deviations : ndarray, shape (J, P)
+    """
+
+    theta: np.ndarray
+    deviations: np.ndarray
+
+
+@dataclass(frozen=True)
+class PersonFit:
+    """One person under a population.
+
+    Attributes
+    ----------
+    mode : Mode
+    deviations : ndarray, shape (J, P)
+        Of the repetitions, at their conditional mode.
+    expanded : ndarray, shape (J, P)
+        The deviations with which mode and equations were computed.
+    gradient : ndarray, shape (J, P)
+        J^T W r of every repetition.
+    information : ndarray, shape (J, P, P)
+        J^T W J of every repetition.
+    """
+
+    mode: Mode
+    deviations: np.ndarray
+    expanded: np.ndarray
+    gradient: np.ndarray
+    information: np.ndarray
+
+    @property
+    def theta(self) -> np.ndarray:
+        """Log elements at the mode, shape (P,)."""
+        return self.mode.theta
+
+
+def begin(likelihood: Likelihood, theta: np.ndarray) -> Begun:
+    """A person who has not been fitted yet."""
+    return Begun(theta, likelihood.deviations)
+
+
+def expect(
+    kernel: Kernel,
+    precision: np.ndarray,
+    rho: np.ndarray,
+    likelihood: Likelihood,
+    before: Begun | PersonFit,
+    mean: np.ndarray,
+    starts: np.ndarray,
+) -> PersonFit:
+    """One person's fit under a population.
+
+    Parameters
+    ----------
+    kernel : Kernel
+    precision : ndarray, shape (P, P)
+        Of the population.
+    rho : ndarray, shape (P,)
+        Its dispersion between repetitions.
+    likelihood : Likelihood
+    before : Begun or PersonFit
+        The first start, and the deviations to begin with.
+    mean : ndarray, shape (P,)
+        The population's for this person.
+    starts : ndarray, shape (S, P)
+        Further starts.
+    """
+    likelihood = likelihood.moved(before.deviations)
+    mode = find_mode(kernel, likelihood, np.concatenate([before.theta[None], starts]), mean, precision)
+    gradient, information = repetition_equations(kernel, likelihood, mode.theta)
+    deviations = _realigned(likelihood, mode, gradient, information, rho)
+    return PersonFit(mode, deviations, likelihood.deviations, gradient, information)
+
+
+def _realigned(
+    likelihood: Likelihood, mode: Mode, gradient: np.ndarray, information: np.ndarray, rho: np.ndarray
+) -> np.ndarray:
+    """Deviations at their conditional mode, by one Gauss-Newton step with a Lagrange multiplier for their sum."""
+    n_repetitions = likelihood.z.shape[0]
+    if n_repetitions == 1:
+        return likelihood.deviations
+    w = mode.scale**-2
+    curvature = w * information + np.diag(1 / np.maximum(rho, 1e-3) ** 2)
+    inverse = np.linalg.inv(curvature)
+    pull = -w * gradient - likelihood.deviations / np.maximum(rho, 1e-3) ** 2
+    free = np.einsum("jpq,jq->jp", inverse, pull)
+    multiplier = -np.linalg.solve(inverse.sum(axis=0), (likelihood.deviations + free).sum(axis=0))
+    step = free + inverse @ multiplier
+    longest = np.abs(step).max()
+    if longest > 0.5:
+        step = step * (0.5 / longest)
+    return np.ascontiguousarray(likelihood.deviations + step)
+
+
+def contrasts_of(fits: Sequence[PersonFit]) -> dict[int, Contrasts]:
+    """Curvature and gradient of the contrasts at zero deviation, by number of repetitions, ascending."""
+    repetitions = np.array([len(f.deviations) for f in fits])
+    found = {}
+    for j in np.unique(repetitions[repetitions > 1]):
+        rows, group = contrasts(int(j)), [f for f in fits if len(f.deviations) == j]
+        w = np.array([f.mode.scale**-2 for f in group])
+        g, h = np.array([f.gradient for f in group]), np.array([f.information for f in group])
+        expanded = np.array([f.expanded for f in group])
+        size = rows.shape[0] * h.shape[-1]
+        # Every repetition keeps its own curvature: contrasts of equal curvatures would be independent, but sharing
+        # the mean one makes the dispersion of weakly determined elements 3 % too small.
+        pairs = np.einsum("cj,dj->cdj", rows, rows)
+        information = np.einsum("n,cdj,njpq->cpdqn", w, pairs, h).reshape(size, size, -1)
+        pull = np.einsum("njpq,njq->njp", h, expanded) - g
+        gradient = np.einsum("n,cj,njp->cpn", w, rows, pull).reshape(size, -1)
+        found[int(j)] = Contrasts(np.ascontiguousarray(information), np.ascontiguousarray(gradient))
+    return found
+
+
+@dataclass(frozen=True)
+class Sums:
+    """What some persons contribute to the M step.
+
+    Attributes
+    ----------
+    design : ndarray, shape (1 + Q, 1 + Q)
+        Squares and products of one and the covariates.
+    target : ndarray, shape (P, 1 + Q)
+        Products of log elements, from the prior's centre, with them.
+    uncertainty : ndarray, shape (P, P)
+        Covariances C of the persons.
+    squares : dict
+        By number of repetitions: expected squares of the contrasts, shape (P,), and how many contrasts they are.
+    """
+
+    design: np.ndarray
+    target: np.ndarray
+    uncertainty: np.ndarray
+    squares: dict[int, tuple[np.ndarray, int]]
+
+
+def sums(fits: Sequence[PersonFit], covariates: np.ndarray, centre: np.ndarray, rho: np.ndarray) -> Sums:
+    """Sums over persons whose fits were made with the dispersion rho (P,) between repetitions."""
+    theta, design = _stacked(fits), np.hstack([np.ones((len(fits), 1)), covariates])
+    target = np.array([design.T @ (theta[:, e] - centre[e]) for e in range(centre.size)])
+    uncertainty = np.linalg.inv([f.mode.precision for f in fits]).sum(axis=0)
+    inverse_square = 1 / np.maximum(rho, 1e-3) ** 2
+    squares = {}
+    for j, group in contrasts_of(fits).items():
+        size, n = group.gradient.shape
+        precision = np.moveaxis(group.information, -1, 0) + np.diag(np.tile(inverse_square, j - 1))
+        posterior = np.linalg.inv(precision)
+        mean = np.einsum("npq,qn->np", posterior, group.gradient)
+        square = mean**2 + np.diagonal(posterior, axis1=1, axis2=2)
+        squares[j] = square.reshape(n, -1, rho.size).sum(axis=(0, 1)), n * size // rho.size
+    return Sums(design.T @ design, target, uncertainty, squares)
+
+
+def spread(fits: Sequence[PersonFit], means: np.ndarray) -> np.ndarray:
+    """Squares and products of the persons' distances from the population's means (n, P), shape (P, P)."""
+    offset = _stacked(fits) - means
+    return np.asarray(offset.T @ offset)
+
+
+def evidence(fits: Sequence[PersonFit], rho: np.ndarray) -> float:
+    """Laplace's approximation of the persons' log marginal likelihood, without the population's determinant."""
+    objective = sum(f.mode.objective for f in fits)
+    determinants = np.linalg.slogdet([f.mode.precision for f in fits])[1].sum()
+    of_contrasts = sum(float(group.log_likelihood(rho[None])[0]) for group in contrasts_of(fits).values())
+    return float(of_contrasts - objective - 0.5 * determinants)
+
+
+def information_of_means(fits: Sequence[PersonFit], precision: np.ndarray, begun: np.ndarray) -> np.ndarray:
+    """What the persons tell of the mean of a population of given precision (P, P), added to what has begun (P, P)."""
+    inverse = np.linalg.inv(np.array([f.mode.information for f in fits]) + precision)
+    return np.asarray(np.concatenate([begun[None], precision - precision @ inverse @ precision]).sum(axis=0))
+
+
+def information_of_elements(fits: Sequence[PersonFit], precision: np.ndarray) -> np.ndarray:
+    """What the recordings alone tell of each log element, the others free within the population, shape (P,)."""
+    h = np.array([f.mode.information for f in fits])
+    result = np.empty(len(precision))
+    for p in range(result.size):
+        others = np.arange(result.size) != p
+        rest = h[:, others][:, :, others] + precision[np.ix_(others, others)]
+        column = h[:, others, p]
+        left = np.linalg.solve(rest, column[..., None])[..., 0]
+        result[p] = np.sum(h[:, p, p] - np.einsum("nq,nq->n", column, left))
+    return result
+
+
+def _stacked(fits: Sequence[PersonFit]) -> np.ndarray:
+    return np.array([f.theta for f in fits])

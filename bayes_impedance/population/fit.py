@@ -1,0 +1,409 @@
+r"""The hierarchical model: recordings in, population parameters out.
+
+The route, each step of which is a module:
+
+1. :mod:`~bayes_impedance.population.starting_fits`: first fits of everybody, and the noise;
+2. :mod:`~bayes_impedance.population.em`: a point estimate of the population, everybody's mode under it, and which
+   elements the recordings determine;
+3. :mod:`~bayes_impedance.person.importance_draws`: exact draws of everybody's elements under that estimate;
+4. :mod:`~bayes_impedance.population.importance_likelihood`, :mod:`~bayes_impedance.population.sharded_likelihood` and
+:mod:`~bayes_impedance.population.posterior`: with
+   them, the density of any population;
+5. :mod:`~bayes_impedance.mcmc.ensemble`: emcee over the population parameters
+(:mod:`~bayes_impedance.population.parameters`); 6. everybody's own posterior, by resampling the draws with the weights
+each sampled population gives them.
+
+First fits, every round of the point estimate and the chains are kept as they come, if there is a folder for them; when
+a killed run is resumed, draws are made anew from them, the same ones.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, field, replace
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from bayes_impedance.errors import InputError
+from bayes_impedance.mcmc.ensemble import QUICK, Chains, SamplerSettings, sample
+from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.network.notation import Network, parse
+from bayes_impedance.person.likelihood import Likelihood, find_ridge, marginal_log_likelihood
+from bayes_impedance.person.noise import NoiseModel
+from bayes_impedance.population.diagnostics import Diagnostics, diagnose
+from bayes_impedance.population.em import Estimate, estimate
+from bayes_impedance.population.parameters import PopulationParameters, Prior
+from bayes_impedance.population.posterior import Posterior
+from bayes_impedance.population.starting_fits import FirstFits, default_prior, first_fits, noise_of
+from bayes_impedance.recordings.files import Recordings, Subject
+from bayes_impedance.runtime.checkpoint import claim
+from bayes_impedance.runtime.executors import executor_of, map_persons
+from bayes_impedance.runtime.progress import Progress
+from bayes_impedance.runtime.sharded import Kept
+
+IDENTIFIED_SD = 1.0
+"""A central value is reported if its logarithm is known better than this in the end: within a factor e."""
+
+_POINT_ESTIMATE = "point_estimate.npz"
+
+_MOST_NUMBERS, _FEWEST_SETS = 30_000_000, 100
+"""Numbers that describe persons in a result, a quarter of a gigabyte; sets of each ensemble that are kept at least."""
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """What can be chosen about a fit.
+
+    Attributes
+    ----------
+    covariance : str
+        ``full`` (elements vary together between persons) or ``diagonal``, which is also taken if there are fewer
+        persons than two more than elements.
+    covariates : tuple of str
+        Names of covariates that the mean log elements follow linearly.
+    draws : int
+        Draws for each person, a power of two.
+    sampler : SamplerSettings
+    """
+
+    covariance: str = "full"
+    covariates: tuple[str, ...] = ()
+    draws: int = 512
+    sampler: SamplerSettings = field(default_factory=SamplerSettings)
+
+    def __post_init__(self) -> None:
+        if self.covariance not in ("full", "diagonal"):
+            raise InputError(f"covariance is '{self.covariance}': choose 'full' or 'diagonal'")
+
+
+QUICK_SETTINGS = FitSettings(draws=256, sampler=QUICK)
+
+
+@dataclass(frozen=True)
+class PopulationFit:
+    """Posterior of a population.
+
+    Attributes
+    ----------
+    recordings : Recordings
+    kernel : Kernel
+        With the network and the order of elements.
+    prior : Prior
+    settings : FitSettings
+    seed : int
+    parameters : PopulationParameters
+        E S sets, ensemble by ensemble. For one person: that person's log elements in `mu`, dispersions NaN.
+    n_ensembles : int
+    log_probability : ndarray, shape (E, S)
+    person_draws : ndarray, shape (E, S, N, P)
+        Everybody's log elements: the mean over the person's repetitions.
+    person_log_likelihood : ndarray, shape (E, S, N)
+        Log marginal likelihood of each person under the population draws, up to a constant for each person.
+    deviations : tuple of ndarray, shape (J, P)
+        Estimated deviations of the repetitions.
+    noise : tuple of ndarray, shape (J, F)
+        Standard deviation of the noise of each recording, the person's scale included.
+    noise_scale : ndarray, shape (N,)
+        By how much the residuals exceed the noise estimate: near one if the network describes the person.
+    identified : ndarray of bool, shape (P,)
+    diagnostics : Diagnostics
+    seconds : dict
+        Time of each step.
+    """
+
+    recordings: Recordings
+    kernel: Kernel
+    prior: Prior
+    settings: FitSettings
+    seed: int
+    parameters: PopulationParameters
+    n_ensembles: int
+    log_probability: np.ndarray
+    person_draws: np.ndarray
+    person_log_likelihood: np.ndarray
+    deviations: tuple[np.ndarray, ...]
+    noise: tuple[np.ndarray, ...]
+    noise_scale: np.ndarray
+    identified: np.ndarray
+    diagnostics: Diagnostics
+    seconds: dict[str, float]
+
+    @property
+    def one_person(self) -> bool:
+        """Whether there is only one person, and so no dispersion."""
+        return len(self.recordings.subjects) == 1
+
+    @property
+    def repeated(self) -> bool:
+        """Whether anybody was recorded more than once."""
+        return any(len(s.repetitions) > 1 for s in self.recordings.subjects)
+
+
+def fit_population(
+    recordings: Recordings,
+    network: Network | str | None = None,
+    *,
+    settings: FitSettings | None = None,
+    seed: int = 1,
+    workers: int = 2,
+    progress: Progress = lambda *_: None,
+    checkpoint: Path | None = None,
+    executor: Executor | None = None,
+) -> PopulationFit:
+    """Estimate the elements of a population from its recordings.
+
+    Parameters
+    ----------
+    recordings : Recordings
+        One person or more. With one, that person's posterior under the broad prior is found and no dispersion.
+    network : Network or str, optional
+        The network that everybody is described by; the dataset's own if not given.
+    settings : FitSettings, optional
+    seed : int
+        The same seed and data give the same numbers on one machine.
+    workers : int
+        Threads of this process; the result does not depend on their number. Ensembles are always sampled by them.
+    progress : callable, optional
+        Called with stage, done, total.
+    checkpoint : Path, optional
+        Folder where first fits, point estimate and chains are kept as they come; an interrupted fit with the same
+        arguments continues from there.
+    executor : Executor, optional
+        Does what is done person by person: processes, a cluster's workers, whatever has the standard interface. Threads
+        of this process if not given; the result is the same.
+
+    Returns
+    -------
+    PopulationFit
+        Look at ``diagnostics.problems`` first.
+
+    Raises
+    ------
+    InputError
+        If there is no network, a covariate is unknown or incomplete, somebody has fewer points than elements, or
+        `checkpoint` is of another fit.
+    """
+    from threadpoolctl import threadpool_limits
+
+    settings = settings or FitSettings()
+    settings = replace(settings, sampler=replace(settings.sampler, workers=workers))
+    kernel = Kernel(network_of(recordings, network))
+    if too_few_for_correlations(len(recordings.subjects), len(kernel.elements)):
+        settings = replace(settings, covariance="diagonal")
+    covariates = _standardised(recordings, settings.covariates)
+    require_enough_points(recordings, kernel)
+    prior = default_prior(kernel.elements, recordings)
+    seeds = np.random.SeedSequence(seed).spawn(5)
+    if checkpoint is not None:
+        same_for_any = replace(settings, sampler=replace(settings.sampler, workers=0))
+        others = version("bayes_impedance"), str(kernel.network), same_for_any, seed, covariates.tolist()
+        claim(checkpoint, (s.digest for s in recordings.subjects), *others)
+    clock = _Clock()
+    one = len(recordings.subjects) == 1
+    # The linear algebra library must not start threads of its own inside ours.
+    own = executor_of(workers) if executor is None else nullcontext(executor)
+    with threadpool_limits(1), own as executor:
+        with clock.measure("modes"):
+            first = first_fits(kernel, recordings, prior, seeds[0], executor, progress, checkpoint)
+            point = estimate(
+                kernel,
+                initial_likelihoods(recordings, first, len(kernel.elements), executor),
+                first,
+                prior,
+                covariates,
+                settings.covariance == "full",
+                seeds[1],
+                progress,
+                one_person=one,
+                checkpoint=None if checkpoint is None else checkpoint / _POINT_ESTIMATE,
+            )
+        if one:
+            return _one_person(
+                recordings, kernel, prior, settings, seed, point, first, seeds[2], clock, progress, checkpoint
+            )
+        repetitions = np.array([len(s.repetitions) for s in recordings.subjects])
+        full = settings.covariance == "full"
+        posterior = Posterior(repetitions, kernel, prior, full, settings.draws, point, covariates)
+        with clock.measure("draws"):
+            posterior.draw(seeds[3], executor, progress)
+        point.forget()
+        with clock.measure("population"):
+            chains = sample(
+                posterior.log_probability,
+                posterior.mode,
+                posterior.normal_covariance,
+                settings.sampler,
+                seeds[2],
+                progress,
+                checkpoint,
+            )
+        with clock.measure("persons"):
+            kept = _kept_sets(chains, len(recordings.subjects) * len(kernel.elements))
+            flat = chains.coordinates[:, kept].reshape(-1, chains.coordinates.shape[-1])
+            parameters = posterior.coordinates.unpack(flat)
+            person_draws, person_likelihood = posterior.marginal.persons(parameters, seeds[4])
+            diagnostics = diagnose(recordings, point, chains, posterior.marginal, parameters, posterior.redrawn)
+            scaled = partial(_scaled_noise, first.model)
+            noise = tuple(map_persons(executor, scaled, recordings.subjects, point.scale))
+    shape = (settings.sampler.ensembles, -1, len(recordings.subjects))
+    identified = point.determined & (parameters.mu.std(axis=0) < IDENTIFIED_SD)
+    return PopulationFit(
+        recordings,
+        kernel,
+        prior,
+        settings,
+        seed,
+        parameters,
+        settings.sampler.ensembles,
+        chains.log_probability[:, kept],
+        person_draws.reshape(*shape, len(kernel.elements)),
+        person_likelihood.reshape(*shape),
+        point.deviations,
+        noise,
+        point.scale,
+        identified,
+        diagnostics,
+        clock.seconds,
+    )
+
+
+def _one_person(
+    recordings: Recordings,
+    kernel: Kernel,
+    prior: Prior,
+    settings: FitSettings,
+    seed: int,
+    point: Estimate,
+    first: FirstFits,
+    sampler_seed: np.random.SeedSequence,
+    clock: _Clock,
+    progress: Progress,
+    checkpoint: Path | None,
+) -> PopulationFit:
+    """Posterior of the only person's elements under the broad prior, sampled directly."""
+    mode, likelihood = point.modes[0], point.likelihoods[0]
+    ridge = find_ridge(kernel, likelihood, mode.theta, mode.scale, point.between_repetitions)
+    sd = np.sqrt(np.diag(np.linalg.inv(mode.precision)))
+
+    def log_probability(u: np.ndarray) -> np.ndarray:
+        theta = mode.theta + sd * u
+        offset = (theta - prior.centre) / prior.centre_sd
+        return np.asarray(marginal_log_likelihood(kernel, likelihood, ridge, theta) - 0.5 * np.sum(offset**2, axis=1))
+
+    with clock.measure("population"):
+        chains = sample(
+            log_probability,
+            np.zeros(sd.size),
+            0.5 * np.ones(sd.size),
+            settings.sampler,
+            sampler_seed,
+            progress,
+            checkpoint,
+        )
+    theta = mode.theta + sd * chains.coordinates.reshape(-1, sd.size)
+    n, p = theta.shape
+    nothing = np.full((n, p), np.nan)
+    parameters = PopulationParameters(theta, nothing, np.tile(np.eye(p), (n, 1, 1)), nothing, np.zeros((n, p, 0)))
+    ensembles = settings.sampler.ensembles
+    diagnostics = diagnose(recordings, point, chains, None, parameters, 0)
+    return PopulationFit(
+        recordings,
+        kernel,
+        prior,
+        settings,
+        seed,
+        parameters,
+        ensembles,
+        chains.log_probability,
+        theta.reshape(ensembles, -1, 1, p),
+        marginal_log_likelihood(kernel, likelihood, ridge, theta).reshape(ensembles, -1, 1),
+        (likelihood.deviations,),
+        (_scaled_noise(first.model, recordings.subjects[0], mode.scale),),
+        np.array([mode.scale]),
+        point.determined & (theta.std(axis=0) < IDENTIFIED_SD),
+        diagnostics,
+        clock.seconds,
+    )
+
+
+def _kept_sets(chains: Chains, numbers_each: int) -> np.ndarray:
+    """Which draws of each ensemble are kept: all, or as many as everybody's elements under them leave memory for."""
+    available = chains.coordinates.shape[1]
+    most = max(_MOST_NUMBERS // (numbers_each * chains.coordinates.shape[0]), _FEWEST_SETS)
+    return np.unique(np.linspace(0, available - 1, min(available, most)).astype(int))
+
+
+def too_few_for_correlations(n_persons: int, n_elements: int) -> bool:
+    """Whether even a sample covariance of the elements would be singular.
+
+    The posterior of a full one then piles up at singular matrices, held back by nothing but the prior.
+    """
+    return n_persons < n_elements + 2
+
+
+def network_of(recordings: Recordings, network: Network | str | None) -> Network:
+    """The network asked for, or the dataset's own."""
+    given = network if network is not None else recordings.network
+    if given is None:
+        raise InputError('no network: name one with --network, or write network = "..." into dataset.toml')
+    return parse(given) if isinstance(given, str) else given
+
+
+def _standardised(recordings: Recordings, names: tuple[str, ...]) -> np.ndarray:
+    """Covariates (N, Q) with mean 0 and standard deviation 1."""
+    columns = []
+    for name in names:
+        values = np.array([s.covariates.get(name, np.nan) for s in recordings.subjects], dtype=float)
+        if not np.all(np.isfinite(values)):
+            who = recordings.subjects[int(np.argmin(np.isfinite(values)))].name
+            raise InputError(f"covariate '{name}' is missing for subject {who}: add it to subjects.csv or leave it out")
+        if values.std() == 0:
+            raise InputError(f"covariate '{name}' is the same for everybody: leave it out")
+        columns.append((values - values.mean()) / values.std())
+    return np.array(columns).T if columns else np.zeros((len(recordings.subjects), 0))
+
+
+def require_enough_points(recordings: Recordings, kernel: Kernel) -> None:
+    """Refuse people with fewer numbers than elements."""
+    for subject in recordings.subjects:
+        if 2 * subject.frequency_hz.size <= len(kernel.elements):
+            raise InputError(
+                f"subject {subject.name} has {subject.frequency_hz.size} frequencies, too few for "
+                f"{len(kernel.elements)} elements: record more or use a smaller network"
+            )
+
+
+def initial_likelihoods(recordings: Recordings, first: FirstFits, n_elements: int, executor: Executor) -> Kept:
+    """Everybody's likelihood with the noise of the first fits, and no deviations between repetitions yet.
+
+    They are made where the executor keeps them, by whoever has or reads the recordings there.
+    """
+    return Kept.of(executor, recordings.subjects).each(partial(_likelihood, first.model, n_elements))
+
+
+def _likelihood(model: NoiseModel | None, n_elements: int, subject: Subject) -> Likelihood:
+    nothing = np.zeros((len(subject.repetitions), n_elements))
+    return Likelihood.make(subject.frequency_hz, subject.z, noise_of(subject, model), nothing)
+
+
+def _scaled_noise(model: NoiseModel | None, subject: Subject, scale: float) -> np.ndarray:
+    return noise_of(subject, model) * scale
+
+
+class _Clock:
+    """Seconds of each named step."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def measure(self, name: str) -> Iterator[None]:
+        started = time.perf_counter()
+        yield
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - started

@@ -1,0 +1,246 @@
+r"""The population's parameters: what they are, their priors, and the coordinates in which they are sampled.
+
+A person's log elements and the deviation of one repetition from them are
+
+.. math:: \theta_i \sim N(\mu + B x_i,\ \Sigma), \qquad \delta_{ij} \sim N(0,\ \operatorname{diag}\rho^2),
+          \qquad \Sigma = \operatorname{diag}(\tau)\, C \operatorname{diag}(\tau),
+
+with covariates x standardised. The default priors need no knowledge of unit or body part:
+
+* :math:`\mu_p \sim N(c_p, 3^2)`, where :math:`c_p` is the value at which the element's impedance meets the data's
+  magnitude in the middle of the band (:func:`bayes_impedance.network.elements.band_scale`);
+* :math:`\tau_p, \rho_p \sim` half-normal(1); slopes :math:`B_{pq} \sim N(0, 1)`;
+* correlations C ~ LKJ(2), through partial correlations (Lewandowski, Kurowicka and Joe 2009): in a P-dimensional
+  C-vine the partial correlation of level j is Beta(b, b) on (-1, 1) with :math:`b = \eta + (P - 2 - j)/2`.
+
+**Coordinates.** A sampler should meet something close to a normal distribution. Centres are standardised. A dispersion
+is the probit of its prior probability, :math:`u = \Phi^{-1}(F(\tau))`: it is normal under the prior, unlike a logarithm
+has no exponential tail where the data cannot tell a small dispersion from none, and is locally linear where they can.
+Partial correlations go through atanh.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Scales of the prior.
+
+    Attributes
+    ----------
+    centre : ndarray, shape (P,)
+        Prior mean of the population's mean log elements.
+    centre_sd : float
+        Its standard deviation, in natural logarithms.
+    dispersion_sd : float
+        Scale of the half-normal priors of both dispersions.
+    concentration : float
+        LKJ concentration eta of the correlations.
+    slope_sd : float
+        Standard deviation of the effect of one standard deviation of a covariate on a log element.
+    """
+
+    centre: np.ndarray
+    centre_sd: float = 3.0
+    dispersion_sd: float = 1.0
+    concentration: float = 2.0
+    slope_sd: float = 1.0
+
+
+@dataclass(frozen=True)
+class PopulationParameters:
+    """W sets of population parameters.
+
+    Attributes
+    ----------
+    mu : ndarray, shape (W, P)
+        Mean log elements.
+    between_persons : ndarray, shape (W, P)
+        Standard deviations of the log elements between persons.
+    correlation_cholesky : ndarray, shape (W, P, P)
+        Lower Cholesky factor of their correlation matrix.
+    between_repetitions : ndarray, shape (W, P)
+        Standard deviations between repetitions; zero where there are none.
+    slopes : ndarray, shape (W, P, Q)
+        Effects of the standardised covariates.
+    """
+
+    mu: np.ndarray
+    between_persons: np.ndarray
+    correlation_cholesky: np.ndarray
+    between_repetitions: np.ndarray
+    slopes: np.ndarray
+
+    @property
+    def correlation(self) -> np.ndarray:
+        """Correlation matrices, shape (W, P, P)."""
+        return np.asarray(self.correlation_cholesky @ np.swapaxes(self.correlation_cholesky, -1, -2))
+
+    @property
+    def covariance_cholesky(self) -> np.ndarray:
+        """Lower Cholesky factors of the covariance between persons, shape (W, P, P)."""
+        return np.asarray(self.between_persons[..., :, None] * self.correlation_cholesky)
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Covariance between persons, shape (W, P, P)."""
+        factor = self.covariance_cholesky
+        return np.asarray(factor @ np.swapaxes(factor, -1, -2))
+
+    def __getitem__(self, rows: slice | np.ndarray) -> PopulationParameters:
+        return PopulationParameters(
+            self.mu[rows],
+            self.between_persons[rows],
+            self.correlation_cholesky[rows],
+            self.between_repetitions[rows],
+            self.slopes[rows],
+        )
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """The map between population parameters and the real vector that is sampled.
+
+    The vector holds, in this order: centres (P), dispersions between persons (P), those between repetitions (P,
+    if `repetitions`), slopes (P Q), partial correlations (P (P - 1) / 2, if `correlated`). Elements that are `held`
+    keep the given population parameters and have no coordinates: the data cannot see them.
+
+    Attributes
+    ----------
+    prior : Prior
+    correlated : bool
+        Full covariance, or diagonal.
+    repetitions : bool
+        Whether there is a dispersion between repetitions.
+    n_covariates : int
+    free : tuple of int
+        Elements that have coordinates.
+    held_mu, held_dispersion : ndarray, shape (P,)
+        Population parameters of the others (both dispersions are held at the same value).
+    """
+
+    prior: Prior
+    correlated: bool
+    repetitions: bool
+    n_covariates: int
+    free: tuple[int, ...]
+    held_mu: np.ndarray
+    held_dispersion: np.ndarray
+
+    @property
+    def n_elements(self) -> int:
+        """Number P of elements."""
+        return int(self.prior.centre.size)
+
+    @property
+    def sizes(self) -> tuple[int, int, int, int, int]:
+        """Number of coordinates of each block."""
+        n = len(self.free)
+        return (
+            n,
+            n,
+            n if self.repetitions else 0,
+            n * self.n_covariates,
+            n * (n - 1) // 2 if self.correlated else 0,
+        )
+
+    @property
+    def n_dimensions(self) -> int:
+        """Length D of the vector."""
+        return sum(self.sizes)
+
+    def _blocks(self, vector: np.ndarray) -> list[np.ndarray]:
+        return np.split(vector, np.cumsum(self.sizes)[:-1], axis=-1)
+
+    def unpack(self, vector: np.ndarray) -> PopulationParameters:
+        """Population parameters of sampled vectors, shape (W, D)."""
+        centre, persons, repetitions, slopes, partial = self._blocks(vector)
+        w, p, free = vector.shape[0], self.n_elements, list(self.free)
+        mu = np.tile(self.held_mu, (w, 1))
+        mu[:, free] = self.prior.centre[free] + self.prior.centre_sd * centre
+        tau = np.tile(self.held_dispersion, (w, 1))
+        tau[:, free] = self._dispersion(persons)
+        rho = np.zeros((w, p))
+        if self.repetitions:
+            rho[:] = self.held_dispersion
+            rho[:, free] = self._dispersion(repetitions)
+        b = np.zeros((w, p, self.n_covariates))
+        b[:, free] = self.prior.slope_sd * slopes.reshape(w, len(free), self.n_covariates)
+        cholesky = np.tile(np.eye(p), (w, 1, 1))
+        if self.correlated:
+            chosen = np.array(free)
+            cholesky[:, chosen[:, None], chosen] = _cholesky_from_partial(np.tanh(partial), len(free))
+        return PopulationParameters(mu, tau, cholesky, rho, b)
+
+    def log_prior(self, vector: np.ndarray) -> np.ndarray:
+        """Log prior density of sampled vectors, shape (W, D), up to a constant: shape (W,)."""
+        *normal, partial = self._blocks(vector)
+        value = -0.5 * sum(np.sum(block**2, axis=-1) for block in normal)
+        if self.correlated:
+            # In u = atanh(r) the density (1 - r^2)^(b - 1) becomes (1 - r^2)^b = sech(u)^(2 b).
+            value = value - 2 * np.sum(self._levels() * _log_cosh(partial), axis=-1)
+        return np.asarray(value)
+
+    def pack(
+        self, mu: np.ndarray, covariance: np.ndarray, between_repetitions: np.ndarray, slopes: np.ndarray
+    ) -> np.ndarray:
+        """Vector of one set of parameters: mu (P,), covariance (P, P), between_repetitions (P,), slopes (P, Q)."""
+        free = list(self.free)
+        tau = np.sqrt(np.diag(covariance))[free]
+        parts = [(mu[free] - self.prior.centre[free]) / self.prior.centre_sd, self._probit(tau)]
+        if self.repetitions:
+            parts.append(self._probit(between_repetitions[free]))
+        parts.append(slopes[free].ravel() / self.prior.slope_sd)
+        if self.correlated:
+            correlation = covariance[np.ix_(free, free)] / np.outer(tau, tau)
+            parts.append(np.arctanh(_partial_from_cholesky(np.linalg.cholesky(correlation))))
+        return np.concatenate(parts)
+
+    def _dispersion(self, u: np.ndarray) -> np.ndarray:
+        # Half-normal quantile of Phi(u), written with the upper tail so that large values keep their digits.
+        return np.asarray(-self.prior.dispersion_sd * ndtri(0.5 * ndtr(-u)))
+
+    def _probit(self, dispersion: np.ndarray) -> np.ndarray:
+        return np.asarray(-ndtri(2 * ndtr(-np.asarray(dispersion) / self.prior.dispersion_sd)))
+
+    def _levels(self) -> np.ndarray:
+        """Shape b of the beta distribution of each partial correlation, in the order of the lower triangle's rows."""
+        n = len(self.free)
+        _, column = np.tril_indices(n, -1)
+        return np.asarray(self.prior.concentration + (n - 2 - column) / 2)
+
+
+def _log_cosh(u: np.ndarray) -> np.ndarray:
+    return np.asarray(np.abs(u) + np.log1p(np.exp(-2 * np.abs(u))) - np.log(2))
+
+
+def _cholesky_from_partial(partial: np.ndarray, n: int) -> np.ndarray:
+    """Cholesky factors, shape (W, n, n), of the correlation matrices with partial correlations (W, n (n-1)/2)."""
+    factor = np.zeros((partial.shape[0], n, n))
+    factor[:, 0, 0] = 1
+    k = 0
+    for i in range(1, n):
+        rest = np.ones(partial.shape[0])
+        for j in range(i):
+            factor[:, i, j] = partial[:, k] * rest
+            rest = rest * np.sqrt(1 - partial[:, k] ** 2)
+            k += 1
+        factor[:, i, i] = rest
+    return factor
+
+
+def _partial_from_cholesky(factor: np.ndarray) -> np.ndarray:
+    """Partial correlations of one Cholesky factor, shape (n, n): the inverse of the above."""
+    n = factor.shape[0]
+    partial = []
+    for i in range(1, n):
+        rest = 1.0
+        for j in range(i):
+            partial.append(factor[i, j] / rest)
+            rest *= np.sqrt(max(1 - partial[-1] ** 2, 1e-12))
+    return np.asarray(np.clip(np.array(partial), -0.999, 0.999))

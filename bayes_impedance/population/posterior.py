@@ -1,0 +1,196 @@
+r"""The posterior of the population's parameters, as a sampler meets it.
+
+Prior times marginal likelihood, in the coordinates of :mod:`bayes_impedance.population.parameters`, with the draws that
+the likelihood rests on. Elements that nobody's recording shows are held at a population of their own: the draws cover
+it, so that the others are averaged over it, but no coordinate has it and no number is reported.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor
+
+import numpy as np
+
+from bayes_impedance.errors import InputError
+from bayes_impedance.mcmc.ensemble import SamplerSettings, sample
+from bayes_impedance.mcmc.laplace import normal_approximation
+from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.person.importance_draws import widening
+from bayes_impedance.population.em import Estimate
+from bayes_impedance.population.parameters import Coordinates, Prior
+from bayes_impedance.population.sharded_likelihood import KeptDraws
+from bayes_impedance.runtime.progress import Progress
+
+_VARIANCE_WANTED = 0.25
+_MORE_DRAWS = (1, 4, 8)
+_PILOT = SamplerSettings(ensembles=2, burn_in=(60, 60), chunk=60, longest=60)
+_LARGEST_COORDINATE = 8.0
+
+
+class Posterior:
+    """Posterior density of the population's parameters.
+
+    Parameters
+    ----------
+    repetitions : ndarray of int, shape (N,)
+        Number of repetitions of each person.
+    kernel : Kernel
+    prior : Prior
+    correlated : bool
+        Full covariance, or diagonal.
+    n_draws : int
+        Draws for each person to begin with.
+    point : Estimate
+        The anchor.
+    covariates : ndarray, shape (N, Q)
+        Standardised.
+
+    Attributes
+    ----------
+    coordinates : Coordinates
+        Of what is sampled.
+    marginal : KeptDraws
+        The likelihood that rests on everybody's draws, once they are made.
+    mode, normal_covariance : ndarray, shape (D,) and (D, D)
+        A normal approximation, where sampling may start.
+    redrawn : int
+        How often the reference population was moved.
+
+    Raises
+    ------
+    InputError
+        If the recordings determine no element.
+    """
+
+    def __init__(
+        self,
+        repetitions: np.ndarray,
+        kernel: Kernel,
+        prior: Prior,
+        correlated: bool,
+        n_draws: int,
+        point: Estimate,
+        covariates: np.ndarray,
+    ) -> None:
+        self.kernel, self.n_draws, self.point, self.covariates = kernel, n_draws, point, covariates
+        self.repetitions = repetitions
+        determined = point.determined
+        # Elements that nobody's recording shows keep a population of their own: draws cover it, no coordinate has it.
+        self.covariance = point.covariance.copy()
+        held = ~determined
+        self.covariance[held, :] = 0
+        self.covariance[:, held] = 0
+        self.covariance[held, held] = 1.0
+        self.coordinates = Coordinates(
+            prior,
+            correlated,
+            bool(self.repetitions.max() > 1),
+            covariates.shape[1],
+            tuple(np.flatnonzero(determined)),
+            point.mu,
+            np.ones(point.mu.size),
+        )
+        if not self.coordinates.free:
+            raise InputError(
+                "the recordings determine no element of the network: check the unit, the frequencies and the network"
+            )
+
+    def log_probability(self, u: np.ndarray) -> np.ndarray:
+        """Log posterior density of coordinates (W, D), up to a constant: shape (W,)."""
+        value = np.full(u.shape[0], -np.inf)
+        # Beyond this no prior mass is left and dispersions are zero in rounding.
+        inside = np.all(np.abs(u) < _LARGEST_COORDINATE, axis=1)
+        if np.any(inside):
+            value[inside] = self._inside(u[inside])
+        return np.where(np.isfinite(value), value, -np.inf)
+
+    def _inside(self, u: np.ndarray) -> np.ndarray:
+        try:
+            return np.asarray(self.marginal(self.coordinates.unpack(u)) + self.coordinates.log_prior(u))
+        except np.linalg.LinAlgError:  # one correlation matrix is singular in rounding: it is refused, not the others
+            if len(u) == 1:
+                return np.array([-np.inf])
+            return np.concatenate([self._inside(row) for row in np.array_split(u, 2)])
+
+    def start(self) -> np.ndarray:
+        """The point estimate in sampled coordinates, shape (D,)."""
+        mean_repetitions = float(np.mean(self.repetitions))
+        between = self.covariance - np.diag(self.point.between_repetitions**2) / mean_repetitions
+        return self.coordinates.pack(
+            self.point.mu, _positive(between), self.point.between_repetitions, self.point.slopes
+        )
+
+    def start_scale(self) -> np.ndarray:
+        """Rough posterior standard deviations of the coordinates, shape (D,)."""
+        n = self.repetitions.size
+        few = 1 / np.sqrt(n + 4)
+        repetitions = 1 / np.sqrt(np.sum(self.repetitions - 1) + 4)
+        sizes = self.coordinates.sizes
+        prior = self.coordinates.prior
+        centre = self.point.mu_sd[list(self.coordinates.free)] / prior.centre_sd
+        widths = (few, repetitions, few / prior.slope_sd, few)
+        return np.concatenate([centre, *(np.full(k, w) for k, w in zip(sizes[1:], widths, strict=True))])
+
+    def draw(self, seed: np.random.SeedSequence, executor: Executor, progress: Progress) -> None:
+        """Draws for everybody; while the weights are poor, moves the reference population and draws more.
+
+        Poor weights mean that the population's spread in some direction is smaller than a person's uncertainty there:
+        no reference suits both a small and a vanishing spread, so numbers have to help.
+        """
+        mu, covariance, slopes = self.point.mu, self.covariance, self.point.slopes
+        rounds = seed.spawn(len(_MORE_DRAWS))
+        # Few persons leave the population uncertain, and their draws are cheap: the product of the two stays the same.
+        few = 2 ** int(np.clip(np.round(np.log2(64 / self.repetitions.size)), 0, 3))
+        n_persons = self.repetitions.size
+        for redrawn, child in enumerate(rounds):
+            means = mu + self.covariates @ slopes.T
+            n_draws = _MORE_DRAWS[redrawn] * self.n_draws * few
+            wide = covariance * widening(n_persons) ** 2
+            self.marginal = KeptDraws.made(
+                self.kernel, self.point, means, wide, self.covariates, n_draws, child, executor, progress
+            )
+            self.redrawn = redrawn
+            # The prior alone has a precision of one in most coordinates.
+            mode, normal = normal_approximation(self.log_probability, self.start(), self.start_scale(), 0.5)
+            self.mode, self.normal_covariance = mode, normal
+            pilot = np.random.default_rng(child.spawn(1)[0]).normal(size=(64, mode.size))
+            nearby = np.clip(mode + pilot @ np.linalg.cholesky(normal).T, -_LARGEST_COORDINATE, _LARGEST_COORDINATE)
+            variance = self.marginal.variance(self.coordinates.unpack(nearby))
+            if (
+                noise_within(float(np.mean(variance)), n_persons, mode.size) < _VARIANCE_WANTED
+                or redrawn == len(rounds) - 1
+            ):
+                return
+            chains = sample(
+                self.log_probability,
+                mode,
+                normal,
+                _PILOT,
+                child,
+                lambda _, done, total: progress("moving the reference", done, total),
+            )
+            there = self.coordinates.unpack(chains.coordinates.reshape(-1, self.coordinates.n_dimensions))
+            mu, slopes = there.mu.mean(axis=0), there.slopes.mean(axis=0)
+            covariance = there.covariance.mean(axis=0) + np.diag(
+                np.mean(there.between_repetitions**2, axis=0) / np.mean(self.repetitions)
+            )
+
+
+def noise_within(variance: float, n_persons: int, n_coordinates: int) -> float:
+    """Monte-Carlo variance of log-likelihood differences inside the posterior.
+
+    The same draws serve every population, so what matters is how their error changes from one to another. It changes
+    where a population moves by its own spread; the posterior of N persons is narrower than that by the root of N, in
+    each of its D coordinates: V D/N of the variance V are left.
+    """
+    return variance * min(1.0, n_coordinates / n_persons)
+
+
+def _positive(matrix: np.ndarray) -> np.ndarray:
+    """The nearest matrix with variances of at least 1e-4 and correlations that are not extreme."""
+    variance = np.maximum(np.diag(matrix), 1e-4)
+    correlation = matrix / np.sqrt(np.outer(variance, variance))
+    values, vectors = np.linalg.eigh(correlation)
+    repaired = (vectors * np.maximum(values, 0.02)) @ vectors.T
+    scale = np.sqrt(variance / np.diag(repaired))
+    return np.asarray(repaired * np.outer(scale, scale))

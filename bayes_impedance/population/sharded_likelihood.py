@@ -1,0 +1,254 @@
+"""Everybody's draws, where they were made: a likelihood of many persons of which only sums travel.
+
+Draws are what grows with the number of persons, a few hundred kilobytes for each. They are kept in parts of some dozens
+to hundreds of persons, in this process or by the workers of a cluster, which evaluate the population's likelihood on
+them: a set of population parameters goes there and one number comes back. Parts depend on the number of persons alone
+and are summed in order, so the result does not depend on who has worked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.person.importance_draws import Draws, Reference, draw
+from bayes_impedance.person.likelihood import Likelihood, find_ridge
+from bayes_impedance.population.e_step import PersonFit, contrasts_of
+from bayes_impedance.population.em import Estimate
+from bayes_impedance.population.importance_likelihood import Contrasts, Marginal
+from bayes_impedance.population.parameters import PopulationParameters
+from bayes_impedance.runtime.executors import Cluster, map_persons
+from bayes_impedance.runtime.progress import Progress
+from bayes_impedance.runtime.sharded import Kept, parts_of
+
+_SETS_AT_ONCE = 50
+
+
+@dataclass(frozen=True)
+class Part:
+    """Some persons' draws and their likelihood.
+
+    Attributes
+    ----------
+    theta : ndarray, shape (n, K, P)
+        Everybody's draws.
+    log_ratio : ndarray, shape (n, K)
+        ln L - ln q of each.
+    marginal : Marginal
+    """
+
+    theta: np.ndarray
+    log_ratio: np.ndarray
+    marginal: Marginal
+
+    def __sizeof__(self) -> int:
+        """Bytes: a cluster that knows them does not copy a part to a worker who has nothing to do for a moment."""
+        return self.theta.nbytes + self.log_ratio.nbytes + self.marginal.nbytes
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """What all persons' draws are made with."""
+
+    kernel: Kernel
+    rho: np.ndarray
+    covariance: np.ndarray
+    n_draws: int
+
+
+class KeptDraws:
+    """The likelihood of population parameters, all persons together.
+
+    Parameters
+    ----------
+    parts : sequence
+        Parts, or what a cluster knows them by.
+    executor : Executor
+        Which keeps them.
+    """
+
+    def __init__(self, parts: Sequence[Any], executor: Executor) -> None:
+        self._kept = Kept(executor, parts)
+
+    @classmethod
+    def made(
+        cls,
+        kernel: Kernel,
+        point: Estimate,
+        means: np.ndarray,
+        covariance: np.ndarray,
+        covariates: np.ndarray,
+        n_draws: int,
+        seed: np.random.SeedSequence,
+        executor: Executor,
+        progress: Progress,
+    ) -> KeptDraws:
+        """Draw for everybody under a reference population.
+
+        Parameters
+        ----------
+        kernel : Kernel
+        point : Estimate
+            With everybody's mode and likelihood.
+        means : ndarray, shape (N, P)
+            Of the reference population.
+        covariance : ndarray, shape (P, P)
+            Its covariance, already widened.
+        covariates : ndarray, shape (N, Q)
+        n_draws : int
+            For each person, a power of two.
+        seed : SeedSequence
+        executor : Executor
+        progress : callable
+        """
+        n = len(means)
+        plan = _Plan(kernel, point.between_repetitions, covariance, n_draws)
+        seeds = seed.spawn(n)
+        if isinstance(executor, Cluster):
+            columns = zip(point.data.parts, point.fits.parts, parts_of(n), strict=True)
+            kept = [
+                executor.keep(_drawn_part, plan, data, fits, means[rows], covariates[rows], seeds[rows])
+                for data, fits, rows in columns
+            ]
+            for part, rows in zip(kept, parts_of(n), strict=True):
+                executor.ask(_size, [(part,)])
+                progress("draws", rows.stop, n)
+            return cls(kept, executor)
+        data, fits = point.data.gathered(), point.fits.gathered()
+        drawn = map_persons(executor, partial(_draws_of, plan), data, fits, means, seeds)
+        watched = _watched(drawn, n, progress)
+        parts = [_part(plan, watched, *_told(fits[rows]), means[rows], covariates[rows]) for rows in parts_of(n)]
+        return cls(parts, executor)
+
+    def __call__(self, parameters: PopulationParameters) -> np.ndarray:
+        """Log likelihood of W sets of population parameters, shape (W,)."""
+        return np.asarray(np.sum(self._kept.ask(_log_likelihood, parameters), axis=0))
+
+    def variance(self, parameters: PopulationParameters) -> np.ndarray:
+        """Monte-Carlo variance of the log likelihood, summed over persons, shape (W,)."""
+        return np.asarray(np.sum(self._kept.ask(_variance, parameters), axis=0))
+
+    def effective(self, parameters: PopulationParameters) -> np.ndarray:
+        """Everybody's smallest effective number of draws under W sets, shape (N,)."""
+        return np.concatenate(self._kept.ask(_effective, parameters))
+
+    def pareto_k(self, parameters: PopulationParameters) -> np.ndarray:
+        """Tail of everybody's weights under the first set, shape (N,)."""
+        return np.concatenate(self._kept.ask(_pareto_k, parameters[:1]))
+
+    def gathered(self) -> tuple[np.ndarray, np.ndarray]:
+        """Everybody's draws, (N, K, P), and their ln L - ln q, (N, K): all of them travel."""
+        both = self._kept.ask(_draws_and_ratios)
+        return np.concatenate([a for a, _ in both]), np.concatenate([b for _, b in both])
+
+    def persons(self, parameters: PopulationParameters, seed: np.random.SeedSequence) -> tuple[np.ndarray, np.ndarray]:
+        """One draw of everybody's log elements for each set, (W, N, P), and everybody's log likelihood, (W, N)."""
+        n_sets, n_elements = parameters.mu.shape
+        rows = [(parameters, child) for child in seed.spawn(len(self._kept.parts))]
+        sizes = self._kept.ask(_size)
+        theta, log_likelihood = np.empty((n_sets, sum(sizes), n_elements)), np.empty((n_sets, sum(sizes)))
+        end = 0
+        for size, part in zip(sizes, self._kept.ask_in_turn(_resampled, rows), strict=True):
+            theta[:, end : end + size], log_likelihood[:, end : end + size] = part
+            end += size
+        return theta, log_likelihood
+
+
+def _drawn_part(
+    plan: _Plan,
+    data: Sequence[Likelihood],
+    fits: Sequence[PersonFit],
+    means: np.ndarray,
+    covariates: np.ndarray,
+    seeds: Sequence[np.random.SeedSequence],
+) -> Part:
+    drawn = (_draws_of(plan, *row) for row in zip(data, fits, means, seeds, strict=True))
+    return _part(plan, drawn, *_told(fits), means, covariates)
+
+
+def _told(fits: Sequence[PersonFit]) -> tuple[np.ndarray, tuple[Contrasts, ...]]:
+    """Numbers of repetitions, and what these tell."""
+    return np.array([len(fit.deviations) for fit in fits]), tuple(contrasts_of(fits).values())
+
+
+def _part(
+    plan: _Plan,
+    drawn: Iterable[Draws],
+    repetitions: np.ndarray,
+    contrasts: Sequence[Contrasts],
+    means: np.ndarray,
+    covariates: np.ndarray,
+) -> Part:
+    """A part of as many persons as there are means; their draws are taken as they come, so that none is held twice."""
+    theta = np.empty((len(means), plan.n_draws, means.shape[1]))
+    log_ratio = np.empty(theta.shape[:2])
+    kept = []
+    for i, draws in zip(range(len(means)), drawn, strict=False):
+        theta[i], log_ratio[i] = draws.theta, draws.log_ratio
+        kept.append(replace(draws, theta=theta[i], log_ratio=log_ratio[i]))
+    return Part(theta, log_ratio, Marginal(kept, means, plan.covariance, repetitions, covariates, contrasts))
+
+
+def _draws_of(
+    plan: _Plan, likelihood: Likelihood, fit: PersonFit, mean: np.ndarray, seed: np.random.SeedSequence
+) -> Draws:
+    likelihood = likelihood.moved(fit.deviations)
+    # The ridge holds rho at the estimate; the contrasts carry the likelihood of other values.
+    ridge = find_ridge(plan.kernel, likelihood, fit.theta, fit.mode.scale, plan.rho)
+    return draw(plan.kernel, likelihood, fit.mode, ridge, Reference(mean, plan.covariance), plan.n_draws, seed)
+
+
+def _watched(drawn: Iterable[Draws], n: int, progress: Progress) -> Iterator[Draws]:
+    for i, draws in enumerate(drawn):
+        progress("draws", i + 1, n)
+        yield draws
+
+
+def _draws_and_ratios(part: Part) -> tuple[np.ndarray, np.ndarray]:
+    return part.theta, part.log_ratio
+
+
+def _size(part: Part) -> int:
+    return len(part.theta)
+
+
+def _log_likelihood(part: Part, parameters: PopulationParameters) -> np.ndarray:
+    return part.marginal(parameters)
+
+
+def _variance(part: Part, parameters: PopulationParameters) -> np.ndarray:
+    return part.marginal.variance(parameters)
+
+
+def _effective(part: Part, parameters: PopulationParameters) -> np.ndarray:
+    return np.asarray(part.marginal.terms(parameters, effective=True)[1].min(axis=0))
+
+
+def _pareto_k(part: Part, parameters: PopulationParameters) -> np.ndarray:
+    from bayes_impedance.mcmc.arviz_file import pareto_k
+
+    return np.asarray(pareto_k(part.marginal.log_weights(parameters)[0]))
+
+
+def _resampled(
+    part: Part, parameters: PopulationParameters, seed: np.random.SeedSequence
+) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    n_sets, n = parameters.mu.shape[0], len(part.theta)
+    theta = np.empty((n_sets, n, parameters.mu.shape[1]))
+    for start in range(0, n_sets, _SETS_AT_ONCE):
+        some = parameters[slice(start, start + _SETS_AT_ONCE)]
+        level = rng.random((some.mu.shape[0], n, 1))
+        for persons, log_weight, _ in part.marginal.exponents(some):
+            weight = np.exp(log_weight - log_weight.max(axis=2, keepdims=True))
+            cumulative = np.cumsum(weight, axis=2)
+            own = level[:, persons] * cumulative[:, :, -1:]
+            chosen = np.minimum((cumulative < own).sum(axis=2), weight.shape[2] - 1)
+            theta[start : start + _SETS_AT_ONCE, persons] = part.theta[persons, chosen]
+    return theta, part.marginal.terms(parameters)[0]

@@ -1,0 +1,299 @@
+r"""Virtual persons: recordings whose truth is known.
+
+A :class:`VirtualPopulation` says how elements are distributed; :func:`simulate_recordings` makes people of it and
+records them the way the paper did: several repetitions with the finger put down again, contact force held within a
+tolerance band, and noise that grows towards low frequencies, where the force of the shaker is small.
+
+.. math::
+    \ln x_{ij} = \mu + \tau\,C^{1/2}\,\xi_i + \rho\,\eta_{ij} + b \ln F_{ij}, \qquad
+    z_{ijk} = Z_k(x_{ij}) + |Z_k|\,s_i\,\sigma_0\sqrt{1 + (f_c/f_k)^4}\;\epsilon_{ijk}
+
+with standard normal xi, eta and epsilon (real and imaginary part each), log-normal s and F in newtons within the
+tolerance band around 1 N. The exponent b = 0.35 for stiffness and damping of soft tissue is a published finding for
+fingertips under shear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from bayes_impedance.errors import InputError
+from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.network.notation import PAPER_NETWORK, parse
+from bayes_impedance.recordings.files import Recordings, Subject
+
+_PERSON_FORCE = 0.07
+_REPETITION_FORCE = 0.03
+"""Half widths of the uniform contact-force errors of a person and of one repetition: together the paper's 10 %."""
+
+_SCALE_SPREAD = 0.15
+
+
+@dataclass(frozen=True)
+class VirtualPopulation:
+    """A population with known parameters.
+
+    Attributes
+    ----------
+    network : str
+        Notation.
+    central : mapping of str to float
+        Population median of each element in its unit, at a contact force of 1 N.
+    between_persons, between_repetitions : mapping of str to float
+        Standard deviations of the natural logarithms, without the effect of the contact force.
+    correlation : mapping of (str, str) to float
+        Between persons; pairs that are not named are zero.
+    force_exponent : mapping of str to float
+        d ln(element) / d ln(contact force).
+    noise : float
+        Relative noise of the real and of the imaginary part far above `noise_corner_hz`.
+    noise_corner_hz : float
+        Below this frequency the noise rises as 1/f^2.
+    """
+
+    network: str
+    central: Mapping[str, float]
+    between_persons: Mapping[str, float]
+    between_repetitions: Mapping[str, float] = field(default_factory=dict)
+    correlation: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    force_exponent: Mapping[str, float] = field(default_factory=dict)
+    noise: float = 0.01
+    noise_corner_hz: float = 8.0
+
+    def vector(self, values: Mapping[str, float]) -> np.ndarray:
+        """Values in the order of the network's elements, zero where there is none, shape (P,)."""
+        return np.array([values.get(e, 0.0) for e in parse(self.network).elements])
+
+    def correlation_matrix(self) -> np.ndarray:
+        """Correlations between persons, shape (P, P).
+
+        Raises
+        ------
+        InputError
+            If the named correlations contradict each other.
+        """
+        elements = parse(self.network).elements
+        matrix = np.eye(len(elements))
+        for (a, b), value in self.correlation.items():
+            i, j = elements.index(a), elements.index(b)
+            matrix[i, j] = matrix[j, i] = value
+        if np.linalg.eigvalsh(matrix)[0] <= 0:
+            raise InputError("the correlations contradict each other: no population has them all; make them smaller")
+        return matrix
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """Virtual recordings and what they were made from.
+
+    Attributes
+    ----------
+    recordings : Recordings
+    log_elements : ndarray, shape (N, P)
+        Each person's log elements, mean over repetitions excluded: what a person is.
+    truth : dict
+        Central values, dispersions (contact force included) and correlations, ready for JSON.
+    """
+
+    recordings: Recordings
+    log_elements: np.ndarray
+    truth: dict[str, Any]
+
+
+def simulate_recordings(
+    population: VirtualPopulation,
+    n_subjects: int,
+    n_repetitions: int,
+    frequency_hz: np.ndarray,
+    seed: int,
+    title: str = "simulated recordings",
+) -> Simulation:
+    """Draw people from a population and record them.
+
+    Parameters
+    ----------
+    population : VirtualPopulation
+    n_subjects, n_repetitions : int
+        At least one of each.
+    frequency_hz : ndarray, shape (F,)
+        Ascending.
+    seed : int
+        The same seed gives the same recordings.
+    title : str
+
+    Raises
+    ------
+    InputError
+        If a central value is missing or not positive, or there is nobody to record.
+    """
+    kernel = Kernel(parse(population.network))
+    central = population.vector(population.central)
+    if np.any(central <= 0):
+        missing = kernel.elements[int(np.argmin(central))]
+        raise InputError(f"element '{missing}' has no positive central value: give one for each of {kernel.elements}")
+    if n_subjects < 1 or n_repetitions < 1:
+        raise InputError("at least one subject and one repetition are needed")
+    rng = np.random.default_rng(seed)
+    tau, rho = population.vector(population.between_persons), population.vector(population.between_repetitions)
+    exponent = population.vector(population.force_exponent)
+    factor = np.linalg.cholesky(population.correlation_matrix())
+    p, f = len(kernel.elements), frequency_hz.size
+
+    person = np.log(central) + tau * (rng.normal(size=(n_subjects, p)) @ factor.T)
+    person_force = rng.uniform(-_PERSON_FORCE, _PERSON_FORCE, n_subjects)
+    repetition_force = rng.uniform(-_REPETITION_FORCE, _REPETITION_FORCE, (n_subjects, n_repetitions))
+    force = 1 + person_force[:, None] + repetition_force
+    deviation = rho * rng.normal(size=(n_subjects, n_repetitions, p))
+    theta = person[:, None] + deviation + exponent * np.log(force)[..., None]
+    z = kernel.impedance(theta, frequency_hz)
+    scale = np.exp(_SCALE_SPREAD * rng.normal(size=n_subjects))
+    noise = population.noise * np.sqrt(1 + (population.noise_corner_hz / frequency_hz) ** 4)
+    parts = rng.normal(size=(2, n_subjects, n_repetitions, f))
+    z = z + np.abs(z) * scale[:, None, None] * noise * (parts[0] + 1j * parts[1])
+
+    width = len(str(n_subjects))
+    subjects = tuple(
+        Subject(
+            name=f"V{i + 1:0{width}d}",
+            frequency_hz=frequency_hz,
+            z=z[i],
+            repetitions=tuple(str(j + 1) for j in range(n_repetitions)),
+            noise_sd=None,
+            covariates={"contact_force_n": float(force[i].mean())},
+        )
+        for i in range(n_subjects)
+    )
+    recordings = Recordings(
+        title=title,
+        unit="N s/m",
+        network=population.network,
+        source=f"simulated by bayes_impedance, seed {seed}: virtual persons, not measured",
+        licence="MIT",
+        subjects=subjects,
+        sha256="",
+        warnings=(),
+    )
+    return Simulation(recordings, person + exponent * np.log1p(person_force)[:, None], _truth(population, seed))
+
+
+def _truth(population: VirtualPopulation, seed: int) -> dict[str, Any]:
+    """Parameters of the population that a fit without covariates should find: the force's spread belongs to it."""
+    elements = parse(population.network).elements
+    tau, rho = population.vector(population.between_persons), population.vector(population.between_repetitions)
+    exponent = population.vector(population.force_exponent)
+    shift_person, shift_repetition = _PERSON_FORCE / np.sqrt(3), _REPETITION_FORCE / np.sqrt(3)
+    covariance = np.outer(tau, tau) * population.correlation_matrix() + np.outer(exponent, exponent) * shift_person**2
+    total = np.sqrt(np.diag(covariance))
+    alike = np.where(total > 0, total, 1.0)  # elements that are the same in everybody correlate with nothing
+    correlation = covariance / np.outer(alike, alike)
+    return {
+        "seed": seed,
+        "network": population.network,
+        "elements": {
+            e: {
+                "central": population.central[e],
+                "dispersion_between_persons": float(total[i]),
+                "dispersion_between_repetitions": float(np.hypot(rho[i], exponent[i] * shift_repetition)),
+                "contact_force_exponent": float(exponent[i]),
+            }
+            for i, e in enumerate(elements)
+        },
+        "correlation": [[a, elements[j], float(correlation[i, j])] for i, a in enumerate(elements) for j in range(i)],
+        "noise": {"relative_sd": population.noise, "corner_hz": population.noise_corner_hz},
+    }
+
+
+FINGERTIP = VirtualPopulation(
+    network=PAPER_NETWORK,
+    central={
+        "n3": 6.76e-7,
+        "r3": 61.4,
+        "m2": 7.90e-4,
+        "r1": 1.52,
+        "n1": 1.15e-3,
+        "m1": 0.0517,
+        "n2": 4.73e-3,
+        "r2": 3.82,
+    },
+    between_persons={
+        "n3": 0.35,
+        "r3": 0.30,
+        "m2": 0.20,
+        "r1": 0.40,
+        "n1": 0.30,
+        "m1": 0.35,
+        "n2": 0.30,
+        "r2": 0.30,
+    },
+    between_repetitions={
+        "n3": 0.06,
+        "r3": 0.05,
+        "m2": 0.03,
+        "r1": 0.08,
+        "n1": 0.04,
+        "m1": 0.05,
+        "n2": 0.05,
+        "r2": 0.05,
+    },
+    correlation={
+        ("n3", "r3"): -0.5,
+        ("n1", "r1"): -0.4,
+        ("m2", "m1"): 0.5,
+        ("n1", "n2"): 0.4,
+        ("r1", "r2"): 0.3,
+        ("n2", "r2"): -0.4,
+        ("m2", "n3"): 0.3,
+    },
+    force_exponent={"n3": -0.35, "r3": 0.35, "n1": -0.35, "r1": 0.35},
+)
+"""A virtual fingertip population centred on what both published curves (the paper's appendix A) say of the elements:
+the geometric mean of the two fits of the corrected eq. 4 where both curves determine an element, and the fit of the
+one that does where only one does (``analyses/fingertip_71/centre.py`` computes them)."""
+
+
+def population_from(described: Mapping[str, Any], where: str) -> VirtualPopulation:
+    """The population that a fit's summary or a simulation's truth describes.
+
+    Parameters
+    ----------
+    described : mapping
+        Contents of ``summary.json`` or ``truth.json``.
+    where : str
+        Name of the file, for messages.
+
+    Raises
+    ------
+    InputError
+        If it describes none, or leaves elements undetermined.
+    """
+    try:
+        network, elements = str(described["network"]), dict(described["elements"])
+        central = {name: _middle(e["central"]) for name, e in elements.items()}
+        persons = {name: _middle(e["dispersion_between_persons"]) or 0.0 for name, e in elements.items()}
+        repetitions = {name: _middle(e["dispersion_between_repetitions"]) or 0.0 for name, e in elements.items()}
+        correlation = {(str(a), str(b)): float(value) for a, b, value, *_ in described["correlation"]}
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{where}: describes no population ({error}); give a summary.json or truth.json") from None
+    unknown = [name for name, value in central.items() if value is None]
+    if unknown:
+        raise InputError(f"{where}: element '{unknown[0]}' has no value there; fit recordings that determine it")
+    noise = described.get("noise", {})
+    return VirtualPopulation(
+        network=network,
+        central={name: float(value) for name, value in central.items() if value is not None},
+        between_persons=persons,
+        between_repetitions=repetitions,
+        correlation=correlation,
+        noise=float(noise.get("relative_sd", 0.01)),
+        noise_corner_hz=float(noise.get("corner_hz", 8.0)),
+    )
+
+
+def _middle(value: Any) -> float | None:
+    """A number, or the median of an interval."""
+    number = value["median"] if isinstance(value, Mapping) else value
+    return None if number is None else float(number)

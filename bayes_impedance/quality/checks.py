@@ -1,0 +1,322 @@
+"""What is suspicious about recordings, before anything is fitted to them.
+
+Each check looks for one thing that spoils a population estimate without making it fail: a flipped sign, a gain switch,
+a copied file, a person measured in another unit. Limits are far out, so that clean data give no warning; what a finding
+means is for its reader to decide, and nothing is removed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from bayes_impedance.quality import point_anomalies
+from bayes_impedance.quality.curve_anomalies import duplicates, odd_subjects, repetition_spreads, suspect_units
+from bayes_impedance.recordings.dataset import Recordings, Subject
+
+#: The same thing in more than this part of the recordings comes from the rig and is told once.
+COMMON = 0.5
+#: ... if there are at least this many recordings.
+COMMON_MINIMUM = 4
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that somebody should look at.
+
+    Attributes
+    ----------
+    id : str
+        Kind: not_passive, jump, outlier, duplicate_subject, odd_subject, repetition_spread, phase_in_radians,
+        magnitude_in_db, one_subject, one_repetition.
+    severity : {"note", "warning"}
+        A note says what cannot be estimated; a warning says what may be wrong.
+    subject, repetition : str or None
+        Whose recording; None where it is about all.
+    frequency_hz : (float, float) or None
+        Band in Hz; None where it is about the whole curve.
+    message : str
+        One sentence with a remedy.
+    """
+
+    id: str
+    severity: Literal["note", "warning"]
+    subject: str | None
+    repetition: str | None
+    frequency_hz: tuple[float, float] | None
+    message: str
+
+
+@dataclass(frozen=True)
+class _Event:
+    """Something at one place of one recording, before events are grouped into findings."""
+
+    subject: str
+    repetition: str
+    band_hz: tuple[float, float]
+    detail: str
+
+
+def check_recordings(recordings: Recordings) -> tuple[Finding, ...]:
+    """Look for everything that is suspicious.
+
+    Parameters
+    ----------
+    recordings : Recordings
+        One subject and one repetition are enough; recordings of few points are not searched for outliers and jumps.
+
+    Returns
+    -------
+    tuple of Finding
+        Warnings first; empty if there is nothing to tell.
+    """
+    if not recordings.subjects:
+        return ()
+    curves = list(_check_curves(recordings))
+    # A jump in one repetition makes the repetitions differ, which is not a second fault.
+    jumped = {finding.subject for finding in curves if finding.id == "jump"}
+    findings = [
+        *curves,
+        *_check_duplicates(recordings),
+        *_check_odd_subjects(recordings),
+        *(finding for finding in _check_repetition_spread(recordings) if finding.subject not in jumped),
+        *_check_units(recordings),
+        *_check_size(recordings),
+    ]
+    return tuple(sorted(findings, key=lambda finding: finding.severity == "note"))
+
+
+def describe(recordings: Recordings) -> dict[str, object]:
+    """Return a summary of a dataset in plain types.
+
+    Parameters
+    ----------
+    recordings : Recordings
+
+    Returns
+    -------
+    dict
+        `title`, `unit`, `network`, `sha256`; `subjects`, a count; `repetitions`, `points`, `frequency_hz` and
+        `magnitude`, each a list of smallest and largest, the last in the dataset's unit; `covariates`, their names.
+    """
+    subjects = recordings.subjects
+
+    def extent(values: Callable[[Subject], Iterable[float]]) -> list[float] | None:
+        ends = [value for subject in subjects for value in values(subject)]
+        return [min(ends), max(ends)] if ends else None
+
+    def magnitude(subject: Subject) -> tuple[float, float]:
+        size = np.abs(subject.z)
+        return float(size.min()), float(size.max())
+
+    return {
+        "title": recordings.title,
+        "unit": recordings.unit,
+        "network": recordings.network,
+        "subjects": len(recordings),
+        "repetitions": extent(lambda subject: [len(subject.repetitions)]),
+        "points": extent(lambda subject: [subject.frequency_hz.size]),
+        "frequency_hz": extent(lambda subject: (float(subject.frequency_hz[0]), float(subject.frequency_hz[-1]))),
+        "magnitude": extent(magnitude),
+        "covariates": sorted({name for subject in subjects for name in subject.covariates}),
+        "sha256": recordings.sha256,
+    }
+
+
+def _check_curves(recordings: Recordings) -> Iterator[Finding]:
+    """Search every recording for outliers, jumps and stretches that are not passive."""
+    outliers: list[_Event] = []
+    jumps: list[_Event] = []
+    stretches: list[_Event] = []
+    for subject in recordings.subjects:
+        f, names = subject.frequency_hz, subject.repetitions
+        off = point_anomalies.outliers(f, subject.z)
+        clean = point_anomalies.without(f, subject.z, off)
+        found, step = point_anomalies.jumps(f, clean)
+        for j, i in np.argwhere(off).tolist():
+            outliers.append(_Event(subject.name, names[j], (float(f[i]), float(f[i])), ""))
+        for j, i in np.argwhere(found).tolist():
+            size = f"a factor of {np.exp(step[j, i].real):.3g} and {np.rad2deg(step[j, i].imag):.3g} deg"
+            jumps.append(_Event(subject.name, names[j], (float(f[i]), float(f[i + 1])), size))
+        for j, runs in enumerate(point_anomalies.not_passive(f, clean)):
+            for first, last in runs:
+                part = float(np.mean(clean[j, first : last + 1].real / np.abs(clean[j, first : last + 1])))
+                stretches.append(_Event(subject.name, names[j], (float(f[first]), float(f[last])), f"{part:.2g}"))
+    total = sum(len(subject.repetitions) for subject in recordings.subjects)
+    yield from _group("not_passive", stretches, total, lambda _: "all", _not_passive_message)
+    yield from _group("jump", jumps, total, lambda event: event.band_hz, _jump_message)
+    yield from _group("outlier", outliers, total, lambda event: event.band_hz, _outlier_message)
+
+
+def _group(
+    kind: str,
+    events: list[_Event],
+    total: int,
+    place: Callable[[_Event], object],
+    message: Callable[[str, str, list[_Event]], str],
+) -> Iterator[Finding]:
+    """Make one finding of what most recordings share, and one for each recording of the rest.
+
+    Parameters
+    ----------
+    kind : str
+        `Finding.id`.
+    events : list of _Event
+    total : int
+        Number of recordings.
+    place : callable
+        What two events must have in common to be the same thing.
+    message : callable
+        Of whose it is, of where it is, and of the events.
+    """
+    by_place: dict[object, list[_Event]] = {}
+    for event in events:
+        by_place.setdefault(place(event), []).append(event)
+    rest: dict[tuple[str, str], list[_Event]] = {}
+    for same in by_place.values():
+        recordings = {(event.subject, event.repetition) for event in same}
+        if total >= COMMON_MINIMUM and len(recordings) > COMMON * total:
+            band = _hull(same)
+            whose = f"{len(recordings)} of {total} recordings"
+            text = f"{message(whose, _band(band), same)}; so many at once point to the rig and not to the subjects"
+            yield Finding(kind, "warning", None, None, band, text)
+            continue
+        for event in same:
+            rest.setdefault((event.subject, event.repetition), []).append(event)
+    for (subject, repetition), own in rest.items():
+        band = _hull(own)
+        text = message(f'subject "{subject}", repetition "{repetition}"', _band(band), own)
+        yield Finding(kind, "warning", subject, repetition, band, text)
+
+
+def _hull(events: list[_Event]) -> tuple[float, float]:
+    return min(event.band_hz[0] for event in events), max(event.band_hz[1] for event in events)
+
+
+def _band(band_hz: tuple[float, float]) -> str:
+    low, high = (f"{value:.4g}" for value in band_hz)
+    return f"at {low} Hz" if low == high else f"between {low} and {high} Hz"
+
+
+def _not_passive_message(whose: str, where: str, events: list[_Event]) -> str:
+    worst = min(events, key=lambda event: float(event.detail)).detail
+    return (
+        f"{whose}: Re z is negative {where} beyond its scatter (down to {worst} of |z|), which no passive load can be; "
+        "check the delay between the channels, the mass correction and the sign there"
+    )
+
+
+def _jump_message(whose: str, where: str, events: list[_Event]) -> str:
+    places = {event.band_hz for event in events}
+    count = "a jump" if len(places) == 1 else f"{len(places)} jumps"
+    size = f" by {events[0].detail}" if len(events) == 1 else ""
+    return (
+        f"{whose}: {count} of z{size} {where} that stays; "
+        "check gain range, phase sign and splicing of sweeps there, and correct or delete the part"
+    )
+
+
+def _outlier_message(whose: str, where: str, events: list[_Event]) -> str:
+    places = {event.band_hz for event in events}
+    count = "1 point is" if len(places) == 1 else f"{len(places)} points are"
+    return (
+        f"{whose}: {count} far off the neighbours {where}; "
+        "check for mains hum and contact loss, and delete the rows that are wrong"
+    )
+
+
+def _check_duplicates(recordings: Recordings) -> Iterator[Finding]:
+    for pair in duplicates(recordings.subjects):
+        same = "identical" if pair.distance == 0 else f"the same within {pair.distance:.1g} of |z|"
+        if pair.subject == pair.other_subject:
+            whose = f'subject "{pair.subject}": repetitions "{pair.repetition}" and "{pair.other_repetition}"'
+        else:
+            whose = (
+                f'subjects "{pair.subject}" (repetition "{pair.repetition}") and "{pair.other_subject}" '
+                f'(repetition "{pair.other_repetition}")'
+            )
+        yield Finding(
+            "duplicate_subject",
+            "warning",
+            pair.other_subject,
+            pair.other_repetition,
+            None,
+            f"{whose} are {same}; look for a file that was copied or exported twice and delete one",
+        )
+
+
+def _check_odd_subjects(recordings: Recordings) -> Iterator[Finding]:
+    for odd in odd_subjects(recordings.subjects):
+        yield Finding(
+            "odd_subject",
+            "warning",
+            odd.name,
+            None,
+            None,
+            f'subject "{odd.name}": the whole curve is far from the others ({odd.factor:.3g} times the median '
+            f"magnitude, {odd.phase_deg:+.3g} deg); "
+            "check unit, sign and calibration of this recording, or leave the subject out",
+        )
+
+
+def _check_repetition_spread(recordings: Recordings) -> Iterator[Finding]:
+    for name, spread, usual in repetition_spreads(recordings.subjects):
+        yield Finding(
+            "repetition_spread",
+            "warning",
+            name,
+            None,
+            None,
+            f'subject "{name}": the repetitions differ by {spread:.2g} of |z| where {usual:.2g} is usual; '
+            "check that they are of the same person and contact, and delete the one that went wrong",
+        )
+
+
+def _check_units(recordings: Recordings) -> Iterator[Finding]:
+    # Real and imaginary part in a wrong unit are not recognisable from the curve.
+    suspects = suspect_units(recordings.subjects) if recordings.polar else ()
+    if "phase_in_radians" in suspects:
+        yield Finding(
+            "phase_in_radians",
+            "warning",
+            None,
+            None,
+            None,
+            "the phases lie within 3.2 deg although such magnitudes have much larger ones; "
+            "if the column phase_deg is in radians, multiply it by 180/pi",
+        )
+    if "magnitude_in_db" in suspects:
+        yield Finding(
+            "magnitude_in_db",
+            "warning",
+            None,
+            None,
+            None,
+            "the slope of the magnitude agrees with the phase only if the magnitude is in dB; "
+            "if it is, convert the column to 10^(dB/20)",
+        )
+
+
+def _check_size(recordings: Recordings) -> Iterator[Finding]:
+    if len(recordings) == 1:
+        yield Finding(
+            "one_subject",
+            "note",
+            recordings.subjects[0].name,
+            None,
+            None,
+            "there is one subject, so that the dispersion between persons cannot be estimated; add subjects for it",
+        )
+    if recordings.repetitions_max == 1:
+        yield Finding(
+            "one_repetition",
+            "note",
+            None,
+            None,
+            None,
+            "each subject was measured once, so that the dispersion between repetitions cannot be estimated and "
+            "the noise only from the roughness of the curves; repeat the measurement for it",
+        )

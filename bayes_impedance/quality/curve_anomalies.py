@@ -1,0 +1,290 @@
+"""Curves compared with each other: copies, strangers and unsteady subjects, and units that contradict themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayes_impedance.recordings.csv_table import ComplexArray, FloatArray
+from bayes_impedance.recordings.dataset import Subject
+
+#: Copies differ by less than this part of |z| (the rounding of an export) ...
+COPY_LIMIT = 1e-6
+#: ... or by less than this part of what is usual between nearest neighbours, if there are enough to say so.
+COPY_CONTRAST = 0.02
+#: Fewer subjects than this do not say what is usual.
+MINIMUM_SUBJECTS = 5
+#: Robust standard deviations that a subject, or the spread of its repetitions, must be away from the others.
+ODD_LIMIT = 8.0
+#: ... and at least so far: a factor in magnitude, degrees in phase, a factor in spread.
+ODD_FACTOR = 2.0
+ODD_PHASE_DEG = 20.0
+SPREAD_FACTOR = 4.0
+
+#: Measured and computed phase must differ by more than this (rms) ...
+BODE_MINIMUM_DEG = 8.0
+#: ... and by this many times what remains after conversion, before a unit is suspected.
+BODE_CONTRAST = 2.5
+
+_BODE_POINTS = 60
+_BODE_REACH = 5.0  # in ln f; the kernel has lost 99.7 % of its integral there
+_COMPARED_POINTS = 40
+_MAD_TO_SD = 1.4826
+
+
+@dataclass(frozen=True)
+class Copy:
+    """Two recordings that are one.
+
+    Attributes
+    ----------
+    subject, repetition, other_subject, other_repetition : str
+    distance : float
+        Root mean square difference relative to |z|.
+    """
+
+    subject: str
+    repetition: str
+    other_subject: str
+    other_repetition: str
+    distance: float
+
+
+@dataclass(frozen=True)
+class OddSubject:
+    """A subject unlike the others.
+
+    Attributes
+    ----------
+    name : str
+    factor : float
+        Magnitude relative to the median subject, averaged over frequency.
+    phase_deg : float
+        Phase relative to the median subject in degrees, averaged over frequency.
+    """
+
+    name: str
+    factor: float
+    phase_deg: float
+
+
+def duplicates(subjects: Sequence[Subject]) -> list[Copy]:
+    """Return pairs of recordings that are identical or nearly so.
+
+    Parameters
+    ----------
+    subjects : sequence of Subject
+        Only recordings on the same frequencies are compared.
+
+    Returns
+    -------
+    list of Copy
+        Each recording appears at most once as the other.
+    """
+    by_grid: dict[bytes, list[Subject]] = {}
+    for subject in subjects:
+        by_grid.setdefault(subject.frequency_hz.tobytes(), []).append(subject)
+    copies: list[Copy] = []
+    for group in by_grid.values():
+        copies.extend(_duplicates_on_grid(group))
+    return copies
+
+
+def _duplicates_on_grid(subjects: Sequence[Subject]) -> list[Copy]:
+    labels = [(subject.name, repetition) for subject in subjects for repetition in subject.repetitions]
+    z = np.concatenate([subject.z for subject in subjects])
+    # Every pair is compared, so only at some frequencies first.
+    some = z[:, np.unique(np.linspace(0, z.shape[1] - 1, _COMPARED_POINTS).astype(int))]
+    nearest = np.full(len(labels), np.inf)
+    close: list[tuple[int, FloatArray]] = []
+    for i in range(len(labels) - 1):
+        distance = _distance(some[i], some[i + 1 :])
+        nearest[i] = min(nearest[i], distance.min())
+        nearest[i + 1 :] = np.minimum(nearest[i + 1 :], distance)
+        close.append((i, distance))
+    limit = COPY_LIMIT
+    if len(labels) >= MINIMUM_SUBJECTS:
+        limit = max(limit, COPY_CONTRAST * float(np.median(nearest)))
+    copies: dict[int, Copy] = {}
+    for i, distance in close:
+        for j in (i + 1 + np.flatnonzero(distance <= limit)).tolist():
+            exact = float(_distance(z[i], z[j][None])[0])
+            if exact <= limit:
+                copies.setdefault(j, Copy(*labels[i], *labels[j], exact))
+    return list(copies.values())
+
+
+def _distance(one: ComplexArray, others: ComplexArray) -> FloatArray:
+    """Return the root mean square relative difference of a curve (F,) to others (R, F), shape (R,)."""
+    size = np.maximum(np.abs(one), np.finfo(float).tiny)
+    distance: FloatArray = np.sqrt(np.mean(np.abs((others - one) / size) ** 2, axis=-1))
+    return distance
+
+
+def odd_subjects(subjects: Sequence[Subject]) -> list[OddSubject]:
+    """Return subjects whose whole curve is far from the others in magnitude or phase.
+
+    Parameters
+    ----------
+    subjects : sequence of Subject
+        At least `MINIMUM_SUBJECTS` whose frequency bands overlap, else nothing is returned.
+
+    Returns
+    -------
+    list of OddSubject
+    """
+    if len(subjects) < MINIMUM_SUBJECTS:
+        return []
+    low = max(float(subject.frequency_hz[0]) for subject in subjects)
+    high = min(float(subject.frequency_hz[-1]) for subject in subjects)
+    if low >= high:
+        return []
+    x = np.linspace(np.log(low), np.log(high), _COMPARED_POINTS)
+    curves = np.array([_log_curve(subject, x) for subject in subjects])
+    away = curves - (np.median(curves.real, axis=0) + 1j * np.median(curves.imag, axis=0))
+    magnitude, phase = away.real.mean(axis=1), np.rad2deg(away.imag.mean(axis=1))
+    far = (_robust_score(magnitude) > _limit(len(subjects))) & (np.abs(magnitude) > np.log(ODD_FACTOR))
+    far |= (_robust_score(phase) > _limit(len(subjects))) & (np.abs(phase) > ODD_PHASE_DEG)
+    return [
+        OddSubject(subjects[i].name, float(np.exp(magnitude[i])), float(phase[i])) for i in np.flatnonzero(far).tolist()
+    ]
+
+
+def _log_curve(subject: Subject, x: FloatArray) -> ComplexArray:
+    """Return ln|z| + j phase of a subject's mean at log frequencies, the phase in radians without wraps."""
+    own, z = np.log(subject.frequency_hz), subject.mean
+    phase = np.unwrap(np.angle(z))
+    # Unwrapping leaves whole turns open; passive phases are around zero.
+    phase -= 2 * np.pi * np.round(np.median(phase) / (2 * np.pi))
+    log_curve: ComplexArray = np.interp(x, own, _log_magnitude(z)) + 1j * np.interp(x, own, phase)
+    return log_curve
+
+
+def _log_magnitude(z: ComplexArray) -> FloatArray:
+    log_magnitude: FloatArray = np.log(np.maximum(np.abs(z), np.finfo(float).tiny))
+    return log_magnitude
+
+
+def _robust_score(values: FloatArray) -> FloatArray:
+    """Return distances from the median in units of the robust standard deviation."""
+    distance = np.abs(values - np.median(values))
+    score: FloatArray = distance / max(_MAD_TO_SD * float(np.median(distance)), np.finfo(float).tiny)
+    return score
+
+
+def _limit(count: int) -> float:
+    """Return the limit for a robust score; the median distance of few values is often small by chance."""
+    return ODD_LIMIT * (1 + 2 * MINIMUM_SUBJECTS / count)
+
+
+def repetition_spreads(subjects: Sequence[Subject]) -> list[tuple[str, float, float]]:
+    """Return subjects whose repetitions differ much more than those of the others.
+
+    Parameters
+    ----------
+    subjects : sequence of Subject
+        At least `MINIMUM_SUBJECTS` with two repetitions or more, else nothing is returned.
+
+    Returns
+    -------
+    list of (str, float, float)
+        Name, standard deviation between its repetitions relative to |z| (median over frequency), and the median of
+        all subjects.
+    """
+    repeated = [subject for subject in subjects if len(subject.repetitions) > 1]
+    if len(repeated) < MINIMUM_SUBJECTS:
+        return []
+    spread = np.array([_spread(subject) for subject in repeated])
+    usual = float(np.median(spread))
+    if usual == 0:
+        return []
+    log_spread = np.log(np.maximum(spread, np.finfo(float).tiny))
+    far = (_robust_score(log_spread) > _limit(len(repeated)) / 2) & (spread > SPREAD_FACTOR * usual)
+    return [(repeated[i].name, float(spread[i]), usual) for i in np.flatnonzero(far).tolist()]
+
+
+def _spread(subject: Subject) -> float:
+    mean = np.maximum(np.abs(subject.mean), np.finfo(float).tiny)
+    return float(np.median(subject.z.std(axis=0, ddof=1) / mean))
+
+
+def suspect_units(subjects: Sequence[Subject]) -> tuple[str, ...]:
+    """Return which of magnitude and phase seem to be in another unit than linear and degrees.
+
+    The phase of a passive one-port without excess delay follows from its magnitude (see `bode_phase`), to a few degrees
+    within a band. If that fails, but holds for a magnitude that was in dB or a phase that was in radians, it probably
+    was. A magnitude far above 20 dB and a phase in radians together look like a damper and remain unseen.
+
+    Parameters
+    ----------
+    subjects : sequence of Subject
+        Those whose band is wider than a factor of four are used.
+
+    Returns
+    -------
+    tuple of str
+        Any of "phase_in_radians", "magnitude_in_db".
+    """
+    phases, linear, decibel = [], [], []
+    for subject in subjects:
+        own, z = np.log(subject.frequency_hz), subject.mean
+        if own[-1] - own[0] < np.log(4.0):
+            continue
+        x = np.linspace(own[0], own[-1], _BODE_POINTS)
+        step = float(x[1] - x[0])
+        linear.append(bode_phase(np.interp(x, own, _log_magnitude(z)), step))
+        decibel.append(bode_phase(np.interp(x, own, np.abs(z)) * np.log(10) / 20, step))
+        phases.append(np.interp(x, own, np.unwrap(np.angle(z))))
+    if not phases:
+        return ()
+    phase, from_linear, from_decibel = (np.rad2deg(np.median(rows, axis=0)) for rows in (phases, linear, decibel))
+    misfit = {(): _rms(phase - from_linear), ("magnitude_in_db",): _rms(phase - from_decibel)}
+    largest = max(float(np.abs(np.angle(subject.z)).max()) for subject in subjects)
+    # Passive phases in radians reach pi/2; the double leaves room for noise and for faults.
+    if largest < np.deg2rad(np.pi):
+        in_radians = np.rad2deg(phase)
+        misfit["phase_in_radians",] = _rms(in_radians - from_linear)
+        misfit["phase_in_radians", "magnitude_in_db"] = _rms(in_radians - from_decibel)
+    best = min(misfit, key=lambda suspects: misfit[suspects])
+    return best if misfit[()] > max(BODE_MINIMUM_DEG, BODE_CONTRAST * misfit[best]) else ()
+
+
+def bode_phase(log_magnitude: FloatArray, step: float) -> FloatArray:
+    r"""Return the phase that belongs to a magnitude by Bode's relation.
+
+    .. math:: \varphi(u_0) = \frac1\pi \int \frac{d \ln|z|}{du} \ln\coth\frac{|u - u_0|}2\,du,
+              \qquad u = \ln f
+
+    Outside of the band the slope is taken to stay as it is at the ends.
+
+    Parameters
+    ----------
+    log_magnitude : ndarray of float, shape (F,)
+        ln|z| at equal steps of ln f.
+    step : float
+        Step of ln f.
+
+    Returns
+    -------
+    ndarray of float, shape (F,)
+        Phase in radians.
+
+    References
+    ----------
+    H. W. Bode, Network Analysis and Feedback Amplifier Design, Van Nostrand, 1945, chapter 14.
+    """
+    half = max(1, round(_BODE_REACH / step))
+    distance = np.abs(np.arange(-half, half + 1)) * step
+    # The kernel has an integrable pole in the middle: a quarter of the step stands for that cell.
+    distance[half] = step / 4
+    kernel = -np.log(np.tanh(distance / 2))
+    kernel *= np.pi / 2 / kernel.sum()
+    slope = np.pad(np.gradient(log_magnitude, step), half, "edge")
+    phase: FloatArray = np.convolve(slope, kernel, "valid")
+    return phase
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))

@@ -1,0 +1,174 @@
+"""What was measured, for whom, how often: the data in memory.
+
+z = F/v in SI units with exp(+jwt), counted so that a passive load has Re z >= 0.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from bayes_impedance.errors import InputError
+from bayes_impedance.recordings.csv_table import ComplexArray, FloatArray, has_control_character, similar
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """One person's recordings on one grid of frequencies.
+
+    Attributes
+    ----------
+    name : str
+    frequency_hz : ndarray of float, shape (F,)
+        Frequencies in Hz, ascending.
+    z : ndarray of complex, shape (J, F)
+        Impedance of J repetitions, in the dataset's unit.
+    repetitions : tuple of str, length J
+        Their names.
+    noise_sd : ndarray of float, shape (J, F), or None
+        Standard deviation of each of real and imaginary part, in the dataset's unit, where the data give it.
+    covariates : mapping of str to float
+        NaN where a covariate is not known.
+
+    Raises
+    ------
+    ValueError
+        If shapes do not agree, frequencies do not ascend from above zero, or a name cannot be written to a CSV file.
+    """
+
+    name: str
+    frequency_hz: FloatArray
+    z: ComplexArray
+    repetitions: tuple[str, ...]
+    noise_sd: FloatArray | None = None
+    covariates: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check what every user of a subject relies on."""
+        for name in (self.name, *self.repetitions):
+            if not name or name != name.strip() or has_control_character(name):
+                raise ValueError(f"name {name!r} must not be empty, padded with space or contain control characters")
+        if self.frequency_hz.ndim != 1 or self.frequency_hz.size == 0:
+            raise ValueError(f"{self.name}: frequency_hz must have shape (F,), not {self.frequency_hz.shape}")
+        if not (self.frequency_hz[0] > 0 and np.all(np.diff(self.frequency_hz) > 0)):
+            raise ValueError(f"{self.name}: frequency_hz must ascend from above zero")
+        shape = (len(self.repetitions), self.frequency_hz.size)
+        if not self.repetitions or self.z.shape != shape:
+            raise ValueError(f"{self.name}: z has shape {self.z.shape}, but repetitions and frequencies are {shape}")
+        if self.noise_sd is not None and self.noise_sd.shape != shape:
+            raise ValueError(f"{self.name}: noise_sd has shape {self.noise_sd.shape}, but z has {shape}")
+        if len(set(self.repetitions)) < len(self.repetitions):
+            raise ValueError(f"{self.name}: two repetitions have the same name")
+
+    @property
+    def mean(self) -> ComplexArray:
+        """Complex mean over the repetitions, shape (F,)."""
+        mean: ComplexArray = self.z.mean(axis=0)
+        return mean
+
+    @property
+    def digest(self) -> str:
+        """What changes with the name of the subject or of a repetition, and with any number but the covariates."""
+        digest = hashlib.sha256(repr((self.name, self.repetitions)).encode())
+        for numbers in (self.frequency_hz, self.z, self.noise_sd):
+            digest.update(b"none" if numbers is None else np.ascontiguousarray(numbers).tobytes())
+        return digest.hexdigest()
+
+    def at(self, points: np.ndarray) -> Subject:
+        """The same at some of the frequencies, by their numbers or a mask."""
+        noise = None if self.noise_sd is None else self.noise_sd[:, points]
+        return replace(self, frequency_hz=self.frequency_hz[points], z=self.z[:, points], noise_sd=noise)
+
+
+@dataclass(frozen=True, eq=False)
+class Recordings:
+    """A dataset.
+
+    Attributes
+    ----------
+    title, source, licence : str
+    unit : str
+        SI unit of z.
+    network : str or None
+        Notation of the network that the dataset names for itself.
+    subjects : tuple of Subject
+        In the order of the file; names differ.
+    sha256 : str
+        Digest of the uncompressed recordings.csv (of Parquet, of its files' digests), then of subjects.csv and
+        dataset.toml where present; empty if the recordings were not read from files.
+    warnings : tuple of str
+        What was changed or left out when reading.
+    polar : bool
+        Whether the file gave magnitude and phase, which can be in a wrong unit each.
+
+    Raises
+    ------
+    ValueError
+        If two subjects have the same name.
+    """
+
+    title: str
+    unit: str
+    network: str | None
+    source: str
+    licence: str
+    subjects: tuple[Subject, ...]
+    sha256: str = ""
+    warnings: tuple[str, ...] = ()
+    polar: bool = False
+
+    def __post_init__(self) -> None:
+        """Check that a name identifies a subject."""
+        if len(set(self.names)) < len(self.names):
+            raise ValueError("two subjects have the same name")
+
+    def __len__(self) -> int:
+        """Return the number of subjects."""
+        return len(self.subjects)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the subjects."""
+        return tuple(subject.name for subject in self.subjects)
+
+    def in_memory(self) -> Recordings:
+        """The same, with all numbers of all subjects at hand; of a dataset parted by subject they stay in its files."""
+        return replace(self, subjects=tuple(replace(subject) for subject in self.subjects))
+
+    @property
+    def repetitions_max(self) -> int:
+        """Largest number of repetitions of a subject."""
+        return max((len(subject.repetitions) for subject in self.subjects), default=0)
+
+    @property
+    def frequency_range_hz(self) -> tuple[float, float]:
+        """Lowest and highest frequency of any subject, in Hz; NaN without subjects."""
+        if not self.subjects:
+            return math.nan, math.nan
+        return (
+            min(float(subject.frequency_hz[0]) for subject in self.subjects),
+            max(float(subject.frequency_hz[-1]) for subject in self.subjects),
+        )
+
+    def select(self, names: Iterable[str]) -> Recordings:
+        """Return the recordings of some subjects, in the order of the names; the digest remains that of the files.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown or given twice.
+        """
+        chosen = tuple(names)
+        known = {subject.name: subject for subject in self.subjects}
+        for name in chosen:
+            if name not in known:
+                guess = similar(name, known)
+                hint = f'did you mean "{guess}"?' if guess else f"there are {', '.join(list(known)[:10])}"
+                raise InputError(f'subject "{name}" is not among the {len(self)} subjects of {self.title}; {hint}')
+            if chosen.count(name) > 1:
+                raise InputError(f'subject "{name}" is selected twice; name it once')
+        return replace(self, subjects=tuple(known[name] for name in chosen))

@@ -1,0 +1,326 @@
+"""Recordings on disk: reading and writing datasets.
+
+A dataset is a folder of `recordings.csv` (or `.csv.gz`), optionally `subjects.csv` with covariates and `dataset.toml`
+with title, unit, sign, network, source and licence; or one CSV file. Everything is checked before it is returned.
+"""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import hashlib
+import io
+import json
+import math
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from bayes_impedance.errors import InputError
+from bayes_impedance.recordings.csv_table import CovariateTable, IntArray, parse_covariates, read_bytes
+from bayes_impedance.recordings.dataset import Recordings, Subject
+from bayes_impedance.recordings.long_table import CARTESIAN, KNOWN, RecordingTable, check_cells, parse_recordings
+from bayes_impedance.recordings.metadata import SIGNS, Metadata, parse_metadata
+from bayes_impedance.recordings.out_of_core import Place, StoredSubject
+from bayes_impedance.recordings.parquet import SUFFIX, parquet_table, partitions
+from bayes_impedance.recordings.repetitions import signed_factor, subjects_of
+
+__all__ = ["Recordings", "Subject", "read_recordings", "write_recordings"]
+
+RECORDINGS_FILES = ("recordings.csv", "recordings.csv.gz", "recordings.parquet")
+SUBJECTS_FILE = "subjects.csv"
+METADATA_FILE = "dataset.toml"
+#: Above this part of points with Re z of the wrong sign, the sign convention itself is taken to be wrong.
+WRONG_SIGN = 0.6
+
+
+def read_recordings(path: str | os.PathLike[str]) -> Recordings:
+    """Read a dataset.
+
+    Parameters
+    ----------
+    path : path
+        Folder of a dataset, or one CSV file (plain or gzip) or Parquet table (a file or a folder of partitions). One
+        that is named recordings.csv, .csv.gz or .parquet stands for its folder, because its unit and sign are
+        declared beside it.
+
+    Returns
+    -------
+    Recordings
+        Complete rows only, repetitions of one subject on their common frequencies, SI units, passive positive. Of a
+        Parquet table that is parted by subject (``recordings.parquet/subject=A/part-0.parquet``) every part is read and
+        checked, and its numbers are read again by whoever needs them: they are not held.
+
+    Raises
+    ------
+    InputError
+        If anything in the files cannot be used; the message names file, row and remedy.
+    """
+    given = Path(path)
+    if not given.exists():
+        raise InputError(f"{given}: there is no such file or folder; check the path")
+    is_dataset = given.is_dir() and given.suffix != SUFFIX
+    folder = given if is_dataset else given.parent if given.name in RECORDINGS_FILES else None
+    file = _recordings_file(folder) if folder is not None else given
+    digest = hashlib.sha256()
+    metadata = Metadata(title=(folder.resolve().name if folder else given.name.split(".")[0]) or "recordings")
+    covariates = CovariateTable({}, (), ())
+    described = []
+    subjects_file = (folder or given.parent) / SUBJECTS_FILE
+    if folder is not None and subjects_file.exists():
+        described.append(read_bytes(subjects_file))
+        covariates = parse_covariates(described[-1], str(subjects_file))
+    metadata_file = (folder or given.parent) / METADATA_FILE
+    if folder is not None and metadata_file.exists():
+        described.append(read_bytes(metadata_file))
+        metadata = parse_metadata(described[-1], str(metadata_file), metadata.title)
+    reading = _Reading(file, metadata, covariates)
+    for table, place in _tables(file, digest):
+        reading.add(table, *place)
+    for content in described:
+        digest.update(content)
+    unused = reading.match_covariates(str(subjects_file))
+    reading.check_sign(str(metadata_file))
+    return Recordings(
+        title=metadata.title,
+        unit=metadata.unit,
+        network=metadata.network,
+        source=metadata.source,
+        licence=metadata.licence,
+        subjects=tuple(reading.subjects),
+        sha256=digest.hexdigest(),
+        warnings=(*reading.of_table, *covariates.warnings, *unused, *metadata.warnings, *reading.of_subjects),
+        polar=reading.polar,
+    )
+
+
+def _tables(file: Path, digest: hashlib._Hash) -> Iterator[tuple[RecordingTable, tuple[Path, str] | tuple[()]]]:
+    """The whole table, or one for each subject with folder and digest, where it can be read again."""
+    parted = partitions(file, "subject") if file.suffix == SUFFIX else []
+    for name, folder in parted:
+        cells, own = parquet_table(folder, KNOWN, {"subject": name})
+        digest.update(own.encode())
+        yield check_cells(cells, may_be_empty=True), (folder.resolve(), own)
+    if parted:
+        return
+    if file.suffix == SUFFIX:
+        cells, own = parquet_table(file, KNOWN)
+        digest.update(own.encode())
+        yield check_cells(cells), ()
+    else:
+        data = read_bytes(file)
+        digest.update(data)
+        table = parse_recordings(data, str(file))
+        del data  # the text is larger than the numbers
+        yield table, ()
+
+
+class _Reading:
+    """Subjects as they are read, and what is checked when all are there."""
+
+    def __init__(self, file: Path, metadata: Metadata, covariates: CovariateTable) -> None:
+        self.file, self.metadata, self.covariates = file, metadata, covariates
+        self.subjects: list[Subject] = []
+        self.named: dict[str, str] = {}
+        self.of_table: list[str] = []
+        self.said: set[str] = set()
+        self.of_subjects: list[str] = []
+        if metadata.sign != SIGNS[0]:
+            self.of_subjects.append(f'{file}: z was multiplied by -1 because the sign is "{metadata.sign}"')
+        self.polar, self.first_row = False, 0
+        self.rows = self.negative = self.positive = 0
+
+    def add(self, table: RecordingTable, folder: Path | None = None, digest: str = "") -> None:
+        """Take in everybody of a table; with a folder to read them from again, without their numbers."""
+        self._warn(table, folder)
+        self.polar |= table.polar
+        for name in table.subject_names:
+            if name in self.named:
+                raise InputError(f'{table.file}: subject "{name}" has another partition too; put them into one')
+            self.named[name] = table.file
+        used, starts = np.unique(table.subject, return_index=True)
+        for i, row in zip(used, np.minimum.reduceat(table.row, starts) if used.size else (), strict=True):
+            self.named[table.subject_names[i]] = f"{table.file}, row {row}"
+        self.first_row = self.first_row or int(table.row[:1].sum())
+        self.rows += table.z.size
+        self.negative += int(np.sum(table.z.real < 0))
+        self.positive += int(np.sum(table.z.real > 0))
+        for subject, rows, warning in subjects_of(table, self.metadata, self.covariates):
+            self.of_subjects += [warning] if warning else []
+            self.subjects.append(subject if folder is None else self._stored(subject, table, rows, folder, digest))
+
+    def _stored(self, subject: Subject, table: RecordingTable, rows: IntArray, folder: Path, digest: str) -> Subject:
+        own = table.row[rows]
+        # Row 2 is the first; most tables are in order and complete, which needs no numbers to tell.
+        simple = np.array_equal(own.ravel(), np.arange(own.size) + 2)
+        shared = self.subjects[-1].frequency_hz if self.subjects else subject.frequency_hz
+        grid = shared if np.array_equal(shared, subject.frequency_hz) else subject.frequency_hz
+        factors = signed_factor(self.metadata), self.metadata.factor
+        noise = subject.noise_sd is not None
+        return StoredSubject(
+            subject, grid, Place(folder, digest, None if simple else own, rows.shape, table.polar, *factors, noise)
+        )
+
+    def _warn(self, table: RecordingTable, folder: Path | None) -> None:
+        """What holds for many partitions is said of the first."""
+        for warning in table.warnings:
+            said = warning.partition(": ")[2] if folder is not None else warning
+            self.of_table += [warning] if said not in self.said else []
+            self.said.add(said)
+
+    def match_covariates(self, file: str) -> tuple[str, ...]:
+        """Refuse subjects without covariates; warn of covariates without recordings."""
+        given = self.covariates.values
+        absent = [s.name for s in self.subjects if s.name not in given]
+        if absent and self.covariates.covariates:
+            raise InputError(
+                f'{file}: subject "{absent[0]}" ({self.named[absent[0]]}) is missing here'
+                f"{f' and so are {len(absent) - 1} more' if len(absent) > 1 else ''}; "
+                "add a row, with empty cells for what is not known"
+            )
+        surplus = [name for name in given if name not in self.named]
+        if not surplus:
+            return ()
+        more = f" and {len(surplus) - 5} more" if len(surplus) > 5 else ""
+        return (f"{file}: no recordings of {', '.join(surplus[:5])}{more}; the covariates are not used",)
+
+    def check_sign(self, metadata_file: str) -> None:
+        """Refuse data that contradict their declared sign, because a negated impedance fits nothing but fails late."""
+        if not self.rows:
+            raise InputError(f"{self.file}: no partition has a row with a finite number in every column; fill them in")
+        declared_positive = self.metadata.sign == SIGNS[0]
+        wrong = (self.negative if declared_positive else self.positive) / self.rows
+        if wrong > WRONG_SIGN:
+            remedy = SIGNS[1] if declared_positive else SIGNS[0]
+            kind = "negative" if declared_positive else "positive"
+            raise InputError(
+                f"{self.file}: {wrong:.0%} of the rows (the first is row {self.first_row}) have a {kind} real part "
+                f'although the sign is "{self.metadata.sign}"; write sign = "{remedy}" in {metadata_file}, beside a '
+                "file named recordings.csv"
+            )
+
+
+def _recordings_file(folder: Path) -> Path:
+    """Return the recordings of a folder, of which there must be one."""
+    found = [folder / name for name in RECORDINGS_FILES if (folder / name).exists()]
+    if not found:
+        raise InputError(
+            f"{folder}: the folder has no {', '.join(RECORDINGS_FILES[:-1])} or {RECORDINGS_FILES[-1]}; "
+            "put the recordings there or name a CSV file"
+        )
+    if len(found) > 1:
+        raise InputError(
+            f"{folder}: the folder has both {' and '.join(file.name for file in found)}; delete the wrong one"
+        )
+    return found[0]
+
+
+def write_recordings(
+    recordings: Recordings,
+    folder: str | os.PathLike[str],
+    *,
+    significant_digits: int | None = None,
+    compress: bool = False,
+) -> Path:
+    """Write a dataset that `read_recordings` reads; a dataset that is there already is replaced.
+
+    Parameters
+    ----------
+    recordings : Recordings
+    folder : path
+        Folder to write to; it is created. `recordings.csv`, `dataset.toml` and, where there are covariates,
+        `subjects.csv` are written to temporary names first, so that no half-written file is left behind.
+    significant_digits : int, optional
+        Digits of z and noise_sd. By default as many as restore the number exactly; frequencies and covariates always
+        are exact.
+    compress : bool
+        Write `recordings.csv.gz`. The same data give the same bytes.
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    InputError
+        If there are no subjects.
+    """
+    if not recordings.subjects:
+        raise InputError(f"{folder}: there are no subjects to write")
+    target = Path(folder)
+    target.mkdir(parents=True, exist_ok=True)
+    table = _recordings_csv(recordings, significant_digits).encode()
+    contents = {RECORDINGS_FILES[compress]: _gzip(table) if compress else table}
+    if any(subject.covariates for subject in recordings.subjects):
+        contents[SUBJECTS_FILE] = _subjects_csv(recordings).encode()
+    contents[METADATA_FILE] = _metadata_toml(recordings).encode()
+    temporary = {name: target / f".{name}.{os.getpid()}.tmp" for name in contents}
+    try:
+        for name, content in contents.items():
+            temporary[name].write_bytes(content)
+        for name, path in temporary.items():
+            path.replace(target / name)
+    finally:
+        for path in temporary.values():
+            path.unlink(missing_ok=True)
+    # Files of an earlier dataset would be read together with the new ones.
+    for name in {*RECORDINGS_FILES, SUBJECTS_FILE} - contents.keys():
+        (target / name).unlink(missing_ok=True)
+    return target
+
+
+def _recordings_csv(recordings: Recordings, significant_digits: int | None) -> str:
+    def number(value: float) -> str:
+        return repr(value) if significant_digits is None else f"{value:.{significant_digits}g}"
+
+    with_noise = any(subject.noise_sd is not None for subject in recordings.subjects)
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["subject", "repetition", "frequency_hz", *CARTESIAN, *(["noise_sd"] if with_noise else [])])
+    for subject in recordings.subjects:
+        frequencies = [repr(value) for value in subject.frequency_hz.tolist()]
+        for j, repetition in enumerate(subject.repetitions):
+            columns = [map(number, subject.z[j].real.tolist()), map(number, subject.z[j].imag.tolist())]
+            if subject.noise_sd is not None:
+                columns.append(map(number, subject.noise_sd[j].tolist()))
+            elif with_noise:
+                columns.append(map(str, [""] * len(frequencies)))
+            names = ([name] * len(frequencies) for name in (subject.name, repetition))
+            writer.writerows(zip(*names, frequencies, *columns, strict=True))
+    return text.getvalue()
+
+
+def _subjects_csv(recordings: Recordings) -> str:
+    covariates = list(dict.fromkeys(name for subject in recordings.subjects for name in subject.covariates))
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["subject", *covariates])
+    for subject in recordings.subjects:
+        values = [float(subject.covariates.get(name, math.nan)) for name in covariates]
+        writer.writerow([subject.name, *("" if math.isnan(value) else repr(value) for value in values)])
+    return text.getvalue()
+
+
+def _metadata_toml(recordings: Recordings) -> str:
+    pairs = {
+        "title": recordings.title,
+        "unit": recordings.unit,
+        "sign": SIGNS[0],
+        "network": recordings.network,
+        "source": recordings.source,
+        "licence": recordings.licence,
+    }
+    # A JSON string is a TOML basic string, except that TOML also wants the delete character escaped.
+    lines = (f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in pairs.items() if value)
+    return "\n".join(lines).replace("\x7f", "\\u007f") + "\n"
+
+
+def _gzip(data: bytes) -> bytes:
+    """Compress without time and name in the header."""
+    buffer = io.BytesIO()
+    with gzip.GzipFile(filename="", mode="wb", compresslevel=9, fileobj=buffer, mtime=0) as file:
+        file.write(data)
+    return buffer.getvalue()

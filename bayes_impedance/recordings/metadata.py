@@ -1,0 +1,208 @@
+"""What a dataset says about itself: dataset.toml, with its unit and sign.
+
+Impedance is F/v in the force-voltage analogy (force = voltage, velocity = current), so the same file format serves
+mechanical, rotational, acoustic and electrical one-ports. Values are kept in the SI unit of their kind.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from dataclasses import dataclass
+
+from bayes_impedance.errors import InputError
+from bayes_impedance.recordings.csv_table import decode, similar
+
+DEFAULT_UNIT = "N s/m"
+SIGNS = ("passive positive", "passive negative")
+_KEYS = ("title", "unit", "sign", "network", "source", "licence")
+
+#: Spellings, without spaces and signs of multiplication and of powers, of each unit that is kept.
+_SPELLINGS = {
+    "N s/m": ("Ns/m", "N/(m/s)", "Nsm-1", "kg/s", "kgs-1"),
+    "ohm": ("ohm", "Ohm", "OHM", "ohms", "Ohms", "\u03a9", "V/A"),
+    "N m s/rad": ("Nms/rad", "Nm/(rad/s)", "Nms", "Nmsrad-1"),
+    "Pa s/m3": ("Pas/m3", "Pa/(m3/s)", "Pasm-3"),
+    "Pa s/m": ("Pas/m", "Pa/(m/s)", "Pasm-1", "rayl", "Rayl"),
+}
+_PREFIXES = {"n": 1e-9, "u": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
+#: Scaled spellings that are no prefix before a spelling from above.
+_SCALED = {
+    "g/s": ("N s/m", 1e-3),
+    "Ns/mm": ("N s/m", 1e3),
+    "N/(mm/s)": ("N s/m", 1e3),
+    "mNs/mm": ("N s/m", 1.0),
+    "Ns/cm": ("N s/m", 1e2),
+    "dyns/cm": ("N s/m", 1e-3),
+    "Nmms/rad": ("N m s/rad", 1e-3),
+}
+_OTHER_QUANTITIES = {
+    "m": "a displacement",
+    "mm": "a displacement",
+    "um": "a displacement",
+    "m/s": "a velocity",
+    "mm/s": "a velocity",
+    "N": "a force",
+    "N/m": "a stiffness",
+    "N/mm": "a stiffness",
+    "m/N": "a compliance",
+    "mm/N": "a compliance",
+    "m/s/N": "a mobility",
+    "m/(Ns)": "a mobility",
+    "kg": "a mass",
+    "g": "a mass",
+    "dB": "a level",
+    "S": "an admittance",
+    "1/ohm": "an admittance",
+    "Hz": "a frequency",
+    "deg": "an angle",
+    "rad": "an angle",
+}
+
+
+@dataclass(frozen=True)
+class Metadata:
+    """Content of dataset.toml.
+
+    Attributes
+    ----------
+    title, source, licence : str
+    unit : str
+        SI unit of the impedance after conversion.
+    factor : float
+        What the file's numbers are to be multiplied by to be in `unit`; the sign is not part of it.
+    sign : str
+        One of `SIGNS`.
+    network : str or None
+        Notation of the network that the data are usually modelled with.
+    warnings : tuple of str
+    """
+
+    title: str
+    unit: str = DEFAULT_UNIT
+    factor: float = 1.0
+    sign: str = SIGNS[0]
+    network: str | None = None
+    source: str = ""
+    licence: str = ""
+    warnings: tuple[str, ...] = ()
+
+
+def parse_metadata(data: bytes, file: str, default_title: str) -> Metadata:
+    """Read dataset.toml.
+
+    Parameters
+    ----------
+    data : bytes
+        Content of the file.
+    file : str
+        Name to use in messages.
+    default_title : str
+        Title of a dataset that has none.
+
+    Returns
+    -------
+    Metadata
+        Unknown keys and converted units are told in its warnings.
+
+    Raises
+    ------
+    InputError
+        If the file is not TOML, a value is no string, or the unit or sign is none of those known.
+    """
+    text = decode(data, file)
+    try:
+        content = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f'{file}: {_toml_problem(str(error))}; correct it, e.g. title = "My data"') from error
+    warnings = []
+    for key, value in content.items():
+        if key not in _KEYS:
+            guess = similar(key, _KEYS)
+            hint = f'did you mean "{guess}"?' if guess else f"known keys are {', '.join(_KEYS)}"
+            warnings.append(f'{file}, line {_line(text, key)}: key "{key}" is not used; {hint}')
+        elif not isinstance(value, str):
+            raise InputError(
+                f"{file}, line {_line(text, key)}: {key} is {value!r}, but must be text; put it in quotation marks"
+            )
+    where = f"{file}, line {_line(text, 'unit')}"
+    unit, factor = parse_unit(content.get("unit", DEFAULT_UNIT), where)
+    if factor != 1.0:
+        warnings.append(f"{where}: values in {content['unit'].strip()} were multiplied by {factor:g} to be in {unit}")
+    sign = " ".join(content.get("sign", SIGNS[0]).lower().split())
+    if sign not in SIGNS:
+        raise InputError(
+            f'{file}, line {_line(text, "sign")}: sign "{content["sign"]}" is unknown; '
+            f'write "{SIGNS[0]}" (Re z >= 0 for a passive load) or "{SIGNS[1]}"'
+        )
+    return Metadata(
+        title=content.get("title", "").strip() or default_title,
+        unit=unit,
+        factor=factor,
+        sign=sign,
+        network=content.get("network", "").strip() or None,
+        source=content.get("source", ""),
+        licence=content.get("licence", ""),
+        warnings=tuple(warnings),
+    )
+
+
+def _toml_problem(message: str) -> str:
+    """Rewrite "Something (at line 3, column 5)" as "line 3 is not valid TOML (something)"."""
+    match = re.fullmatch(r"(.*) \(at (line \d+), column \d+\)", message, flags=re.DOTALL)
+    if match is None:
+        # The decoder reports trouble at the end of the file without a line.
+        return f"the last line is not valid TOML ({message})"
+    return f"{match[2]} is not valid TOML ({match[1]})"
+
+
+def _line(text: str, key: str) -> int:
+    """Return the line (from 1) that sets a key; 1 where it cannot be found."""
+    match = re.search(rf'^[ \t]*\[*["\']?{re.escape(key)}\b', text, flags=re.MULTILINE)
+    return text.count("\n", 0, match.start()) + 1 if match else 1
+
+
+def parse_unit(unit: str, where: str) -> tuple[str, float]:
+    """Return the SI unit of an impedance and the factor that converts to it.
+
+    Parameters
+    ----------
+    unit : str
+        Unit as people write it, e.g. "N s/m", "N*s/m", "kg/s", "mN s/m", "kOhm".
+    where : str
+        File and line, for messages.
+
+    Returns
+    -------
+    unit : str
+        One of "N s/m", "ohm", "N m s/rad", "Pa s/m3", "Pa s/m".
+    factor : float
+        Multiply by it to get that unit.
+
+    Raises
+    ------
+    InputError
+        If the unit is unknown or belongs to another quantity.
+    """
+    spelling = _compact(unit)
+    for kept, spellings in _SPELLINGS.items():
+        if spelling in spellings:
+            return kept, 1.0
+    if spelling in _SCALED:
+        return _SCALED[spelling]
+    for kept, spellings in _SPELLINGS.items():
+        if spelling[:1] in _PREFIXES and spelling[1:] in spellings:
+            return kept, _PREFIXES[spelling[0]]
+    accepted = ", ".join(f'"{kept}"' for kept in _SPELLINGS)
+    quantity = _OTHER_QUANTITIES.get(spelling)
+    problem = f"belongs to {quantity}" if quantity else "is unknown"
+    raise InputError(
+        f'{where}: unit "{unit}" {problem}, but an impedance F/v is expected; '
+        f"convert the values and give one of {accepted}"
+    )
+
+
+def _compact(unit: str) -> str:
+    """Return a spelling without spaces, multiplication and power signs, in ASCII except for the ohm sign."""
+    plain = unit.translate(str.maketrans("\u00b5\u03bc\u2126\u207b\u00b9\u00b2\u00b3", "uu\u03a9-123"))
+    return re.sub(r"[\s*^\u00b7\u22c5\u2219.]", "", plain)

@@ -1,0 +1,127 @@
+"""Recordings as Parquet, one file or a folder of them, as the same table that a CSV file holds."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+
+from bayes_impedance.errors import InputError
+from bayes_impedance.recordings.csv_table import Cells, Table, table_of
+
+SUFFIX = ".parquet"
+_NO_VALUE = "__HIVE_DEFAULT_PARTITION__"
+
+
+def parquet_table(path: Path, known: Collection[str], extra: dict[str, str] | None = None) -> tuple[Table, str]:
+    """Read a table: numbers stay numbers, all else is text.
+
+    Parameters
+    ----------
+    path : Path
+        File, or folder of files, partitioned in the manner of Hive (``subject=A/part-0.parquet``) or not at all. Rows
+        are in the order of the files' names and counted like a CSV file's: the first is row 2.
+    known : collection of str
+        Column names that are recognised in upper case too.
+    extra : dict of str to str
+        Columns of one value each that stand in the folder's own name.
+
+    Returns
+    -------
+    table : Table
+    digest : str
+        SHA-256 of the files.
+
+    Raises
+    ------
+    InputError
+        If pyarrow is not installed or the table cannot be read.
+    """
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError:
+        raise InputError(
+            f'{path}: Parquet needs the package pyarrow: pip install "bayes_impedance[parquet]", or give CSV'
+        ) from None
+    digest, parts = hashlib.sha256(), []
+    for file in _files(path):
+        try:
+            data = file.read_bytes()
+            table = pq.ParquetFile(pa.BufferReader(data)).read(use_threads=False)
+        except (OSError, ValueError, pa.ArrowException) as error:
+            reason = (str(error).splitlines() or [type(error).__name__])[0]
+            raise InputError(f"{file}: cannot be read as Parquet ({reason}); write it anew") from None
+        digest.update(data)
+        index = (table.schema.pandas_metadata or {}).get("index_columns", [])
+        columns = [(name, _cells(c)) for name, c in zip(table.column_names, table.columns, strict=True)]
+        parts.append([(name, cells) for name, cells in columns if name not in index])
+        given = (extra or {}) | _keys(file.parent.relative_to(path) if file != path else Path())
+        for name, value in given.items():
+            if any(name == found and np.any(_text(cells) != value) for found, cells in columns):
+                raise InputError(
+                    f'{file}: there is another {name} in it than its folder says, "{value}"; write it anew'
+                )
+            parts[-1] = [(found, cells) for found, cells in parts[-1] if found != name]
+            parts[-1].append((name, np.full(table.num_rows, value, dtype=object)))
+    if not parts:
+        raise InputError(f"{path}: there is no file in the folder; put Parquet files there")
+    return table_of(_joined(parts), str(path), known), digest.hexdigest()
+
+
+def partitions(path: Path, key: str) -> list[tuple[str, Path]]:
+    """Values of a key and the folders that hold them, by the folders' names; none if that is not how it is parted."""
+    if not path.is_dir():
+        return []
+    inside = sorted(p for p in path.iterdir() if not p.name.startswith((".", "_")))
+    if not all(p.is_dir() and p.name.startswith(f"{key}=") for p in inside):
+        return []
+    return [(_keys(Path(p.name))[key], p) for p in inside]
+
+
+def _files(path: Path) -> list[Path]:
+    """The file itself, or all in a folder but what begins with a dot or an underscore: notes of other programs."""
+    if not path.is_dir():
+        return [path]
+    inside = [p for p in path.rglob("*") if p.is_file()]
+    return sorted(p for p in inside if not any(n.startswith((".", "_")) for n in p.relative_to(path).parts))
+
+
+def _keys(folder: Path) -> dict[str, str]:
+    """What names of folders such as ``subject=A`` say."""
+    pairs = (part.split("=", 1) for part in folder.parts if "=" in part)
+    return {name: "" if value == _NO_VALUE else unquote(value) for name, value in pairs}
+
+
+def _cells(column: Any) -> Cells:
+    import pyarrow as pa
+
+    if pa.types.is_floating(column.type) or pa.types.is_integer(column.type):
+        return np.asarray(column.to_numpy())  # what is missing is NaN
+    result = np.empty(len(column), dtype=object)
+    result[:] = ["" if value is None else str(value) for value in column.to_pylist()]
+    return result
+
+
+def _joined(parts: list[list[tuple[str, Cells]]]) -> list[tuple[str, Cells]]:
+    """The same columns of several files, one below the other."""
+    if len(parts) == 1:
+        return parts[0]
+    joined = []
+    for name in dict.fromkeys(name for part in parts for name, _ in part):
+        own = [dict(part).get(name) for part in parts]
+        text = any(cells is not None and cells.dtype == object for cells in own)
+        missing: Any = "" if text else np.nan
+        filled = [np.full(len(part[0][1]), missing) if c is None else c for c, part in zip(own, parts, strict=True)]
+        joined.append((name, np.concatenate([_text(c) for c in filled] if text else filled)))
+    return joined
+
+
+def _text(cells: Cells) -> Cells:
+    if cells.dtype == object:
+        return cells
+    return np.array(["" if value != value else str(value) for value in cells.tolist()], dtype=object)

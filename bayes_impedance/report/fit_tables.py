@@ -1,0 +1,400 @@
+"""What the page says: sentences and table rows made of a result, as plain text for the template.
+
+Nothing is computed here but units, prefixes and digits. Numbers that must not be used do not get into a sentence.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bayes_impedance.mcmc.ensemble import QUICK
+from bayes_impedance.network.elements import kind_of
+from bayes_impedance.network.notation import Network, parse
+from bayes_impedance.plots.access import (
+    frequency,
+    is_electrical,
+    is_simulated,
+    needed,
+    samples,
+    subjects,
+    variable,
+    who,
+)
+from bayes_impedance.plots.quantities import scale_for, signed, significant, typeset, with_interval
+from bayes_impedance.results.result import MISFIT_SCALE, Result
+
+NOT_DETERMINED = "not determined by these recordings"
+_WITHHELD = "withheld"
+_ABSENT = "–"
+
+_ELECTRICAL = {
+    "m": ("inductance", "Coil: voltage in proportion to how fast the current changes."),
+    "n": ("capacitance", "Storage of charge: current in proportion to how fast the voltage changes."),
+    "r": ("resistance", "Loss: voltage in proportion to current, energy turned into heat."),
+}
+_CORRELATIONS = 12
+_OUTLIERS = 3
+"""How many subjects are listed for each reason to stand out."""
+
+
+@dataclass(frozen=True)
+class ElementRow:
+    """A line of the table of elements; all fields are text for the page."""
+
+    name: str
+    title: str
+    story: str
+    identified: bool
+    value: str
+    interval: str
+    unit: str
+    between_persons: str
+    between_persons_interval: str
+    between_repetitions: str
+    between_repetitions_interval: str
+
+
+@dataclass(frozen=True)
+class Check:
+    """A diagnostic: its name and value, what is good, whether it is, and what it means."""
+
+    name: str
+    value: str
+    wanted: str
+    good: bool
+    meaning: str
+
+
+def population_name(result: Result) -> str:
+    """Who was measured, with their number: ``71 simulated people``, ``one subject``."""
+    n = len(subjects(result))
+    adjective = "simulated " if is_simulated(result) else ""
+    return f"{'one' if n == 1 else n} {adjective}{who(result, n)}"
+
+
+def hertz(value: float) -> str:
+    """Frequency with its prefix."""
+    scale = scale_for(value, "Hz")
+    return f"{value:.3g} Hz" if scale.unit == "Hz" or value < 1000 else f"{value / 1000:.3g} kHz"
+
+
+def answer(result: Result) -> list[str]:
+    """The whole result in a few sentences."""
+    summary, n = result.summary, len(subjects(result))
+    f = frequency(result)
+    repetitions = int(summary["repetitions"])
+    times = "once" if repetitions == 1 else f"{repetitions} times" if n == 1 else f"up to {repetitions} times each"
+    if n > 1 and len(set(needed(result, "repetitions").tolist())) == 1 and repetitions > 1:
+        times = f"{repetitions} times each"
+    subject = population_name(result)
+    text = [
+        f"The impedance of {subject}, recorded {times} from {hertz(f[0])} to {hertz(f[-1])}, was described by a "
+        f"network of {len(result.elements)} elements."
+    ]
+    if result.problems:
+        return [*text, "The computation did not reach the accuracy it needs, so no number is given here."]
+    if summary["noise_scale"]["median"] > MISFIT_SCALE:
+        text.append(
+            "It leaves out something that the recordings show: what remains is "
+            f"{summary['noise_scale']['median']:.2g} times the noise, and all numbers are those of the network that "
+            "comes closest."
+        )
+    text += _values_in_words(result, n)
+    text += _quality_in_words(result, n)
+    return text
+
+
+def _values_in_words(result: Result, n: int) -> list[str]:
+    rows = element_rows(result)
+    # No line break inside of an equation.
+    known = [f"{row.name} = {row.value} {row.unit}".strip().replace(" ", "\u00a0") for row in rows if row.identified]
+    missing = [row.name for row in rows if not row.identified]
+    text = []
+    if known:
+        owner = f"this {who(result, 1)}" if n == 1 else f"the population's centre, a typical {who(result, 1)}"
+        text.append(f"The values of {owner}: {', '.join(known)}.")
+    if missing:
+        text.append(f"These recordings do not determine {' and '.join(missing)}.")
+    spreads = [e["dispersion_between_persons"]["median"] for e in result.summary["elements"].values()]
+    factors = sorted(math.exp(s) for s in spreads if s is not None)
+    if factors:
+        ends = dict.fromkeys(f"{factor:.2f}" for factor in (factors[0], factors[-1]))  # once if they are equal
+        text.append(
+            f"From one {who(result, 1)} to another the elements spread by a factor of {' to '.join(ends)} (one "
+            "standard deviation)."
+        )
+    return text
+
+
+def _quality_in_words(result: Result, n: int) -> list[str]:
+    errors, coverage = result.summary["errors"], result.summary["coverage"]
+    own = errors["subjects"]
+    middle, worst = 100 * own["relative_rms_median"], 100 * own["relative_rms_max"]
+    if n == 1:
+        text = [f"The network is {significant(middle, 2)} % off the recording (root mean square, relative)."]
+    else:
+        text = [
+            f"With values of its own for each {who(result, 1)}, the network is {significant(middle, 2)} % off the "
+            f"recordings (median; worst {significant(worst, 2)} %)."
+        ]
+        network, table = errors["population_network"], errors["lookup_median"]
+        scale = scale_for(network["delta_magnitude"], result.attributes["unit"])
+        text.append(
+            f"One network for all is {significant(network['delta_magnitude'] * scale.factor)} {scale.unit} and "
+            f"{significant(network['delta_phase_deg'], 2)}° away from an individual on average; the best that any "
+            f"single curve can do, because {who(result)} differ, is "
+            f"{significant(table['delta_magnitude'] * scale.factor)} {scale.unit} and "
+            f"{significant(table['delta_phase_deg'], 2)}°."
+        )
+        text.append(f"The predicted 90 % band contains {100 * coverage['90']:.0f} % of what was measured.")
+    return text
+
+
+def element_values(result: Result) -> dict[str, str]:
+    """Central value with its unit, for the drawing."""
+    return {
+        row.name: f"{row.value} {row.unit}".strip() if row.identified and not result.problems else ""
+        for row in element_rows(result)
+    }
+
+
+def element_rows(result: Result) -> list[ElementRow]:
+    """The table of elements."""
+    places = _groups_of(parse(result.attributes["network"]))
+    rows = []
+    for name in result.elements:
+        entry = result.summary["elements"][name]
+        noun, story = _ELECTRICAL[name[0]] if is_electrical(result) else (kind_of(name).name, kind_of(name).story)
+        central, unit = entry["central"], typeset(entry["unit"])
+        value, interval = (_WITHHELD, "") if entry["identified"] else (NOT_DETERMINED, "")
+        if central["median"] is not None:
+            scale = scale_for(central["median"], entry["unit"])
+            value, interval = with_interval(*(scale.factor * central[k] for k in ("median", "q05", "q95")))
+            unit = scale.unit
+        persons = _spread(entry["dispersion_between_persons"])
+        repetitions = _spread(entry["dispersion_between_repetitions"])
+        title = f"{places[name]} {noun}" if places[name] else noun
+        rows.append(ElementRow(name, title, story, entry["identified"], value, interval, unit, *persons, *repetitions))
+    return rows
+
+
+def _spread(entry: dict[str, float | None]) -> tuple[str, str]:
+    if entry["median"] is None:
+        return _ABSENT, ""
+    median, low, high = (math.exp(float(entry[k] or 0.0)) for k in ("median", "q05", "q95"))
+    digits = 3 if high < 1.1 else 2
+    return f"×{median:.{digits}f}", f"{low:.{digits}f} to {high:.{digits}f}"
+
+
+def _groups_of(network: Network) -> dict[str, str]:
+    """Label of the smallest labelled group around each element, or an empty text."""
+    return {
+        path_node.elements[0]: _innermost(network, path) for path, path_node in network.walk() if not path_node.parts
+    }
+
+
+def _innermost(network: Network, path: tuple[int, ...]) -> str:
+    node, label = network, network.label
+    for i in path:
+        node = node.parts[i]
+        label = node.label or label
+    return label or ""
+
+
+def correlation_rows(result: Result) -> list[tuple[str, str, str]]:
+    """Pairs whose 90 % interval excludes zero, with correlation and interval; only the strongest."""
+    sure = [row for row in result.summary["correlation"] if row[3] > 0 or row[4] < 0]
+    sure.sort(key=lambda row: -abs(row[2]))
+    return [
+        (f"{a} and {b}", signed(middle), f"{signed(low)} to {signed(high)}")
+        for a, b, middle, low, high in sure[:_CORRELATIONS]
+    ]
+
+
+def slope_rows(result: Result) -> list[tuple[str, str, str, str]]:
+    """Effect of each covariate on each element: a factor for one standard deviation of the covariate."""
+    if variable(result, "slope") is None or result.problems:
+        return []
+    slopes, rows = np.exp(samples(result, "slope")), []
+    for i, name in enumerate(result.elements):
+        for j, covariate in enumerate(result.coords["covariate"]):
+            if np.all(np.isfinite(slopes[:, i, j])):
+                low, middle, high = np.quantile(slopes[:, i, j], (0.05, 0.5, 0.95))
+                rows.append((name, str(covariate), f"×{middle:.2f}", f"{low:.2f} to {high:.2f}"))
+    return rows
+
+
+def recording_rows(result: Result) -> list[tuple[str, str]]:
+    """What was recorded."""
+    repetitions = needed(result, "repetitions")
+    low, high = int(repetitions.min()), int(repetitions.max())
+    f, magnitude = frequency(result), np.hypot(needed(result, "observed_re"), needed(result, "observed_im"))
+    scale = scale_for(float(np.nanmedian(magnitude)), result.attributes["unit"])
+    ends = f"{significant(np.nanmin(magnitude) * scale.factor)} to {significant(np.nanmax(magnitude) * scale.factor)}"
+    return [
+        ("Title", str(result.attributes["title"])),
+        ("Source", str(result.attributes.get("source") or "not stated")),
+        ("Licence", str(result.attributes.get("licence") or "not stated")),
+        (who(result).capitalize(), population_name(result)),
+        ("Repetitions", str(low) if low == high else f"{low} to {high}"),
+        ("Frequencies", f"{f.size}, from {hertz(f[0])} to {hertz(f[-1])}"),
+        ("Impedance", f"z = {'V/i' if is_electrical(result) else 'F/v'} in {typeset(result.attributes['unit'])}"),
+        ("Range of |z|", f"{ends} {scale.unit}"),
+    ]
+
+
+def reading_warnings(result: Result) -> list[str]:
+    """What was told when the recordings were read."""
+    return [str(warning) for warning in json.loads(result.attributes.get("reading_warnings") or "[]")]
+
+
+def error_table(result: Result) -> tuple[str, list[tuple[str, str, str]]]:
+    """Unit of the magnitude's error; rows of name, magnitude and phase, each mean ± sd over frequency."""
+    errors, n = result.summary["errors"], len(subjects(result))
+    scale = scale_for(errors["population_network"]["delta_magnitude"], result.attributes["unit"])
+    names = {"population_network": "population network" if n > 1 else "network"}
+    if n > 1:
+        names |= {"lookup_mean": "look-up table, mean", "lookup_median": "look-up table, median"}
+    rows = []
+    for key, name in names.items():
+        entry = errors[key]
+        magnitude = (entry["delta_magnitude"] * scale.factor, entry["delta_magnitude_sd"] * scale.factor)
+        phase = (entry["delta_phase_deg"], entry["delta_phase_deg_sd"])
+        rows.append((name, " ± ".join(map(significant, magnitude)), " ± ".join(map(significant, phase))))
+    if n > 1:
+        own = errors["subjects"]
+        rows.append(
+            (
+                f"each {who(result, 1)}'s own network",
+                significant(own["delta_magnitude"] * scale.factor),
+                significant(own["delta_phase_deg"]),
+            )
+        )
+    return scale.unit, rows
+
+
+def replication_sentence(result: Result) -> str:
+    """Whether populations drawn from the model are as far from its centre as the measured one."""
+    entry = result.summary["errors"]["population_network"]
+    ranks = [entry["replicated_rank_magnitude"], entry["replicated_rank_phase"]]
+    shares = f"{100 * ranks[0]:.0f} % of them for the magnitude and {100 * ranks[1]:.0f} % for the phase"
+    kind = "populations" if len(subjects(result)) > 1 else "recordings"
+    if min(ranks) < 0.05:
+        verdict = "The recordings stray further from the network than the model can explain."
+    elif min(ranks) > 0.95:
+        verdict = "The model expects more scatter than the recordings have."
+    else:
+        verdict = "So the size of the error is what the model expects."
+    return (
+        f"If {kind} like this one are drawn from the fitted model, their error is at least as large as the measured "
+        f"one in {shares}. {verdict}"
+    )
+
+
+def outlier_rows(result: Result) -> list[tuple[str, str, str, str, str]]:
+    """Who stands out: name, relative error, residual over noise, Pareto k, and why the subject is listed."""
+    names = subjects(result)
+    criteria = {
+        "largest error": needed(result, "person_relative_rms"),
+        "largest residual": needed(result, "noise_scale"),
+        "highest Pareto k": needed(result, "pareto_k"),
+    }
+    reasons: dict[int, list[str]] = {}
+    for reason, values in criteria.items():
+        for place, i in enumerate(np.argsort(-values)[:_OUTLIERS].tolist()):
+            reasons.setdefault(i, []).append(reason if place == 0 else f"{_ORDINAL[place]} {reason}")
+    rms, scale, k = criteria.values()
+    return [
+        (
+            names[i],
+            f"{100 * rms[i]:.2f} %",
+            f"{scale[i]:.2f}",
+            f"{k[i]:.2f}".replace("-", "−"),
+            ", ".join(why) if len(names) > 1 else "",
+        )
+        for i, why in reasons.items()
+    ]
+
+
+_ORDINAL = {1: "second", 2: "third"}
+
+
+def checks(result: Result) -> list[Check]:
+    """The table of diagnostics."""
+    s = result.summary["sampler"]
+    return [
+        Check(
+            "R-hat, worst",
+            f"{s['rhat_max']:.3f}",
+            "below 1.01; refused above 1.05",
+            s["rhat_max"] <= 1.01,
+            "Ensembles start and adapt independently. 1 means that they found the same distribution.",
+        ),
+        Check(
+            "Effective sample size, worst",
+            f"{s['ess_min']:.0f}",
+            "above 400",
+            s["ess_min"] >= 400,
+            "How many independent draws the correlated ones are worth; 400 are enough for the ends of intervals.",
+        ),
+        Check(
+            "Acceptance",
+            f"{s['acceptance']:.2f}",
+            "0.1 to 0.9",
+            0.1 <= s["acceptance"] <= 0.9,
+            "Share of proposed steps that were taken. Near 0 the sampler is stuck, near 1 it hardly moves.",
+        ),
+        Check(
+            "Variance of the log-likelihood",
+            f"{s['log_likelihood_variance']:.2g}",
+            "below 0.25; refused above 1",
+            s["log_likelihood_variance"] <= 0.25,
+            f"The likelihood is a Monte-Carlo average over each {who(result, 1)}'s draws; this is its squared error.",
+        ),
+        Check(
+            "Pareto k, worst",
+            f"{s['pareto_k_max']:.2f}",
+            "below 0.7",
+            s["pareto_k_max"] <= 0.7,
+            f"Tail of the weights of a {who(result, 1)}'s draws. Above 0.7 few draws carry all the weight.",
+        ),
+        Check(
+            "Effective draws, worst",
+            f"{s['effective_draws_min']:.0f}",
+            "above 10",
+            s["effective_draws_min"] >= 10,
+            f"How many equal draws the weighted ones of a {who(result, 1)} are worth.",
+        ),
+    ]
+
+
+def provenance_rows(result: Result) -> list[tuple[str, str]]:
+    """Where the numbers come from."""
+    summary, s = result.summary, result.summary["sampler"]
+    seconds = ", ".join(f"{name} {value:.1f} s" for name, value in summary.get("seconds", {}).items())
+    return [
+        ("Network", summary["network"]),
+        ("Seed", str(summary["seed"])),
+        ("SHA-256 of the data", summary["data_sha256"] or "none: the recordings did not come from a file"),
+        ("Covariance between " + who(result), summary["covariance"]),
+        ("Sampler", f"{s['ensembles']} ensembles of {s['walkers']} walkers, {s['steps']} steps"),
+        ("Versions", ", ".join(f"{name} {version}" for name, version in summary["versions"].items())),
+        ("Seconds", seconds or "not recorded"),
+    ]
+
+
+def command(result: Result) -> str:
+    """What to type to get this result again."""
+    summary: dict[str, Any] = result.summary
+    parts = ["bayes-impedance run DATASET -o OUT", f"--network '{summary['network']}'", f"--seed {summary['seed']}"]
+    if summary["covariance"] != "full":
+        parts.append(f"--covariance {summary['covariance']}")
+    parts += [f"--covariate {name}" for name in result.coords.get("covariate", [])]
+    if summary["sampler"]["ensembles"] == QUICK.ensembles:
+        parts.append("--quick")
+    return " ".join(parts)

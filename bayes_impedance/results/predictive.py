@@ -1,0 +1,260 @@
+r"""What the posterior says about people who were not measured, and whether it could have produced those who were.
+
+Three kinds of curve are drawn from the posterior, each with the uncertainty of the population's parameters in it:
+
+* the population **centre**, the network with the median elements, z(exp mu);
+* a new **person**: elements from N(mu, Sigma), without noise;
+* a new **recording**: a person's mean over J repetitions, with their deviations and with noise. Only this one may
+  be compared with recordings, and is: pointwise coverage of the bands, and eq. 5's error. For the latter whole
+  populations are replicated, as many people as were measured, and their error about the same model curve is computed:
+  at every frequency the observed error has a place in that distribution.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayes_impedance.population.fit import PopulationFit
+from bayes_impedance.results.curve_errors import (
+    ErrorCurves,
+    common_grid,
+    coverage,
+    error_curves,
+    lookup_table,
+    on_grid,
+    relative_rms,
+)
+
+PROBABILITIES = (0.05, 0.25, 0.5, 0.75, 0.95)
+"""Quantiles of every band: its 50 % and 90 % limits and the median."""
+
+
+@dataclass(frozen=True)
+class Band:
+    """Pointwise quantiles of magnitude and phase.
+
+    Attributes
+    ----------
+    magnitude, phase_deg : ndarray, shape (5, F)
+        Rows in the order of :data:`PROBABILITIES`.
+    """
+
+    magnitude: np.ndarray
+    phase_deg: np.ndarray
+
+    @classmethod
+    def of(cls, z: np.ndarray) -> Band:
+        """From curves, complex, shape (S, F)."""
+        return cls(
+            np.quantile(np.abs(z), PROBABILITIES, axis=0), np.quantile(np.angle(z, deg=True), PROBABILITIES, axis=0)
+        )
+
+
+@dataclass(frozen=True)
+class Replication:
+    """Eq. 5's error of the population network in replicated populations, beside the observed one.
+
+    Attributes
+    ----------
+    magnitude, phase_deg : ndarray, shape (3, F)
+        5 %, 50 % and 95 % quantiles over replicates.
+    magnitude_rank, phase_rank : ndarray, shape (F,)
+        Share of replicates whose error is at least the observed one, pointwise.
+    mean_magnitude_rank, mean_phase_rank : float
+        The same for the mean over frequency: small if the recordings stray more than the posterior can explain.
+    replicates : int
+    """
+
+    magnitude: np.ndarray
+    phase_deg: np.ndarray
+    magnitude_rank: np.ndarray
+    phase_rank: np.ndarray
+    mean_magnitude_rank: float
+    mean_phase_rank: float
+    replicates: int
+
+
+@dataclass(frozen=True)
+class Predictive:
+    """Bands and errors on one grid.
+
+    Attributes
+    ----------
+    frequency_hz : ndarray, shape (F,)
+    observed : ndarray, complex, shape (N, F)
+        Everybody's mean recording; NaN outside of a person's range.
+    centre, person, recording : Band
+    network_magnitude, network_phase_deg : ndarray, shape (F,)
+        Curve of the population network: the posterior medians of the central values.
+    errors : dict of str to ErrorCurves
+        ``population_network``, ``lookup_mean``, ``lookup_median``.
+    replication : Replication
+    coverage50, coverage90 : ndarray, shape (2, F)
+        Share of people inside the recording's bands, of magnitude and of phase.
+    person_relative_rms : ndarray, shape (N,)
+        Complex relative error of each person's own posterior median network.
+    person_delta_magnitude, person_delta_phase_deg : ndarray, shape (N,)
+        Mean absolute errors of the same.
+    """
+
+    frequency_hz: np.ndarray
+    observed: np.ndarray
+    centre: Band
+    person: Band
+    recording: Band
+    network_magnitude: np.ndarray
+    network_phase_deg: np.ndarray
+    errors: dict[str, ErrorCurves]
+    replication: Replication
+    coverage50: np.ndarray
+    coverage90: np.ndarray
+    person_relative_rms: np.ndarray
+    person_delta_magnitude: np.ndarray
+    person_delta_phase_deg: np.ndarray
+
+
+def predict(fit: PopulationFit, *, n_draws: int = 1000, n_replicates: int = 200, seed: int = 1) -> Predictive:
+    """Posterior-predictive bands and errors.
+
+    Parameters
+    ----------
+    fit : PopulationFit
+    n_draws : int
+        Curves in each band.
+    n_replicates : int
+        Replicated populations.
+    seed : int
+    """
+    rng = np.random.default_rng(seed)
+    frequency = common_grid(fit.recordings)
+    observed = on_grid(fit.recordings, frequency)
+    kernel = fit.kernel
+    total = fit.parameters.mu.shape[0]
+    rows = np.linspace(0, total - 1, min(n_draws, total)).astype(int)
+
+    centre = Band.of(kernel.impedance(fit.parameters.mu[rows], frequency))
+    person = Band.of(kernel.impedance(_people(fit, rows, rng, with_repetitions=False), frequency))
+    noise = _relative_noise(fit, frequency)
+    recorded = _recordings(fit, rows, frequency, noise, rng)
+    recording = Band.of(recorded)
+
+    network = kernel.impedance(np.median(fit.parameters.mu, axis=0), frequency)
+    magnitude, phase = np.abs(network), np.angle(network, deg=True)
+    errors = {"population_network": error_curves(magnitude, phase, observed)}
+    for statistic in ("mean", "median"):
+        errors[f"lookup_{statistic}"] = error_curves(*lookup_table(observed, statistic), observed)
+
+    measured = [np.abs(observed), np.angle(observed, deg=True)]
+    measured[1][~np.isfinite(measured[0])] = np.nan
+    bands = [recording.magnitude, recording.phase_deg]
+    own = _own_networks(fit)
+    return Predictive(
+        frequency,
+        observed,
+        centre,
+        person,
+        recording,
+        magnitude,
+        phase,
+        errors,
+        _replicate(fit, frequency, observed, noise, magnitude, phase, errors["population_network"], n_replicates, rng),
+        np.array([coverage(m, b[1], b[3]) for m, b in zip(measured, bands, strict=True)]),
+        np.array([coverage(m, b[0], b[4]) for m, b in zip(measured, bands, strict=True)]),
+        own[0],
+        own[1],
+        own[2],
+    )
+
+
+def _people(fit: PopulationFit, rows: np.ndarray, rng: np.random.Generator, with_repetitions: bool) -> np.ndarray:
+    """Log elements of one new person for each of the given posterior draws, (S, P); of the only one, if there is one.
+
+    With repetitions, it is the mean over as many of them as somebody measured has.
+    """
+    parameters = fit.parameters[rows]
+    if fit.one_person:
+        return parameters.mu
+    factor = parameters.covariance_cholesky
+    normal = rng.normal(size=parameters.mu.shape)
+    theta = parameters.mu + np.einsum("spq,sq->sp", factor, normal)
+    if fit.settings.covariates:
+        values = rng.normal(size=(rows.size, len(fit.settings.covariates)))  # standardised, as in the fit
+        theta = theta + np.einsum("spq,sq->sp", parameters.slopes, values)
+    if with_repetitions:
+        counts = np.array([len(s.repetitions) for s in fit.recordings.subjects])
+        spread = parameters.between_repetitions / np.sqrt(rng.choice(counts, rows.size))[:, None]
+        theta = theta + spread * rng.normal(size=theta.shape)
+    return np.asarray(theta)
+
+
+def _recordings(
+    fit: PopulationFit, rows: np.ndarray, frequency: np.ndarray, noise: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """Mean recordings of new people, with somebody's relative noise (N, F), complex, (S, F)."""
+    z = fit.kernel.impedance(_people(fit, rows, rng, with_repetitions=True), frequency)
+    who = rng.integers(len(fit.recordings.subjects), size=rows.size)
+    sd = np.abs(z) * noise[who]
+    return np.asarray(z + sd * (rng.normal(size=z.shape) + 1j * rng.normal(size=z.shape)))
+
+
+def _relative_noise(fit: PopulationFit, frequency: np.ndarray) -> np.ndarray:
+    """Noise of everybody's mean recording relative to |z|, (N, F)."""
+    rows = []
+    for subject, noise in zip(fit.recordings.subjects, fit.noise, strict=True):
+        sd = np.sqrt(np.sum(noise**2, axis=0)) / noise.shape[0]
+        rows.append(np.interp(np.log(frequency), np.log(subject.frequency_hz), sd / np.abs(subject.mean)))
+    return np.array(rows)
+
+
+def _replicate(
+    fit: PopulationFit,
+    frequency: np.ndarray,
+    observed: np.ndarray,
+    noise: np.ndarray,
+    magnitude: np.ndarray,
+    phase: np.ndarray,
+    seen: ErrorCurves,
+    n_replicates: int,
+    rng: np.random.Generator,
+) -> Replication:
+    n = len(fit.recordings.subjects)
+    missing = ~np.isfinite(observed)
+    total = fit.parameters.mu.shape[0]
+    errors = []
+    for row in rng.choice(total, n_replicates, replace=total < n_replicates):
+        z = _recordings(fit, np.full(n, row), frequency, noise, rng)
+        z[missing] = np.nan
+        errors.append(error_curves(magnitude, phase, z))
+    m, p = np.array([e.magnitude for e in errors]), np.array([e.phase_deg for e in errors])
+    quantiles = (0.05, 0.5, 0.95)
+
+    def rank(replicated: np.ndarray, value: np.ndarray) -> np.ndarray:
+        # One is added to both counts: the observed population is one of the possible ones, and no rank is zero.
+        return np.asarray((1 + np.sum(replicated >= value, axis=0)) / (n_replicates + 1))
+
+    return Replication(
+        np.quantile(m, quantiles, axis=0),
+        np.quantile(p, quantiles, axis=0),
+        rank(m, seen.magnitude),
+        rank(p, seen.phase_deg),
+        float(rank(np.nanmean(m, axis=1), np.nanmean(seen.magnitude))),
+        float(rank(np.nanmean(p, axis=1), np.nanmean(seen.phase_deg))),
+        n_replicates,
+    )
+
+
+def _own_networks(fit: PopulationFit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Errors of everybody's posterior median network on the own grid: relative rms, magnitude, phase; each (N,)."""
+    flat = fit.person_draws.reshape(-1, *fit.person_draws.shape[2:])
+    middle = np.median(flat, axis=0)
+    result = []
+    for i, subject in enumerate(fit.recordings.subjects):
+        # Repetitions are compared one by one: their mean is not the recording of any one network.
+        model = fit.kernel.impedance(middle[i] + fit.deviations[i], subject.frequency_hz)
+        rms = np.sqrt(np.mean(relative_rms(model, subject.z) ** 2))
+        errors = error_curves(np.abs(model.mean(axis=0)), np.angle(model.mean(axis=0), deg=True), subject.mean[None])
+        result.append((rms, errors.magnitude.mean(), errors.phase_deg.mean()))
+    columns = np.array(result).T
+    return columns[0], columns[1], columns[2]

@@ -1,0 +1,363 @@
+"""What a run leaves behind: a summary (JSON) and a netCDF file that holds everything the report needs.
+
+The file is an ordinary ArviZ one: a chain is an ensemble, and the axes element, subject and frequency_hz have labels.
+Elements that the recordings do not determine are NaN in the posterior and null in the summary: there is no number to be
+mistaken for a result.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayes_impedance.errors import InputError
+from bayes_impedance.network.elements import kind_of
+from bayes_impedance.population.fit import PopulationFit, too_few_for_correlations
+from bayes_impedance.results.predictive import PROBABILITIES, Predictive
+
+SCHEMA = 1
+RESULT_FILE, SUMMARY_FILE = "result.nc", "summary.json"
+MISFIT_SCALE = 1.5
+"""Above this ratio of residual to noise, the network is said to miss something in a person's recordings."""
+
+_PACKAGES = ("bayes_impedance", "numpy", "scipy", "numba", "emcee", "arviz", "xarray", "pandas")
+
+
+@dataclass(frozen=True)
+class Result:
+    """A finished run, as plain arrays with names.
+
+    Attributes
+    ----------
+    summary : dict
+        What ``summary.json`` holds.
+    groups : dict of dict of ndarray
+        The netCDF groups ``posterior``, ``posterior_predictive``, ``log_likelihood``, ``sample_stats``,
+        ``observed_data``, ``constant_data`` and their variables.
+    coords : dict
+        Labels of the axes element, element_2, subject, frequency_hz, probability, part.
+    attributes : dict
+        Network, seed, versions, data digest, title, unit, source.
+    """
+
+    summary: dict[str, Any]
+    groups: dict[str, dict[str, np.ndarray]]
+    coords: dict[str, Any]
+    attributes: dict[str, Any]
+
+    @property
+    def elements(self) -> list[str]:
+        """Names of the elements."""
+        return [str(e) for e in self.coords["element"]]
+
+    @property
+    def problems(self) -> list[str]:
+        """Why the numbers must not be used; empty if they may."""
+        return list(self.summary["problems"])
+
+    def element_unit(self, element: str) -> str:
+        """Unit of an element's value."""
+        return kind_of(element).unit(self.attributes["unit"])
+
+
+DIMS: dict[str, list[str]] = {
+    "mu": ["element"],
+    "central": ["element"],
+    "dispersion_between_persons": ["element"],
+    "dispersion_between_repetitions": ["element"],
+    "correlation": ["element", "element_2"],
+    "slope": ["element", "covariate"],
+    "person_log_elements": ["subject", "element"],
+    "marginal": ["subject"],
+    "centre_re": ["frequency_hz"],
+    "centre_im": ["frequency_hz"],
+    "observed_re": ["subject", "frequency_hz"],
+    "observed_im": ["subject", "frequency_hz"],
+    "band_centre": ["part", "probability", "frequency_hz"],
+    "band_person": ["part", "probability", "frequency_hz"],
+    "band_recording": ["part", "probability", "frequency_hz"],
+    "network_curve": ["part", "frequency_hz"],
+    "error_population_network": ["part", "frequency_hz"],
+    "error_lookup_mean": ["part", "frequency_hz"],
+    "error_lookup_median": ["part", "frequency_hz"],
+    "replicated_error": ["part", "replicate_quantile", "frequency_hz"],
+    "replicated_rank": ["part", "frequency_hz"],
+    "coverage_50": ["part", "frequency_hz"],
+    "coverage_90": ["part", "frequency_hz"],
+    "noise_relative": ["subject", "frequency_hz"],
+    "noise_scale": ["subject"],
+    "person_relative_rms": ["subject"],
+    "person_delta_magnitude": ["subject"],
+    "person_delta_phase_deg": ["subject"],
+    "pareto_k": ["subject"],
+    "effective_draws": ["subject"],
+    "repetitions": ["subject"],
+    "identified": ["element"],
+    "prior_centre": ["element"],
+}
+"""Axes of every variable beyond chain and draw; ``part`` is magnitude, then phase in degrees."""
+
+
+def make_result(fit: PopulationFit, predictive: Predictive, seconds: Mapping[str, float]) -> Result:
+    """Collect a fit and its predictions.
+
+    Parameters
+    ----------
+    fit : PopulationFit
+    predictive : Predictive
+    seconds : mapping
+        Time of each step; part of the summary only, so that equal runs give equal netCDF files.
+    """
+    recordings, elements = fit.recordings, list(fit.kernel.elements)
+    attributes = {
+        "title": recordings.title,
+        "unit": recordings.unit,
+        "source": recordings.source or "",
+        "licence": recordings.licence or "",
+        "network": str(fit.kernel.network),
+        "seed": fit.seed,
+        "data_sha256": recordings.sha256,
+        "covariance": fit.settings.covariance,
+        "versions": json.dumps(_versions()),
+        "reading_warnings": json.dumps(list(recordings.warnings)),
+    }
+    coords = {
+        "element": elements,
+        "element_2": elements,
+        "subject": list(recordings.names),
+        "covariate": list(fit.settings.covariates),
+        "frequency_hz": predictive.frequency_hz,
+        "probability": list(PROBABILITIES),
+        "replicate_quantile": [0.05, 0.5, 0.95],
+        "part": ["magnitude", "phase_deg"],
+    }
+    if not fit.settings.covariates:
+        del coords["covariate"]
+    result = Result({}, _groups(fit, predictive), coords, attributes)
+    result.summary.update(_summary(fit, predictive, seconds, result))
+    attributes["summary"] = json.dumps({k: v for k, v in result.summary.items() if k != "seconds"})
+    return result
+
+
+def _groups(fit: PopulationFit, predictive: Predictive) -> dict[str, dict[str, np.ndarray]]:
+    p, e = fit.parameters, fit.n_ensembles
+    seen = np.where(fit.identified, 1.0, np.nan)
+
+    def by_chain(values: np.ndarray) -> np.ndarray:
+        return values.reshape(e, -1, *values.shape[1:])
+
+    posterior = {
+        "mu": by_chain(p.mu * seen),
+        "central": by_chain(np.exp(p.mu) * seen),
+        "person_log_elements": fit.person_draws * seen,
+    }
+    if not fit.one_person:
+        posterior["dispersion_between_persons"] = by_chain(p.between_persons * seen)
+        posterior["correlation"] = by_chain(p.correlation * seen[:, None] * seen)
+        if fit.repeated:
+            posterior["dispersion_between_repetitions"] = by_chain(p.between_repetitions * seen)
+    if fit.settings.covariates:
+        posterior["slope"] = by_chain(p.slopes * seen[:, None])
+    centre = fit.kernel.impedance(by_chain(p.mu), predictive.frequency_hz).astype(np.complex64)  # for pictures
+    noise = [
+        np.sqrt(np.mean(n**2, axis=0)) / np.abs(s.mean) for s, n in zip(fit.recordings.subjects, fit.noise, strict=True)
+    ]
+    grid = np.log(predictive.frequency_hz)
+    d, r = fit.diagnostics, predictive.replication
+    return {
+        "posterior": posterior,
+        "posterior_predictive": {
+            "centre_re": centre.real,
+            "centre_im": centre.imag,
+        },
+        "log_likelihood": {"marginal": fit.person_log_likelihood},
+        "sample_stats": {"lp": fit.log_probability},
+        "observed_data": {"observed_re": predictive.observed.real, "observed_im": predictive.observed.imag},
+        "constant_data": {
+            "band_centre": _both(predictive.centre.magnitude, predictive.centre.phase_deg),
+            "band_person": _both(predictive.person.magnitude, predictive.person.phase_deg),
+            "band_recording": _both(predictive.recording.magnitude, predictive.recording.phase_deg),
+            "network_curve": _both(predictive.network_magnitude, predictive.network_phase_deg),
+            **{f"error_{k}": _both(v.magnitude, v.phase_deg) for k, v in predictive.errors.items()},
+            "replicated_error": _both(r.magnitude, r.phase_deg),
+            "replicated_rank": _both(r.magnitude_rank, r.phase_rank),
+            "coverage_50": predictive.coverage50,
+            "coverage_90": predictive.coverage90,
+            "noise_relative": np.array(
+                [
+                    np.interp(grid, np.log(s.frequency_hz), n)
+                    for s, n in zip(fit.recordings.subjects, noise, strict=True)
+                ]
+            ),
+            "noise_scale": fit.noise_scale,
+            "person_relative_rms": predictive.person_relative_rms,
+            "person_delta_magnitude": predictive.person_delta_magnitude,
+            "person_delta_phase_deg": predictive.person_delta_phase_deg,
+            "pareto_k": d.pareto_k,
+            "effective_draws": d.effective_draws,
+            "repetitions": np.array([len(s.repetitions) for s in fit.recordings.subjects]),
+            "identified": fit.identified.astype(np.int8),
+            "prior_centre": fit.prior.centre,
+        },
+    }
+
+
+def _both(magnitude: np.ndarray, phase: np.ndarray) -> np.ndarray:
+    return np.stack([magnitude, phase])
+
+
+def _interval(values: np.ndarray, known: bool = True) -> dict[str, float | None]:
+    """Median and 90 % interval, or nulls."""
+    if not known or not np.all(np.isfinite(values)):
+        return {"median": None, "q05": None, "q95": None}
+    low, middle, high = np.quantile(values, (0.05, 0.5, 0.95))
+    return {"median": float(middle), "q05": float(low), "q95": float(high)}
+
+
+def _summary(
+    fit: PopulationFit, predictive: Predictive, seconds: Mapping[str, float], result: Result
+) -> dict[str, Any]:
+    p, d = fit.parameters, fit.diagnostics
+    problems = list(d.problems)
+    elements = {}
+    for i, name in enumerate(fit.kernel.elements):
+        known = bool(fit.identified[i]) and not problems
+        elements[name] = {
+            "unit": result.element_unit(name),
+            "identified": bool(fit.identified[i]),
+            "central": _interval(np.exp(p.mu[:, i]), known),
+            "dispersion_between_persons": _interval(p.between_persons[:, i], known and not fit.one_person),
+            "dispersion_between_repetitions": _interval(
+                p.between_repetitions[:, i], known and fit.repeated and not fit.one_person
+            ),
+        }
+    correlation = []
+    if fit.settings.covariance == "full" and not fit.one_person and not problems:
+        for i, a in enumerate(fit.kernel.elements):
+            for j in range(i):
+                if fit.identified[i] and fit.identified[j]:
+                    low, middle, high = np.quantile(p.correlation[:, i, j], (0.05, 0.5, 0.95))
+                    correlation.append([fit.kernel.elements[j], a, float(middle), float(low), float(high)])
+    errors: dict[str, Any] = {name: curve.summary() for name, curve in predictive.errors.items()}
+    r = predictive.replication
+    errors["population_network"]["replicated_rank_magnitude"] = r.mean_magnitude_rank
+    errors["population_network"]["replicated_rank_phase"] = r.mean_phase_rank
+    errors["subjects"] = {
+        "relative_rms_median": float(np.median(predictive.person_relative_rms)),
+        "relative_rms_max": float(np.max(predictive.person_relative_rms)),
+        "delta_magnitude": float(np.mean(predictive.person_delta_magnitude)),
+        "delta_phase_deg": float(np.mean(predictive.person_delta_phase_deg)),
+    }
+    return {
+        "schema": SCHEMA,
+        "reliable": not problems,
+        "problems": problems,
+        "remarks": [*_remarks(fit, predictive), *d.remarks],
+        "title": fit.recordings.title,
+        "network": str(fit.kernel.network),
+        "unit": fit.recordings.unit,
+        "subjects": len(fit.recordings.subjects),
+        "repetitions": max(len(s.repetitions) for s in fit.recordings.subjects),
+        "seed": fit.seed,
+        "data_sha256": fit.recordings.sha256,
+        "covariance": fit.settings.covariance,
+        "elements": elements,
+        "correlation": correlation,
+        "errors": errors,
+        "coverage": {
+            "50": float(np.mean(predictive.coverage50)),
+            "90": float(np.mean(predictive.coverage90)),
+        },
+        "noise_scale": {
+            "median": float(np.median(fit.noise_scale)),
+            "max": float(np.max(fit.noise_scale)),
+        },
+        "sampler": {
+            "ensembles": d.ensembles,
+            "steps": d.steps,
+            "walkers": d.walkers,
+            "rhat_max": d.rhat_max,
+            "ess_min": d.effective_min,
+            "tau_max": d.autocorrelation_max,
+            "acceptance": d.acceptance,
+            "log_likelihood_variance": d.log_likelihood_variance,
+            "pareto_k_max": float(np.max(d.pareto_k)),
+            "effective_draws_min": float(np.min(d.effective_draws)),
+            "reference_moved": d.redrawn,
+        },
+        "versions": _versions(),
+        "seconds": {k: round(v, 3) for k, v in seconds.items()},
+    }
+
+
+def _remarks(fit: PopulationFit, predictive: Predictive) -> list[str]:
+    """What a person should be told about the fit, in full sentences, the most important first."""
+    remarks = []
+    n, missing = len(fit.recordings.subjects), fit.noise_scale > MISFIT_SCALE
+    if np.mean(missing) > 0.1:
+        remarks.append(
+            f"The network does not describe these recordings: residuals are {np.median(fit.noise_scale):.1f} times the "
+            f"noise (median; {np.sum(missing)} of {n} subjects are affected), and each subject's own best network is "
+            f"{100 * np.median(predictive.person_relative_rms):.1f} % off. The values below are those of the network "
+            "that comes closest, and their intervals hold only if one accepts it."
+        )
+    if fit.one_person:
+        remarks.append("There is one subject: the values are this subject's, and no dispersion can be estimated.")
+    elif n < 10:
+        remarks.append(f"There are only {n} subjects: dispersions rest on the prior as much as on the data.")
+    if not fit.one_person and too_few_for_correlations(n, len(fit.kernel.elements)):
+        remarks.append(
+            f"{n} subjects cannot tell how {len(fit.kernel.elements)} elements vary together: they are taken to vary "
+            "independently."
+        )
+    if not fit.repeated:
+        mixed = "" if fit.one_person else "the dispersion between persons contains that between repetitions, and "
+        remarks.append(f"There is one repetition: {mixed}the noise was estimated from the roughness of the curves.")
+    unseen = [e for e, seen in zip(fit.kernel.elements, fit.identified, strict=True) if not seen]
+    if unseen:
+        remarks.append(
+            f"The recordings do not determine {', '.join(unseen)}: any value within a wide range gives the same "
+            "impedance in the measured band, so no number is reported."
+        )
+    return remarks
+
+
+def _versions() -> dict[str, str]:
+    return {name: version(name) for name in _PACKAGES}
+
+
+def save_result(result: Result, folder: Path) -> None:
+    """Write ``result.nc`` and ``summary.json`` into a folder, each complete or not at all."""
+    from bayes_impedance.mcmc.arviz_file import save
+
+    folder.mkdir(parents=True, exist_ok=True)
+    present = {name for group in result.groups.values() for name in group}
+    dims = {name: axes for name, axes in DIMS.items() if name in present}
+    save(folder / RESULT_FILE, result.groups, dims, result.coords, result.attributes)
+    temporary = folder / (SUMMARY_FILE + ".tmp")
+    temporary.write_text(json.dumps(result.summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    temporary.replace(folder / SUMMARY_FILE)
+
+
+def load_result(folder: Path) -> Result:
+    """Read a run back.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no finished run.
+    """
+    from bayes_impedance.mcmc.arviz_file import load_groups
+
+    file, summary = folder / RESULT_FILE, folder / SUMMARY_FILE
+    for needed in (file, summary):
+        if not needed.is_file():
+            raise InputError(f"{needed}: not found; give the folder that 'bayes-impedance run -o FOLDER' has written")
+    groups, coords, attributes = load_groups(file)
+    return Result(json.loads(summary.read_text(encoding="utf-8")), groups, coords, attributes)

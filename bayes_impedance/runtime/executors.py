@@ -1,0 +1,156 @@
+"""Work done person by person, on any executor of the standard interface.
+
+Threads of this process, processes of this machine (:class:`~bayes_impedance.runtime.worker_processes.Processes`, or a
+pool of the standard library) and the workers of a Dask cluster (``Client.get_executor()``) are interchangeable: a
+function of a module is sent out with the data of some persons, and results come back in the persons' order. The result
+does not depend on who has worked, and a task lost with a process or a cluster's worker is repeated.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import contextmanager
+from functools import partial
+from typing import Any, TypeVar
+
+import numpy as np
+
+from bayes_impedance.errors import InputError, WorkerError
+from bayes_impedance.runtime.worker_processes import Processes
+
+Result = TypeVar("Result")
+
+_MOST_TASKS = 64
+"""A task costs a cluster about a millisecond; sixty-four are enough to keep many workers busy to the end."""
+
+_RETRIES, _PATIENCE = 5, "15s"
+
+
+@contextmanager
+def executor_of(threads: int = 2, processes: int | None = None, scheduler: str | None = None) -> Iterator[Executor]:
+    """Threads of this process, processes of this machine, or a Dask cluster's workers.
+
+    Parameters
+    ----------
+    threads : int
+        Used if nothing else is asked for.
+    processes : int, optional
+        Processes of this machine.
+    scheduler : str, optional
+        Address of a Dask scheduler, ``tcp://host:8786``; it comes first.
+
+    Raises
+    ------
+    InputError
+        If ``distributed`` is not installed, or no scheduler answers.
+    WorkerError
+        If the same task has lost its worker again and again.
+    """
+    if scheduler is None:
+        with ThreadPoolExecutor(threads) if processes is None else Processes(processes) as executor:
+            yield executor
+        return
+    try:
+        from distributed import Client, KilledWorker
+    except ImportError:
+        raise InputError(
+            'a scheduler needs the package distributed: pip install "bayes_impedance[dask]", or leave out --scheduler'
+        ) from None
+    try:
+        client: Any = Client(scheduler, timeout=_PATIENCE, set_as_default=False)  # type: ignore[no-untyped-call]
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"no Dask scheduler answers at '{scheduler}' ({error}); start one with 'dask scheduler', "
+            "or leave out --scheduler"
+        ) from None
+    with client:
+        try:
+            yield Cluster(client)
+        except KilledWorker:
+            raise WorkerError(
+                "the same task has lost one of the cluster's workers after the other, killed by somebody or for want "
+                "of memory; give workers more memory, or leave out --scheduler"
+            ) from None
+
+
+class Cluster(Executor):
+    """A Dask cluster's workers as an executor, whose results may stay with the workers.
+
+    Parameters
+    ----------
+    client : distributed.Client
+    """
+
+    def __init__(self, client: Any) -> None:
+        self.client = client
+        self._tasks = client.get_executor(pure=False, retries=_RETRIES)
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Any:
+        """A task for some worker."""
+        return self._tasks.submit(fn, *args, **kwargs)
+
+    def keep(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """A task whose result stays with the worker that has done it."""
+        return self.client.submit(function, *arguments, pure=False, retries=_RETRIES)
+
+    def keep_each(self, function: Callable[..., Any], rows: Sequence[Sequence[Any]], *shared: Any) -> list[Any]:
+        """Tasks ``function(*row, *shared)`` for every row, sent together, which is half the work of one by one."""
+        task = partial(_called, function=function, shared=shared)
+        columns = zip(*rows, strict=True)
+        return list(self.client.map(task, *columns, key=_name(function), pure=False, retries=_RETRIES))
+
+    def ask(self, function: Callable[..., Result], rows: Sequence[Sequence[Any]], *shared: Any) -> list[Result]:
+        """Results of ``function(*row, *shared)`` for every row of what is kept, worked out where it is kept."""
+        return list(self.client.gather(self.keep_each(function, rows, *shared)))
+
+    def ask_in_turn(self, function: Callable[..., Result], rows: Sequence[Sequence[Any]]) -> Iterator[Result]:
+        """The same one by one, for results that are too large to be here twice."""
+        asked = deque(self.keep_each(function, rows))
+        while asked:
+            yield asked.popleft().result()
+
+
+def map_persons(
+    executor: Executor, function: Callable[..., Result], *columns: Sequence[Any] | np.ndarray
+) -> Iterator[Result]:
+    """Results of ``function(*row)`` for every person, in order, as they come.
+
+    Parameters
+    ----------
+    executor : Executor
+    function : callable
+        Of a module, or a ``functools.partial`` of one with what all persons share: it may have to travel.
+    *columns : sequence
+        One entry for each person, equally many.
+    """
+    n = len(columns[0])
+    size = -(-n // _MOST_TASKS)
+    tasks = deque(
+        executor.submit(over_rows, function, *(column[start : start + size] for column in columns))
+        for start in range(0, n, size)
+    )
+    while tasks:  # what has been passed on is not held
+        yield from tasks.popleft().result()
+
+
+def over_rows(function: Callable[..., Result], *columns: Sequence[Any] | np.ndarray) -> list[Result]:
+    """Results of ``function(*row)`` for every row of the columns."""
+    return [function(*row) for row in zip(*columns, strict=True)]
+
+
+def _called(*row: Any, function: Callable[..., Result], shared: Sequence[Any]) -> Result:
+    return function(*row, *shared)
+
+
+def _name(function: Callable[..., Any]) -> str:
+    """What a cluster calls tasks of this kind, whose durations it remembers."""
+    while isinstance(function, partial):
+        function = function.args[0] if function.func is over_rows else function.func
+    return getattr(function, "__name__", type(function).__name__)
+
+
+def unchanged(part: Result) -> Result:
+    """Return the part itself: the task that fetches it, or hands it over."""
+    return part

@@ -1,0 +1,75 @@
+"""Hum through an averaging window: found with its line and size, and never in noise that is merely uneven."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
+from bayes_impedance.diagnosis.hum.leakage import find_skirts, pattern
+from bayes_impedance.diagnosis.hum.line import affected_points
+
+FREQUENCY = np.geomspace(5, 5000, 121)
+
+
+def leakage(frequency_hz: np.ndarray, line: float, periods: float, phase: np.ndarray) -> np.ndarray:
+    """What a lock-in over some periods takes of cos(2 pi line t + phase), by summation over time."""
+    result = np.empty((*phase.shape[:-1], frequency_hz.size), dtype=complex)
+    for k, f in enumerate(frequency_hz):
+        t = (np.arange(400) + 0.5) / 400 * periods / f
+        # Only the part that turns with the excitation: the mirrored one is small where it matters.
+        turning = np.exp(2j * np.pi * (line - f) * t).mean()
+        result[..., k] = np.exp(1j * phase[..., k]) * turning
+    return result
+
+
+def people(seed: int, line: float = 0.0, size: float = 0.0, periods: float = 5.0, n: int = 24) -> list[PersonResiduals]:
+    """Residuals of noise that is threefold below 12 Hz, with hum of a part of the impedance at its first harmonic."""
+    rng = np.random.default_rng(seed)
+    found = []
+    for i in range(n):
+        z = np.exp(rng.normal(0, 0.3)) * np.broadcast_to(4.0 + 0j, (3, FREQUENCY.size))
+        own = 0.01 * np.exp(rng.normal(0, 0.2)) * np.where(FREQUENCY < 12, 3.0, 1.0)
+        sd = np.broadcast_to(own, z.shape) * np.abs(z)
+        noise = sd * (rng.normal(size=z.shape) + 1j * rng.normal(size=z.shape))
+        for h in range(1, 11):
+            if line:
+                noise = noise + size / h * leakage(FREQUENCY, h * line, periods, rng.uniform(0, 2 * np.pi, z.shape))
+        basis = np.linalg.qr(rng.normal(size=(3, 2 * FREQUENCY.size, 5)))[0]
+        white = np.concatenate([noise.real / sd, noise.imag / sd], axis=1)
+        found.append(PersonResiduals(f"P{i}", FREQUENCY, z, sd, white, basis))
+    return found
+
+
+@pytest.mark.parametrize(("line", "periods"), [(50.0, 5.0), (60.0, 5.0), (50.0, 10.0)])
+def test_hum_is_found_with_its_line_and_size(line: float, periods: float) -> None:
+    covered = []
+    for seed in range(6):
+        hum = find_skirts(people(seed, line, 0.06, periods))
+        assert hum is not None
+        assert hum.line_hz == line
+        assert not hum.coherent
+        assert 1 in hum.harmonics
+        # Each part of the hum has half of its power; the nearest point is not quite on the line.
+        nearest = float(pattern(FREQUENCY, line, periods, 1.0).max())
+        covered.append(hum.q05 <= 0.06 * np.sqrt(nearest / 2) <= hum.q95)
+        assert hum.amplitude == pytest.approx(0.06 * np.sqrt(nearest / 2), rel=0.3)
+        assert affected_points(FREQUENCY, hum).sum() < 0.3 * FREQUENCY.size
+    assert sum(covered) >= 4
+
+
+def test_noise_that_is_merely_uneven_is_no_hum() -> None:
+    assert sum(find_skirts(people(100 + seed)) is not None for seed in range(30)) <= 1
+
+
+def test_a_bump_of_noise_elsewhere_is_no_hum() -> None:
+    found = [find_skirts(people(200 + seed, 41.0, 0.06)) for seed in range(4)]
+    assert found == [None] * 4
+
+
+def test_without_repetitions_or_on_different_frequencies_nothing_is_said() -> None:
+    some = people(1, 50.0, 0.1)
+    one = [PersonResiduals(p.name, p.frequency_hz, p.model[:1], p.sd[:1], p.white[:1], p.basis[:1]) for p in some]
+    assert find_skirts(one) is None
+    moved = PersonResiduals("P", FREQUENCY * 1.01, some[0].model, some[0].sd, some[0].white, some[0].basis)
+    assert find_skirts([*some[1:], moved]) is None

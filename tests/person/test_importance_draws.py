@@ -1,0 +1,104 @@
+"""Draws from one person's posterior: simulation-based calibration, and the marginal likelihood against integration."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.network.notation import parse
+from bayes_impedance.person.importance_draws import Reference, draw
+from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood, Ridge, find_ridge, log_likelihood
+from bayes_impedance.person.mode import Mode, find_mode
+
+GRID = np.geomspace(5, 5000, 25)
+
+
+def _ridge(kernel: Kernel, likelihood: Likelihood, mode: Mode, rho: float = 1e-3) -> Ridge:
+    """Repetitions that hardly differ."""
+    return find_ridge(kernel, likelihood, mode.theta, mode.scale, np.full(mode.theta.size, rho))
+
+
+def _record(
+    kernel: Kernel, theta: np.ndarray, noise: float, rng: np.random.Generator, repetitions: int = 2
+) -> Likelihood:
+    """Equal repetitions whose noise scale comes from the prior of the model."""
+    clean = np.tile(kernel.impedance(theta, GRID), (repetitions, 1))
+    sd = noise * np.abs(clean)
+    scale = rng.gamma(SCALE_SHAPE, 1 / SCALE_SHAPE) ** -0.5
+    z = clean + scale * sd * (rng.normal(size=clean.shape) + 1j * rng.normal(size=clean.shape))
+    # No deviations are estimated here, so all numbers count.
+    likelihood = Likelihood.make(GRID, z, sd, np.zeros((repetitions, theta.size)))
+    return Likelihood(likelihood.omega, likelihood.z, likelihood.weight, likelihood.deviations, float(z.size))
+
+
+@pytest.mark.parametrize("noise", [0.02, 0.3])
+def test_ranks_of_the_truth_are_uniform(noise: float) -> None:
+    """Simulation-based calibration: theta from the prior, data from theta, and theta's rank in its posterior.
+
+    With 30 % noise the posterior is far from normal and nearly as wide as the prior in some directions.
+    """
+    kernel = Kernel(parse("(n3|r3)-(m2|r1|n1)"))
+    rng = np.random.default_rng(1)
+    mean = np.log([8e-6, 60, 8e-4, 3, 1e-3])
+    factor = np.diag([0.6, 0.4, 0.3, 0.6, 0.4]) @ np.linalg.cholesky(0.7 * np.eye(5) + 0.3)
+    reference = Reference(mean, factor @ factor.T)
+    precision = np.linalg.inv(reference.covariance)
+    ranks = []
+    for seed in np.random.SeedSequence(7).spawn(300):
+        theta = mean + factor @ rng.normal(size=5)
+        likelihood = _record(kernel, theta, noise, rng)
+        mode = find_mode(kernel, likelihood, np.vstack([mean, theta]), mean, precision)
+        draws = draw(kernel, likelihood, mode, _ridge(kernel, likelihood, mode), reference, 256, seed)
+        ranks.append(np.exp(draws.log_weight) @ (draws.theta < theta))
+    for p in range(5):
+        assert stats.kstest(np.array(ranks)[:, p], "uniform").pvalue > 0.002  # five elements, two noises
+
+
+def test_mean_weight_is_the_marginal_likelihood() -> None:
+    """One element: the integral over theta by quadrature."""
+    kernel = Kernel(parse("r1"))
+    rng = np.random.default_rng(2)
+    likelihood = _record(kernel, np.array([1.0]), 0.5, rng, repetitions=1)
+    reference = Reference(np.array([0.8]), np.array([[0.25]]))
+    mode = find_mode(kernel, likelihood, np.array([[0.8]]), reference.mean, np.linalg.inv(reference.covariance))
+    grid = np.linspace(-4, 5, 20001)[:, None]
+    for mu, tau in ((0.8, 0.5), (1.2, 0.3), (0.5, 0.2)):
+        population = Reference(np.array([mu]), np.array([[tau**2]]))
+        exponent = log_likelihood(kernel, likelihood, grid) + population.log_density(grid)
+        exact = np.logaddexp.reduce(exponent) + np.log(grid[1, 0] - grid[0, 0])
+        estimates = []
+        for seed in np.random.SeedSequence(3).spawn(20):
+            draws = draw(kernel, likelihood, mode, _ridge(kernel, likelihood, mode), reference, 512, seed)
+            estimates.append(np.logaddexp.reduce(draws.log_ratio + population.log_density(draws.theta)) - np.log(512))
+        error = np.std(estimates, ddof=1) / np.sqrt(20)
+        assert error < 0.005
+        # The reference's density lacks its factor of 1/sqrt(2 pi) on both sides; q's is complete.
+        assert abs(np.mean(estimates) - exact) < 4 * error + 1e-6
+
+
+def test_effective_draws_stay_high_where_the_data_say_little() -> None:
+    """An element that a person hardly determines keeps the reference's spread, and the draws cover it."""
+    kernel = Kernel(parse("m1|r1|n1"))
+    rng = np.random.default_rng(4)
+    theta = np.log([1e-6, 5.0, 1e-3])
+    likelihood = _record(kernel, theta, 0.02, rng)
+    reference = Reference(theta, np.diag([1.0, 0.3, 0.3]) ** 2)
+    mode = find_mode(kernel, likelihood, theta[None], theta, np.linalg.inv(reference.covariance))
+    draws = draw(kernel, likelihood, mode, _ridge(kernel, likelihood, mode), reference, 512, np.random.SeedSequence(5))
+    assert draws.effective > 250
+    weight = np.exp(draws.log_weight)
+    spread = np.sqrt(weight @ (draws.theta[:, 0] - weight @ draws.theta[:, 0]) ** 2)
+    assert spread > 0.6
+
+
+def test_same_seed_same_draws() -> None:
+    kernel = Kernel(parse("r1|n1"))
+    likelihood = _record(kernel, np.log([5.0, 1e-3]), 0.1, np.random.default_rng(0))
+    reference = Reference(np.log([5.0, 1e-3]), 0.1 * np.eye(2))
+    mode = find_mode(kernel, likelihood, reference.mean[None], reference.mean, 10 * np.eye(2))
+    one, two, other = (
+        draw(kernel, likelihood, mode, _ridge(kernel, likelihood, mode), reference, 64, np.random.SeedSequence(seed))
+        for seed in (1, 1, 2)
+    )
+    assert np.array_equal(one.theta, two.theta)
+    assert not np.array_equal(one.theta, other.theta)

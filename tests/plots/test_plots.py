@@ -1,0 +1,189 @@
+"""Pictures: every one that applies is written, none warns, and the same result gives the same bytes."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from results_by_hand import VARIANTS, make_result
+from strategies import repeatable
+
+from bayes_impedance.plots import PICTURES, new_figure, style, write_pictures
+from bayes_impedance.plots.parameters import factor_axis
+from bayes_impedance.plots.quantities import Scale, scale_for, signed, significant, typeset, with_interval
+from bayes_impedance.plots.style import log_axis
+from bayes_impedance.runtime.worker_processes import Processes
+
+ALWAYS = {"curves", "bands", "errors", "noise", "priors"}
+DISPERSED = {"forest", "corner_dispersion"}
+
+
+def expected(variant: str) -> set[str]:
+    """Names of the pictures that a variant has."""
+    names = {picture.name for picture in PICTURES}
+    if variant == "one subject":
+        return names - DISPERSED - {"correlation", "coverage"}
+    if variant == "no element seen":
+        return ALWAYS | {"coverage"}
+    if variant in ("one element seen", "diagonal covariance"):
+        return names - {"correlation"}
+    return names
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_every_variant_is_drawn_without_a_warning(variant: str) -> None:
+    result = make_result(**VARIANTS[variant])
+    applicable = [picture for picture in PICTURES if picture.applies(result)]
+    assert {picture.name for picture in applicable} == expected(variant)
+    with style():
+        for picture in applicable:
+            picture.figure(result).draw_without_rendering()
+
+
+def test_writes_both_formats_and_the_same_bytes_again(tmp_path: Path) -> None:
+    first = write_pictures(make_result(), tmp_path / "new" / "folder")
+    second = write_pictures(make_result(), tmp_path / "again")
+    assert set(first) == set(second) == expected("people")
+    for name, file in first.items():
+        assert file.read_bytes().startswith(b"\x89PNG")
+        assert file.with_suffix(".svg").read_text(encoding="utf-8").rstrip().endswith("</svg>")
+        for suffix in (".png", ".svg"):
+            assert file.with_suffix(suffix).read_bytes() == second[name].with_suffix(suffix).read_bytes(), name
+    assert {p.suffix for p in (tmp_path / "again").iterdir()} == {".png", ".svg"}
+    with Processes(1) as helper:
+        third = write_pictures(make_result(), tmp_path / "helped", helper)
+    assert list(third) == list(first)
+    for file in (tmp_path / "again").iterdir():
+        assert file.read_bytes() == (tmp_path / "helped" / file.name).read_bytes(), file.name
+
+
+def test_leaves_no_trace_in_matplotlib(tmp_path: Path) -> None:
+    import matplotlib
+
+    before = dict(matplotlib.rcParams)
+    written = write_pictures(make_result(subjects=1, repetitions=1, electrical=True), tmp_path)
+    assert set(written) == expected("one subject")
+    assert dict(matplotlib.rcParams) == before
+    if "matplotlib.pyplot" in sys.modules:  # corner imports it
+        assert sys.modules["matplotlib.pyplot"].get_fignums() == []
+
+
+@pytest.mark.parametrize("picture", PICTURES, ids=lambda p: p.name)
+def test_axes_say_what_they_show(picture) -> None:
+    with style():
+        figure = picture.figure(make_result())
+        texts = {t.get_text() for a in figure.axes for t in (a.xaxis.label, a.yaxis.label, a.title, a._left_title)}
+    assert any(texts - {""})
+    if picture.name in ("curves", "bands", "errors"):
+        assert "frequency (Hz)" in texts
+        assert any("(N s/m)" in t for t in texts)
+        assert any("(°)" in t for t in texts)
+        assert {a.get_xscale() for a in figure.axes} == {"log"}
+        assert figure.axes[0].get_yscale() == "log"
+        assert figure.axes[-1].get_yscale() == "linear"
+
+
+def test_a_very_wide_posterior_is_shown_by_its_logarithm() -> None:
+    result = make_result(subjects=1, repetitions=1)
+    i = result.elements.index("n3")
+    result.groups["posterior"]["central"][..., i] *= np.exp(2 * np.random.default_rng(1).normal(size=(2, 60)))
+    with style():
+        picture = next(p for p in PICTURES if p.name == "corner_central")
+        labels = [a.get_xlabel() for a in picture.figure(result).axes]
+    assert sum("log10 n3" in label for label in labels) == 1
+    assert not any("log10 r3" in label for label in labels)
+
+
+@repeatable
+@given(st.floats(-9, 9), st.floats(0.01, 12), st.integers(3, 9))
+def test_logarithmic_axes_have_a_few_ticks(exponent: float, decades: float, wanted: int) -> None:
+    with style():
+        axes = new_figure(4, 3).subplots()
+        low, high = 10**exponent, 10 ** (exponent + decades)
+        log_axis(axes.yaxis, low, high, ticks=wanted)
+        ticks = axes.yaxis.get_majorticklocs()
+        inside = [t for t in ticks if low <= t <= high]
+        labels = [axes.yaxis.get_major_formatter()(t) for t in inside]
+    assert 1 <= len(inside) <= wanted + 3
+    assert len(set(labels)) == len(labels)
+    assert all(len(label) <= 12 for label in labels)
+
+
+@pytest.mark.parametrize("top", [0.0, 0.004, 0.05, 0.4, 1.0, 2.2, 5.0])
+def test_factors_label_standard_deviations(top: float) -> None:
+    with style():
+        axes = new_figure(4, 3).subplots()
+        factor_axis(axes, top)
+        ticks = axes.get_xticks()
+        labels = [axes.xaxis.get_major_formatter()(t) for t in ticks]
+    assert 2 <= len(ticks) <= 9
+    for tick, label in zip(ticks, labels, strict=True):
+        assert float(label.removeprefix("×")) == pytest.approx(math.exp(tick), rel=1e-3)
+
+
+# ---------------------------------------------------------------- numbers
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "factor", "text"),
+    [
+        (6.8e-7, "m/N", 1e6, "µm/N"),
+        (4.48e-3, "m/N", 1e3, "mm/N"),
+        (0.052, "kg", 1e3, "g"),
+        (7.8e-4, "kg", 1e3, "g"),
+        (3e-6, "kg", 1e6, "mg"),
+        (2.5, "kg", 1.0, "kg"),
+        (61.4, "N s/m", 1.0, "N s/m"),
+        (0.017, "ohm", 1e3, "mΩ"),
+        (0.2, "ohm", 1.0, "Ω"),
+        (904.0, "F", 1.0, "F"),
+        (2e4, "N s/m", 1e-3, "kN s/m"),
+        (3e-5, "kg m^2", 1e6, "mg m²"),
+        (2e-9, "m^3/Pa", 1e9, "10⁻⁹ m³/Pa"),
+        (0.0, "kg", 1.0, "kg"),
+        (float("nan"), "m/N", 1.0, "m/N"),
+    ],
+)
+def test_prefixes(value: float, unit: str, factor: float, text: str) -> None:
+    scale = scale_for(value, unit)
+    assert scale.unit == text
+    assert scale.factor == pytest.approx(factor)
+
+
+@repeatable
+@given(
+    st.floats(1e-14, 1e14), st.sampled_from(["kg", "m/N", "N s/m", "ohm", "F", "m^3/Pa", "kg m^2", "rad/(N m)", "foo"])
+)
+def test_scaled_values_are_easy_to_read(value: float, unit: str) -> None:
+    assert 0.099 <= value * scale_for(value, unit).factor < 1000.1
+
+
+def test_axis_labels() -> None:
+    assert Scale(1.0, "").label("share") == "share"
+    assert Scale(1e6, "µm/N").label("n3") == "n3 (µm/N)"
+    assert typeset("ohm m^-2") == "Ω m⁻²"
+
+
+def test_digits_follow_the_interval() -> None:
+    assert with_interval(0.68234, 0.64702, 0.72338) == ("0.682", "0.647 to 0.723")
+    assert with_interval(904.1, 674.06, 1182.7) == ("904", "674 to 1183")
+    assert with_interval(2.0, 2.0, 2.0) == ("2.00", "2.00 to 2.00")
+
+
+def test_significant_digits() -> None:
+    assert significant(0.0) == "0"
+    assert significant(0.053549) == "0.0535"
+    assert significant(1234.5, 2) == "1234"
+    assert significant(3.2e-7) == "3.20×10⁻⁷"
+    assert significant(float("nan")) == "–"
+
+
+def test_signs() -> None:
+    assert signed(0.4) == "+0.40"
+    assert signed(-0.4) == "−0.40"
+    assert signed(-0.001) == "0.00"

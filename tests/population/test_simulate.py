@@ -1,0 +1,108 @@
+"""Virtual people: their statistics are what the truth says, and the shipped ones can be made again."""
+
+import gzip
+import json
+import runpy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import DATA, SMALL
+
+from bayes_impedance.errors import InputError
+from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.network.notation import parse
+from bayes_impedance.population.simulate import FINGERTIP, population_from, simulate_recordings
+from bayes_impedance.recordings.files import read_recordings
+
+ANALYSES = DATA.parent / "analyses"
+
+
+def test_people_are_distributed_as_the_truth_says() -> None:
+    simulation = simulate_recordings(FINGERTIP, 4000, 1, np.array([10.0, 100.0, 1000.0]), seed=1)
+    truth = simulation.truth["elements"]
+    names = parse(FINGERTIP.network).elements
+    tau = np.array([truth[e]["dispersion_between_persons"] for e in names])
+    centre = np.log([truth[e]["central"] for e in names])
+    z = (simulation.log_elements.mean(axis=0) - centre) / (tau / np.sqrt(4000))
+    assert np.abs(z).max() < 3.5
+    assert np.abs(np.log(simulation.log_elements.std(axis=0) / tau)).max() < 3.5 / np.sqrt(2 * 4000)
+    found = np.corrcoef(simulation.log_elements.T)
+    for a, b, value in simulation.truth["correlation"]:
+        assert abs(found[names.index(a), names.index(b)] - value) < 3.5 / np.sqrt(4000)
+
+
+def test_noise_has_the_stated_size_and_rises_at_low_frequencies() -> None:
+    grid = np.array([2.0, 8.0, 1000.0])
+    still = replace(SMALL, between_persons={}, between_repetitions={}, correlation={}, force_exponent={})
+    recordings = simulate_recordings(still, 3000, 1, grid, seed=1).recordings
+    clean = Kernel(parse(SMALL.network)).impedance(np.log(SMALL.vector(SMALL.central)), grid)
+    ratio = np.array([s.z[0] / clean - 1 for s in recordings.subjects])
+    sd = np.sqrt(np.mean(ratio.real**2 + ratio.imag**2, axis=0) / 2)
+    scale = np.sqrt(np.exp(2 * 0.15**2))  # root mean square of the persons' log-normal scale
+    assert sd == pytest.approx(0.01 * scale * np.sqrt(1 + (8.0 / grid) ** 4), rel=0.05)
+
+
+def test_repetitions_differ_by_elements_and_contact_force_stays_in_the_band() -> None:
+    quiet = replace(FINGERTIP, noise=1e-9)
+    recordings = simulate_recordings(quiet, 20, 3, np.geomspace(5, 5000, 30), seed=1).recordings
+    spread = [np.abs(s.z[0] / s.z[1] - 1).max() for s in recordings.subjects]
+    assert min(spread) > 0.01
+    force = np.array([s.covariates["contact_force_n"] for s in recordings.subjects])
+    assert np.all(np.abs(force - 1) <= 0.1)
+
+
+def test_a_population_survives_its_description() -> None:
+    truth = simulate_recordings(FINGERTIP, 2, 1, np.array([10.0, 20.0, 30.0]), seed=3).truth
+    again = population_from(truth, "truth.json")
+    assert again.central == pytest.approx(FINGERTIP.central)
+    assert again.noise == FINGERTIP.noise
+    with pytest.raises(InputError, match="describes no population"):
+        population_from({"network": "r1"}, "x.json")
+    keys = ("central", "dispersion_between_persons", "dispersion_between_repetitions")
+    unknown = {"r1": {key: {"median": None} for key in keys}}
+    with pytest.raises(InputError, match="element 'r1' has no value"):
+        population_from({"network": "r1", "elements": unknown, "correlation": []}, "x.json")
+
+
+def test_impossible_populations_are_refused() -> None:
+    with pytest.raises(InputError, match="contradict"):
+        replace(SMALL, correlation={("n3", "r3"): 0.9, ("r3", "m2"): 0.9, ("n3", "m2"): -0.9}).correlation_matrix()
+    with pytest.raises(InputError, match="'r3' has no positive central value"):
+        simulate_recordings(replace(SMALL, central={"n3": 1e-6}), 1, 1, np.array([1.0, 2.0, 3.0]), seed=1)
+    with pytest.raises(InputError, match="at least one subject"):
+        simulate_recordings(SMALL, 0, 1, np.array([1.0, 2.0, 3.0]), seed=1)
+
+
+def test_the_shipped_population_is_what_its_script_makes() -> None:
+    module = runpy.run_path(str(ANALYSES / "fingertip_71" / "make.py"))
+    simulation = simulate_recordings(FINGERTIP, 71, 3, np.geomspace(5, 5000, 401), module["SEED"])
+    shipped = read_recordings(DATA / "fingertip_71")
+    assert len(shipped.subjects) == 71
+    for made, read in zip(simulation.recordings.subjects, shipped.subjects, strict=True):
+        assert made.name == read.name
+        assert made.z == pytest.approx(read.z, rel=2e-5)
+    truth = json.loads((DATA / "fingertip_71" / "truth.json").read_text(encoding="utf-8"))
+    assert truth == json.loads(json.dumps(simulation.truth))
+    assert "simulated" in shipped.source
+    assert "simulated" in shipped.title
+    header = gzip.decompress((DATA / "fingertip_71" / "recordings.csv.gz").read_bytes())[:60]
+    assert header.startswith(b"subject,repetition,frequency_hz,z_re,z_im")
+
+
+def test_the_published_curves_are_passive_once_the_sign_is_turned() -> None:
+    module = runpy.run_path(str(ANALYSES / "appendix_a" / "make.py"))
+    import tomllib
+
+    coefficients = tomllib.loads((DATA / "appendix_a" / "coefficients.toml").read_text(encoding="utf-8"))
+    for key, folder in (("sit", "sit"), ("vf_median", "vf_median")):
+        curve = module["published_curve"](coefficients[key])
+        assert np.all(curve.real > 0)  # as printed, all of it is negative
+        shipped = read_recordings(DATA / "appendix_a" / folder)
+        assert shipped.subjects[0].z[0] == pytest.approx(curve, rel=1e-7)
+    both = read_recordings(DATA / "appendix_a")
+    assert both.names == ("SIT", "VFMedian")
+    # A value worked out by hand from the printed coefficients: the limit at low frequency.
+    stiffness = -coefficients["sit"]["numerator"][-1] / coefficients["sit"]["denominator"][-2]
+    assert stiffness == pytest.approx(964.2, rel=1e-3)  # N/m: SIT keeps a pole at zero, the spring of all springs
+    assert coefficients["vf_median"]["denominator"][-1] != 0  # vector fitting does not

@@ -1,0 +1,230 @@
+"""What is done person by person: the same on threads, processes and a cluster that loses a worker."""
+
+import os
+import signal
+import warnings
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import THREE_ELEMENTS
+
+from bayes_impedance.commands.cli import main
+from bayes_impedance.mcmc.ensemble import Chains, SamplerSettings
+from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.network.notation import parse
+from bayes_impedance.person.importance_draws import Draws
+from bayes_impedance.population import sharded_likelihood
+from bayes_impedance.population.fit import FitSettings, PopulationFit, _kept_sets, fit_population
+from bayes_impedance.population.importance_likelihood import Contrasts, Marginal
+from bayes_impedance.population.parameters import PopulationParameters
+from bayes_impedance.population.posterior import noise_within
+from bayes_impedance.population.sharded_likelihood import KeptDraws
+from bayes_impedance.population.simulate import simulate_recordings
+from bayes_impedance.recordings.files import Recordings
+from bayes_impedance.runtime import executors, sharded
+from bayes_impedance.runtime.executors import Cluster, map_persons
+from bayes_impedance.runtime.sharded import Kept, parts_of
+from bayes_impedance.runtime.worker_processes import Processes
+
+SETTINGS = FitSettings(draws=128, sampler=SamplerSettings(ensembles=2, burn_in=(20,), chunk=20, longest=20))
+
+
+def people() -> Recordings:
+    return simulate_recordings(THREE_ELEMENTS, 9, 2, np.geomspace(5, 5000, 41), 4).recordings
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small_parts() -> Iterator[None]:
+    """Nine people make three parts, so that sums over parts are what is compared."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sharded, "_SMALLEST_PART", 4)
+        assert len(parts_of(9)) == 3
+        yield
+
+
+@pytest.fixture(scope="module")
+def alone() -> PopulationFit:
+    return fit_population(people(), settings=SETTINGS, seed=2)
+
+
+def _require_same(one: PopulationFit, other: PopulationFit) -> None:
+    np.testing.assert_array_equal(one.log_probability, other.log_probability)
+    np.testing.assert_array_equal(one.person_draws, other.person_draws)
+    np.testing.assert_array_equal(one.parameters.mu, other.parameters.mu)
+
+
+def test_parts_make_no_difference_beyond_rounding(alone: PopulationFit, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sharded, "_SMALLEST_PART", 128)
+    whole = fit_population(people(), settings=SETTINGS, seed=2)
+    np.testing.assert_allclose(whole.noise_scale, alone.noise_scale, rtol=1e-9)
+    np.testing.assert_allclose(np.array(whole.deviations), np.array(alone.deviations), rtol=1e-6, atol=1e-9)
+
+
+def add(a: int, b: int) -> int:
+    return a + b
+
+
+def total(part: list[int], beside: list[int], factor: int) -> int:
+    return factor * (sum(part) + sum(beside))
+
+
+def test_what_is_kept_is_worked_on_and_asked_part_by_part() -> None:
+    with ThreadPoolExecutor(2) as executor:
+        kept = Kept.of(executor, list(range(9)))
+        more = kept.each(add, np.arange(9))
+        assert more.gathered() == [2 * i for i in range(9)]
+        assert more.gathered(str) == [str(2 * i) for i in range(9)]
+        asked = kept.ask(total, 10, columns=[more])
+        assert asked == [10 * 3 * sum(range(9)[rows]) for rows in parts_of(9)]
+        assert list(kept.ask_in_turn(total, [([k], 1) for k in range(3)])) == [6, 23, 10]
+        kept.forget()
+        assert not kept.parts
+
+
+@pytest.mark.parametrize("n", [1, 63, 64, 65, 200])
+def test_results_come_in_order_in_few_tasks(n: int) -> None:
+    class Counting(ThreadPoolExecutor):
+        submitted = 0
+
+        def submit(self, *arguments: Any, **named: Any) -> Any:
+            self.submitted += 1
+            return super().submit(*arguments, **named)
+
+    with Counting(2) as executor:
+        assert list(map_persons(executor, add, range(n), np.arange(n))) == [2 * i for i in range(n)]
+        assert executor.submitted <= 64
+
+
+def test_an_error_of_one_person_is_an_error() -> None:
+    with ThreadPoolExecutor(2) as executor, pytest.raises(TypeError):
+        list(map_persons(executor, add, [1, 2, None], [1, 2, 3]))
+
+
+def test_processes_give_the_same(alone: PopulationFit) -> None:
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as executor:
+        _require_same(alone, fit_population(people(), settings=SETTINGS, seed=2, executor=executor))
+
+
+def test_processes_of_which_one_is_killed_give_the_same(alone: PopulationFit) -> None:
+    killed: list[int] = []
+
+    def progress(stage: str, done: int, _total: int) -> None:
+        if stage == "population estimate" and done >= 2 and not killed:
+            killed.append(executor.pids[0])
+            os.kill(killed[0], signal.SIGKILL)
+
+    with Processes(2) as executor:
+        _require_same(alone, fit_population(people(), settings=SETTINGS, seed=2, executor=executor, progress=progress))
+        assert killed[0] not in executor.pids
+
+
+@pytest.mark.parametrize(
+    ("kept", "stage"), [(False, "population estimate"), (True, "population estimate"), (True, "sampling")]
+)
+def test_a_cluster_that_loses_a_worker_gives_the_same(alone: PopulationFit, kept: bool, stage: str) -> None:
+    """As an executor like any other, and where draws stay with the workers: then a lost worker's are made again."""
+    distributed = pytest.importorskip("distributed", reason="distributed is not installed (extra: dask)")
+    killed: list[int] = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a worker that dies is what this is about
+        with (
+            distributed.LocalCluster(
+                n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50
+            ) as cluster,
+            distributed.Client(cluster, set_as_default=False) as client,
+        ):
+
+            def progress(current: str, done: int, _total: int) -> None:
+                if current == stage and done >= 2 and not killed:
+                    pids = client.run(os.getpid)
+                    holders = {w for who in client.who_has().values() for w in who} if kept else set()
+                    killed.append(next((pids[w] for w in pids if w in holders), next(iter(pids.values()))))
+                    os.kill(killed[0], signal.SIGKILL)
+
+            executor = Cluster(client) if kept else client.get_executor(pure=False, retries=5)
+            fit = fit_population(people(), settings=SETTINGS, seed=2, executor=executor, progress=progress)
+    assert killed
+    _require_same(alone, fit)
+
+
+def test_sums_over_parts_are_those_over_all_persons() -> None:
+    """More persons than one part holds, with one, two and three repetitions: parts have the contrasts of their own."""
+    rng = np.random.default_rng(3)
+    n, k = 300, 64
+    repetitions = rng.integers(1, 4, n)
+    draws = [Draws(rng.normal(size=(k, 2)), rng.normal(size=k), np.full(k, -np.log(k))) for _ in range(n)]
+    means, covariates = rng.normal(size=(n, 2)), rng.normal(size=(n, 1))
+    contrasts = []
+    for j in (2, 3):
+        size, own = 2 * (j - 1), int(np.sum(repetitions == j))
+        root = rng.normal(size=(own, size, 2 * size))
+        information = np.moveaxis(root @ np.swapaxes(root, 1, 2), 0, -1)
+        contrasts.append(Contrasts(np.ascontiguousarray(information), rng.normal(size=(size, own))))
+    plan = sharded_likelihood._Plan(Kernel(parse("m1|r1")), np.zeros(2), np.eye(2), k)
+    parts = []
+    for rows in parts_of(n):
+        inside = np.zeros(n, dtype=bool)
+        inside[rows] = True
+        own = [
+            Contrasts(np.ascontiguousarray(c.information[..., some]), np.ascontiguousarray(c.gradient[:, some]))
+            for j, c in zip((2, 3), contrasts, strict=True)
+            for some in [inside[repetitions == j]]
+        ]
+        parts.append(sharded_likelihood._part(plan, draws[rows], repetitions[rows], own, means[rows], covariates[rows]))
+    assert len(parts) > 2
+    sets = PopulationParameters(
+        rng.normal(size=(5, 2)),
+        rng.uniform(0.5, 1, (5, 2)),
+        np.tile(np.eye(2), (5, 1, 1)),
+        rng.uniform(0.05, 0.2, (5, 2)),
+        rng.normal(size=(5, 2, 1)),
+    )
+    whole = Marginal(draws, means, np.eye(2), repetitions, covariates, contrasts)
+    with ThreadPoolExecutor(1) as executor:
+        kept = KeptDraws(parts, executor)
+        np.testing.assert_allclose(kept(sets), whole(sets), rtol=1e-9)
+        np.testing.assert_allclose(kept.variance(sets), whole.variance(sets), rtol=1e-6)
+        np.testing.assert_allclose(kept.effective(sets), whole.terms(sets, effective=True)[1].min(axis=0), rtol=1e-6)
+        theta, log_likelihood = kept.persons(sets, np.random.SeedSequence(1))
+    np.testing.assert_allclose(log_likelihood, whole.terms(sets)[0], rtol=1e-9, atol=1e-9)
+    stacked = np.array([d.theta for d in draws])
+    assert np.all(np.any(np.all(theta[:, :, None] == stacked[None], axis=-1), axis=-1))
+
+
+def test_noise_counts_as_far_as_it_differs_within_the_posterior() -> None:
+    assert noise_within(0.3, 16, 52) == 0.3
+    assert noise_within(30.0, 10_000, 50) == pytest.approx(0.15)
+
+
+@pytest.mark.parametrize(("people", "kept"), [(71, 500), (100_000, 100)])
+def test_a_result_of_many_persons_keeps_fewer_sets(people: int, kept: int) -> None:
+    nothing = np.zeros(1)
+    chains = Chains(np.zeros((4, 500, 3)), np.zeros((4, 500)), nothing, nothing, nothing, 0.3, 300, 104)
+    chosen = _kept_sets(chains, 8 * people)
+    assert len(chosen) == kept
+    assert (chosen[0], chosen[-1]) == (0, 499)
+
+
+@pytest.mark.parametrize("command", ["fit", "diagnose"])
+def test_a_scheduler_that_does_not_answer_is_one_sentence(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("distributed", reason="distributed is not installed (extra: dask)")
+    from bayes_impedance.recordings.files import write_recordings
+
+    monkeypatch.setattr(executors, "_PATIENCE", "1s")
+    write_recordings(people(), tmp_path / "data")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        status = main(
+            [command, str(tmp_path / "data"), "-o", str(tmp_path / "out"), "--scheduler", "tcp://127.0.0.1:9"]
+        )
+    assert status == 2
+    said = capsys.readouterr().err
+    assert "no Dask scheduler answers at 'tcp://127.0.0.1:9'" in said
+    assert not (tmp_path / "out").exists()
