@@ -1,4 +1,4 @@
-"""The package's shape: short files, nothing heavy imported early, public names. What may import what is in pyproject.toml."""
+"""The package's shape: short files, nothing heavy imported early, public names (contracts: pyproject.toml)."""
 
 import subprocess
 import sys

@@ -16,7 +16,7 @@ from bayes_impedance.design.loop.stability import Limit, StabilityMap, limit_of,
 from bayes_impedance.design.loop.transparency import Transparency, transparency
 from bayes_impedance.design.loop.two_port import TwoPort
 from bayes_impedance.design.representatives import Representatives, representatives
-from bayes_impedance.design.users import Population, Users, percentile_curves, population_of
+from bayes_impedance.design.users import UserPopulation, Users, percentile_curves, population_of
 
 __all__ = [
     "PHANTOM",
@@ -24,7 +24,6 @@ __all__ = [
     "DesignAnswer",
     "Device",
     "Limit",
-    "Population",
     "Realisation",
     "Representatives",
     "SampledLoop",
@@ -32,6 +31,7 @@ __all__ = [
     "StabilityMap",
     "Transparency",
     "TwoPort",
+    "UserPopulation",
     "Users",
     "built",
     "design_answer",

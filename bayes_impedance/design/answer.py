@@ -19,7 +19,7 @@ from bayes_impedance.design.loop.stability import (
     stability_map,
 )
 from bayes_impedance.design.loop.transparency import Transparency, transparency
-from bayes_impedance.design.users import Population, Users
+from bayes_impedance.design.users import UserPopulation, Users
 from bayes_impedance.runtime.progress import Progress
 
 _GRID_LOW = 0.02
@@ -98,7 +98,7 @@ class DesignAnswer:
 
 
 def design_answer(
-    population: Population,
+    population: UserPopulation,
     users: Users,
     device: Device,
     *,
@@ -113,7 +113,7 @@ def design_answer(
 
     Parameters
     ----------
-    population : Population
+    population : UserPopulation
     users : Users
         Drawn from it.
     device : Device
@@ -139,12 +139,12 @@ def design_answer(
     return DesignAnswer(found, limit, why, felt)
 
 
-def gains(population: Population, device: Device, grid: int, lowest: float) -> tuple[np.ndarray, np.ndarray]:
+def gains(population: UserPopulation, device: Device, grid: int, lowest: float) -> tuple[np.ndarray, np.ndarray]:
     """Gains that span what is stable with the population's centre.
 
     Parameters
     ----------
-    population : Population
+    population : UserPopulation
     device : Device
     grid : int
         Number on each axis.

@@ -16,12 +16,12 @@ from bayes_impedance.design.circuits import spice
 from bayes_impedance.design.circuits.passivity_check import passive_coefficients, passive_states, positive_elements
 from bayes_impedance.design.circuits.transfer_functions import described, written
 from bayes_impedance.design.representatives import Representatives
-from bayes_impedance.design.users import PERCENTILES, Population, Users, percentile_curves
+from bayes_impedance.design.users import PERCENTILES, UserPopulation, Users, percentile_curves
 from bayes_impedance.errors import InputError
 
 
 def write_users(
-    folder: Path, population: Population, users: Users, chosen: Representatives, frequency_hz: np.ndarray
+    folder: Path, population: UserPopulation, users: Users, chosen: Representatives, frequency_hz: np.ndarray
 ) -> list[Path]:
     """``users.csv``, ``users.json`` and ``curves.csv``.
 
@@ -29,7 +29,7 @@ def write_users(
     ----------
     folder : Path
         Made if it does not exist.
-    population : Population
+    population : UserPopulation
     users : Users
         Drawn from it.
     chosen : Representatives
@@ -119,7 +119,7 @@ def write_transfer(folder: Path, users: Users, chosen: Users) -> list[Path]:
 
 
 def write_spice(
-    folder: Path, population: Population, users: Users, chosen: Users, band_hz: tuple[float, float]
+    folder: Path, population: UserPopulation, users: Users, chosen: Users, band_hz: tuple[float, float]
 ) -> list[Path]:
     """``users.lib``, ``monte_carlo.lib`` and ``sweep.cir``, a deck that runs the first and writes ``sweep.txt``."""
     everybody = chosen + users

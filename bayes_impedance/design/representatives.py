@@ -28,7 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2, norm
 
-from bayes_impedance.design.users import Population, Users
+from bayes_impedance.design.users import UserPopulation, Users
 from bayes_impedance.network.kernel import Kernel
 
 LEVEL = 0.95
@@ -54,13 +54,13 @@ class Representatives:
 
 
 def representatives(
-    population: Population, users: Users, band_hz: tuple[float, float], number: int = 8
+    population: UserPopulation, users: Users, band_hz: tuple[float, float], number: int = 8
 ) -> Representatives:
     """Representative users.
 
     Parameters
     ----------
-    population : Population
+    population : UserPopulation
     users : Users
         Drawn from it: candidates of the spanning set.
     band_hz : (float, float)
@@ -92,7 +92,7 @@ def representatives(
     return Representatives(Users(population.network, population.unit, tuple(names), theta), tuple(rules), radius)
 
 
-def spanning(population: Population, users: Users, number: int) -> tuple[np.ndarray, float]:
+def spanning(population: UserPopulation, users: Users, number: int) -> tuple[np.ndarray, float]:
     """Rows of a set of users that spans the 95 % ellipsoid, and how far from it the others are at most.
 
     Returns
@@ -117,7 +117,7 @@ def spanning(population: Population, users: Users, number: int) -> tuple[np.ndar
 
 
 def _properties(
-    population: Population, band_hz: tuple[float, float]
+    population: UserPopulation, band_hz: tuple[float, float]
 ) -> list[tuple[tuple[str, str], float, np.ndarray]]:
     """Names, frequency in Hz and gradient of ln abs(Im z) of each property that the centre has in the band."""
     frequency = np.geomspace(*band_hz, 201)

@@ -9,9 +9,9 @@ so that elements vary together as they do in people, and doubt about the populat
 the effects of standardised covariates, if the fit had any: a new user's are not known.) With `repetitions`, the
 finger is also put down once: :math:`\theta + \delta`, :math:`\delta \sim N(0, \operatorname{diag}\rho^2)`.
 
-:class:`Population` keeps the posterior's draws of :math:`(\mu, \Sigma)`. A set of users can thus be seen as a sample
-from any of these populations, by weights (:meth:`Population.weights`), which is how probabilities get credible
-intervals without drawing new users for each.
+:class:`UserPopulation` keeps the posterior's draws of :math:`(\mu, \Sigma)`. A set of users can thus be seen as a
+sample from any of these populations, by weights (:meth:`UserPopulation.weights`), which is how probabilities get
+credible intervals without drawing new users for each.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ class Users:
 
 
 @dataclass(frozen=True)
-class Population:
+class UserPopulation:
     """What the posterior says of the population: S draws of its parameters.
 
     Attributes
@@ -193,7 +193,7 @@ class Population:
         return np.asarray(-0.5 * np.sum(white**2, axis=0) - np.sum(np.log(np.diag(factor))))
 
 
-def population_of(result: Result, assume: Mapping[str, float] | None = None) -> Population:
+def population_of(result: Result, assume: Mapping[str, float] | None = None) -> UserPopulation:
     """The population that a finished fit describes.
 
     Parameters
@@ -239,7 +239,7 @@ def population_of(result: Result, assume: Mapping[str, float] | None = None) -> 
     factor = np.linalg.cholesky(covariance)
     for name in assume:
         factor[:, network.elements.index(name), :] = 0.0
-    return Population(network, str(result.attributes["unit"]), mu, factor, rho, tuple(assume))
+    return UserPopulation(network, str(result.attributes["unit"]), mu, factor, rho, tuple(assume))
 
 
 def _flat(posterior: Mapping[str, np.ndarray], name: str) -> np.ndarray:

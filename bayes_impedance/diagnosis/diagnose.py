@@ -29,7 +29,7 @@ from bayes_impedance.diagnosis.selection.cross_validation import held_out, peopl
 from bayes_impedance.diagnosis.selection.identifiability import names_that_hold
 from bayes_impedance.diagnosis.selection.restart import another_beginning
 from bayes_impedance.diagnosis.selection.stepwise import Found, search
-from bayes_impedance.diagnosis.selection.unnamed import Realised, realise, structure_remains
+from bayes_impedance.diagnosis.selection.unnamed import Realised, stand_in_network, structure_remains
 from bayes_impedance.diagnosis.types import Diagnosis, OnePort, ParameterDifference
 from bayes_impedance.diagnosis.verdict.entries import aliases, physics_entry
 from bayes_impedance.diagnosis.verdict.model_bands import snapshot
@@ -259,7 +259,7 @@ def _look(fitted: Fitted, base: Refit, begin: Refit | None, job: _Job, clock: _C
         if remains:
             progress("unknown physics", 0, 1)
             ports = missing_one_ports(found.final, residuals)
-            unknown = realise(fitted.refitter, found.final, residuals, ports, seed, executor)
+            unknown = stand_in_network(fitted.refitter, found.final, residuals, ports, seed, executor)
         found, unknown = names_that_hold(fitted.refitter, found, unknown, remains, residuals, one_ports, seed, executor)
         progress("unknown physics", 1, 1)
     return _Look(found, unknown, first, one_ports)

@@ -10,7 +10,7 @@ from bayes_impedance.design.answer import DesignAnswer, three
 from bayes_impedance.design.loop.stability import loop_of
 from bayes_impedance.design.loop.transparency import loop_gain
 from bayes_impedance.design.representatives import Representatives
-from bayes_impedance.design.users import Population, Users, percentile_curves
+from bayes_impedance.design.users import UserPopulation, Users, percentile_curves
 from bayes_impedance.plots.quantities import typeset
 from bayes_impedance.plots.style import (
     BLUE,
@@ -135,7 +135,7 @@ def _limits(axes: Axes, answer: DesignAnswer) -> None:
     axes.legend()
 
 
-def worst_user(answer: DesignAnswer, population: Population) -> Figure:
+def worst_user(answer: DesignAnswer, population: UserPopulation) -> Figure:
     """Bode plot of the open loop for the worst user and the centre at the worst user's limit, and why it is lowest."""
     figure = new_figure(8.2, 8.2)
     top, middle, bottom = figure.subplots(3, 1, height_ratios=[3, 3, 2.2])

@@ -116,7 +116,7 @@ class Diagnostics:
         return tuple(found)
 
 
-def diagnose(
+def assess(
     recordings: Recordings,
     point: Estimate,
     chains: Chains,

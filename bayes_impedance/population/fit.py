@@ -36,7 +36,7 @@ from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Network, parse
 from bayes_impedance.person.likelihood import Likelihood, find_ridge, marginal_log_likelihood
 from bayes_impedance.person.noise import NoiseModel
-from bayes_impedance.population.diagnostics import Diagnostics, diagnose
+from bayes_impedance.population.diagnostics import Diagnostics, assess
 from bayes_impedance.population.em import Estimate, estimate
 from bayes_impedance.population.parameters import PopulationParameters, Prior
 from bayes_impedance.population.posterior import Posterior
@@ -248,7 +248,7 @@ def fit_population(
             flat = chains.coordinates[:, kept].reshape(-1, chains.coordinates.shape[-1])
             parameters = posterior.coordinates.unpack(flat)
             person_draws, person_likelihood = posterior.marginal.persons(parameters, seeds[4])
-            diagnostics = diagnose(recordings, point, chains, posterior.marginal, parameters, posterior.redrawn)
+            diagnostics = assess(recordings, point, chains, posterior.marginal, parameters, posterior.redrawn)
             scaled = partial(_scaled_noise, first.model)
             noise = tuple(map_persons(executor, scaled, recordings.subjects, point.scale))
     shape = (settings.sampler.ensembles, -1, len(recordings.subjects))
@@ -311,7 +311,7 @@ def _one_person(
     nothing = np.full((n, p), np.nan)
     parameters = PopulationParameters(theta, nothing, np.tile(np.eye(p), (n, 1, 1)), nothing, np.zeros((n, p, 0)))
     ensembles = settings.sampler.ensembles
-    diagnostics = diagnose(recordings, point, chains, None, parameters, 0)
+    diagnostics = assess(recordings, point, chains, None, parameters, 0)
     return PopulationFit(
         recordings,
         kernel,

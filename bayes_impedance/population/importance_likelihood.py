@@ -164,7 +164,7 @@ def _sums(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return peaks, totals, squares
 
 
-class Marginal:
+class ImportanceLikelihood:
     """Likelihood of population parameters.
 
     Parameters

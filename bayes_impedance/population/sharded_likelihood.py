@@ -21,7 +21,7 @@ from bayes_impedance.person.importance_draws import Draws, Reference, draw
 from bayes_impedance.person.likelihood import Likelihood, find_ridge
 from bayes_impedance.population.e_step import PersonFit, contrasts_of
 from bayes_impedance.population.em import Estimate
-from bayes_impedance.population.importance_likelihood import Contrasts, Marginal
+from bayes_impedance.population.importance_likelihood import Contrasts, ImportanceLikelihood
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.runtime.executors import Cluster, map_persons
 from bayes_impedance.runtime.progress import Progress
@@ -40,12 +40,12 @@ class Part:
         Everybody's draws.
     log_ratio : ndarray, shape (n, K)
         ln L - ln q of each.
-    marginal : Marginal
+    marginal : ImportanceLikelihood
     """
 
     theta: np.ndarray
     log_ratio: np.ndarray
-    marginal: Marginal
+    marginal: ImportanceLikelihood
 
     def __sizeof__(self) -> int:
         """Bytes: a cluster that knows them does not copy a part to a worker who has nothing to do for a moment."""
@@ -192,7 +192,9 @@ def _part(
     for i, draws in zip(range(len(means)), drawn, strict=False):
         theta[i], log_ratio[i] = draws.theta, draws.log_ratio
         kept.append(replace(draws, theta=theta[i], log_ratio=log_ratio[i]))
-    return Part(theta, log_ratio, Marginal(kept, means, plan.covariance, repetitions, covariates, contrasts))
+    return Part(
+        theta, log_ratio, ImportanceLikelihood(kept, means, plan.covariance, repetitions, covariates, contrasts)
+    )
 
 
 def _draws_of(

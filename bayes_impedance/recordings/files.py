@@ -23,7 +23,7 @@ from bayes_impedance.recordings.csv_table import CovariateTable, IntArray, parse
 from bayes_impedance.recordings.dataset import Recordings, Subject
 from bayes_impedance.recordings.long_table import CARTESIAN, KNOWN, RecordingTable, check_cells, parse_recordings
 from bayes_impedance.recordings.metadata import SIGNS, Metadata, parse_metadata
-from bayes_impedance.recordings.out_of_core import Place, StoredSubject
+from bayes_impedance.recordings.out_of_core import StoredRows, StoredSubject
 from bayes_impedance.recordings.parquet import SUFFIX, parquet_table, partitions
 from bayes_impedance.recordings.repetitions import signed_factor, subjects_of
 
@@ -160,7 +160,7 @@ class _Reading:
         factors = signed_factor(self.metadata), self.metadata.factor
         noise = subject.noise_sd is not None
         return StoredSubject(
-            subject, grid, Place(folder, digest, None if simple else own, rows.shape, table.polar, *factors, noise)
+            subject, grid, StoredRows(folder, digest, None if simple else own, rows.shape, table.polar, *factors, noise)
         )
 
     def _warn(self, table: RecordingTable, folder: Path | None) -> None:

@@ -23,7 +23,7 @@ from bayes_impedance.recordings.parquet import parquet_table
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
+class StoredRows:
     """Where a subject's checked numbers are.
 
     Attributes
@@ -53,7 +53,7 @@ class Place:
 
 
 @lru_cache(maxsize=16)
-def _read(place: Place) -> tuple[ComplexArray, FloatArray | None]:
+def _read(place: StoredRows) -> tuple[ComplexArray, FloatArray | None]:
     """Impedance and noise, each of shape (J, F); the last few are remembered: who needs one needs the other soon."""
     if not place.folder.exists():
         raise InputError(
@@ -77,16 +77,16 @@ class StoredSubject(Subject):
         With all its numbers, which are not kept.
     frequency_hz : ndarray of float, shape (F,)
         The subject's own: those who share a grid can share the array.
-    place : Place
+    place : StoredRows
     """
 
-    place: Place
+    place: StoredRows
 
     def __new__(cls, *_: Any, **fields: Any) -> Subject:  # type: ignore[misc]
         """An empty one; but `dataclasses.replace` gives all fields, and whoever has numbers is no longer stored."""
         return Subject(**fields) if fields else object.__new__(cls)
 
-    def __init__(self, subject: Subject, frequency_hz: FloatArray, place: Place) -> None:
+    def __init__(self, subject: Subject, frequency_hz: FloatArray, place: StoredRows) -> None:
         own = {"name": subject.name, "frequency_hz": frequency_hz, "repetitions": subject.repetitions}
         self.__dict__.update(own, covariates=subject.covariates, place=place)
 

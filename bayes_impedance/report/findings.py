@@ -58,7 +58,7 @@ class Alias:
 
 
 @dataclass(frozen=True)
-class Effect:
+class EffectCard:
     """A card: one effect that was left out."""
 
     number: int
@@ -121,7 +121,7 @@ def affected(verdict: Mapping[str, Any]) -> list[str]:
 # -------------------------------------------------------------------- what was left out
 
 
-def effects(diagnosis: Diagnosis) -> list[Effect]:
+def effects(diagnosis: Diagnosis) -> list[EffectCard]:
     """A card for each effect that was found."""
     return [_effect(entry, i, diagnosis) for i, entry in enumerate(physics(diagnosis.verdict), 1)]
 
@@ -131,10 +131,10 @@ def physics(verdict: Mapping[str, Any]) -> list[dict[str, Any]]:
     return list(verdict.get("physics") or [])
 
 
-def _effect(entry: Mapping[str, Any], number: int, diagnosis: Diagnosis) -> Effect:
+def _effect(entry: Mapping[str, Any], number: int, diagnosis: Diagnosis) -> EffectCard:
     unknown = entry.get("id") == "unknown"
     name = entry.get("name") or ("a one-port that no entry of the catalogue describes" if unknown else entry.get("id"))
-    return Effect(
+    return EffectCard(
         number=number,
         id=str(entry.get("id") or ""),
         name=str(name or "an effect without a name"),

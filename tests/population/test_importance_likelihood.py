@@ -1,4 +1,4 @@
-"""Marginal likelihood of a population against closed forms, with the error that it reports."""
+"""ImportanceLikelihood likelihood of a population against closed forms, with the error that it reports."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from scipy.integrate import quad
 from scipy.stats import multivariate_normal, norm
 
 from bayes_impedance.person.importance_draws import Draws
-from bayes_impedance.population.importance_likelihood import Contrasts, Marginal, _sums
+from bayes_impedance.population.importance_likelihood import Contrasts, ImportanceLikelihood, _sums
 from bayes_impedance.population.parameters import PopulationParameters
 
 P = 3
@@ -82,7 +82,7 @@ def test_gaussian_persons_have_a_closed_form(n_covariates, own_means):
     covariates = rng.normal(size=(N, n_covariates))
     means = 0.1 * rng.normal(size=(N, P)) if own_means else np.tile([0.05, -0.1, 0.0], (N, 1))
     draws, constants = gaussian_draws(centres, covariances, means, 4096, 2)
-    marginal = Marginal(draws, means, REFERENCE_COVARIANCE, repetitions, covariates, ())
+    marginal = ImportanceLikelihood(draws, means, REFERENCE_COVARIANCE, repetitions, covariates, ())
     p = parameters(6, covariates=n_covariates)
     terms, effective = marginal.terms(p, effective=True)
     expected = closed_form(p, centres, covariances, repetitions, covariates)
@@ -101,7 +101,7 @@ def test_reported_variance_is_the_variance_over_seeds():
     values, reported = [], []
     for seed in range(200):
         draws, constants = gaussian_draws(centres, covariances, means, 256, seed)
-        marginal = Marginal(draws, means, REFERENCE_COVARIANCE, repetitions, np.zeros((N, 0)), ())
+        marginal = ImportanceLikelihood(draws, means, REFERENCE_COVARIANCE, repetitions, np.zeros((N, 0)), ())
         values.append(marginal.terms(p)[0][0] + constants)
         reported.append(1 / marginal.terms(p, effective=True)[1][0] - 1 / 256)
     ratio = np.var(values, axis=0) / np.mean(reported, axis=0)
@@ -121,7 +121,7 @@ def test_repetitions_narrow_the_mean():
     p = parameters(4, seed=5)
     for j in (1, 2, 10):
         repetitions = np.full(N, j)
-        marginal = Marginal(draws, means, REFERENCE_COVARIANCE, repetitions, covariates, ())
+        marginal = ImportanceLikelihood(draws, means, REFERENCE_COVARIANCE, repetitions, covariates, ())
         terms, effective = marginal.terms(p, effective=True)
         expected = closed_form(p, centres, covariances, repetitions, covariates)
         assert np.all(np.abs(terms + constants - expected) < 5 * np.sqrt(1 / effective - 1 / 2048) + 1e-5)
@@ -134,8 +134,8 @@ def test_order_of_the_persons_does_not_matter():
     draws, _ = gaussian_draws(centres, covariances, means, 128, 8)
     p = parameters(3, covariates=1)
     order = np.random.default_rng(9).permutation(N)
-    one = Marginal(draws, means, REFERENCE_COVARIANCE, repetitions, covariates, ())
-    other = Marginal(
+    one = ImportanceLikelihood(draws, means, REFERENCE_COVARIANCE, repetitions, covariates, ())
+    other = ImportanceLikelihood(
         [draws[i] for i in order], means[order], REFERENCE_COVARIANCE, repetitions[order], covariates[order], ()
     )
     np.testing.assert_allclose(other.terms(p)[0], one.terms(p)[0][:, order], rtol=1e-5, atol=1e-5)
@@ -152,8 +152,8 @@ def test_zero_slopes_equal_no_covariates():
         p.mu, p.between_persons, p.correlation_cholesky, p.between_repetitions, np.zeros((5, P, 2))
     )
     covariates = np.random.default_rng(1).normal(size=(N, 2))
-    shared = Marginal(draws, means, REFERENCE_COVARIANCE, repetitions, np.zeros((N, 0)), ())
-    own = Marginal(draws, means, REFERENCE_COVARIANCE, repetitions, covariates, ())
+    shared = ImportanceLikelihood(draws, means, REFERENCE_COVARIANCE, repetitions, np.zeros((N, 0)), ())
+    own = ImportanceLikelihood(draws, means, REFERENCE_COVARIANCE, repetitions, covariates, ())
     for one, other in zip(shared.terms(p, effective=True), own.terms(zero, effective=True), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-5)
     np.testing.assert_allclose(shared.log_weights(p), own.log_weights(zero), rtol=1e-5, atol=1e-5)
@@ -164,8 +164,8 @@ def test_log_weights_are_ratio_times_population():
     means = np.zeros((N, P))
     draws, _ = gaussian_draws(centres, covariances, means, 64, 3)
     p = parameters(2)
-    log_weights = Marginal(draws, means, REFERENCE_COVARIANCE, repetitions, np.zeros((N, 0)), ()).log_weights(p)
-    assert log_weights.shape == (2, N, 64)
+    log_weights = ImportanceLikelihood(draws, means, REFERENCE_COVARIANCE, repetitions, np.zeros((N, 0)),
+    ()).log_weights(p) assert log_weights.shape == (2, N, 64)
     for w in range(2):
         for i, d in enumerate(draws):
             covariance = p.covariance[w] + np.diag(p.between_repetitions[w] ** 2) / repetitions[i]
@@ -260,7 +260,7 @@ def test_likelihood_with_contrasts_is_the_sum():
     arguments = (draws, np.zeros((N, P)), REFERENCE_COVARIANCE, repetitions, np.zeros((N, 0)))
     contrasts = [contrasts_of(count, n=np.sum(repetitions == count + 1)) for count in (1, 2, 4)]
     p = parameters(4)
-    with_contrasts, without = Marginal(*arguments, contrasts), Marginal(*arguments, ())
+    with_contrasts, without = ImportanceLikelihood(*arguments, contrasts), ImportanceLikelihood(*arguments, ())
     expected = without(p) + sum(c.log_likelihood(p.between_repetitions) for c in contrasts)
     np.testing.assert_allclose(with_contrasts(p), expected, rtol=1e-12)
     still = parameters(4, rho=False)

@@ -20,7 +20,7 @@ from bayes_impedance.network.notation import parse
 from bayes_impedance.person.importance_draws import Draws
 from bayes_impedance.population import sharded_likelihood
 from bayes_impedance.population.fit import FitSettings, PopulationFit, _kept_sets, fit_population
-from bayes_impedance.population.importance_likelihood import Contrasts, Marginal
+from bayes_impedance.population.importance_likelihood import Contrasts, ImportanceLikelihood
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.posterior import noise_within
 from bayes_impedance.population.sharded_likelihood import KeptDraws
@@ -184,7 +184,7 @@ def test_sums_over_parts_are_those_over_all_persons() -> None:
         rng.uniform(0.05, 0.2, (5, 2)),
         rng.normal(size=(5, 2, 1)),
     )
-    whole = Marginal(draws, means, np.eye(2), repetitions, covariates, contrasts)
+    whole = ImportanceLikelihood(draws, means, np.eye(2), repetitions, covariates, contrasts)
     with ThreadPoolExecutor(1) as executor:
         kept = KeptDraws(parts, executor)
         np.testing.assert_allclose(kept(sets), whole(sets), rtol=1e-9)

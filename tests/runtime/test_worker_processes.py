@@ -219,7 +219,7 @@ def test_what_is_too_much_is_forgotten_and_sent_again(monkeypatch: pytest.Monkey
             return super().submit(fn, *args, **kwargs)
 
     monkeypatch.setattr(broadcast, "_MOST_REMEMBERED", 48)
-    monkeypatch.setattr(executors, "_remembered", type(executors._remembered)())
+    monkeypatch.setattr(broadcast, "_remembered", type(broadcast._remembered)())
     lents = lend(3)
     with There(1) as executor:
         ask_all(executor, lents[:2])
@@ -229,4 +229,4 @@ def test_what_is_too_much_is_forgotten_and_sent_again(monkeypatch: pytest.Monkey
         assert [lent.data.travelled for lent in lents] == [1, 1, 1]
         ask_all(executor, lents[1:2], times=1)
         assert [lent.data.travelled for lent in lents] == [1, 2, 1]
-    assert len(executors._remembered) == 2
+    assert len(broadcast._remembered) == 2

@@ -36,7 +36,7 @@ from itertools import count
 import numpy as np
 
 from bayes_impedance.design.circuits.ladders import FILTERS, coefficient
-from bayes_impedance.design.users import Population, Users
+from bayes_impedance.design.users import UserPopulation, Users
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.notation import Element, Network, Parallel
 from bayes_impedance.network.operations import Operation
@@ -138,12 +138,12 @@ def sweep(users: Users, include: str, band_hz: tuple[float, float], output: str,
     return "\n".join([*lines, *_control(band_hz, points, output, shown), ".end"]) + "\n"
 
 
-def monte_carlo(population: Population, name: str = "any_user") -> str:
+def monte_carlo(population: UserPopulation, name: str = "any_user") -> str:
     """Sub-circuits whose elements are drawn anew for every instance, correlated as the population's.
 
     Parameters
     ----------
-    population : Population
+    population : UserPopulation
     name : str
         Of the sub-circuits, before ``_fv`` and ``_fc``.
     """

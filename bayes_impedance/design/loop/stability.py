@@ -2,7 +2,7 @@ r"""How many of a population a device is stable with: its Z-width in everybody's
 
 For gains (K, B) let :math:`s_i` say whether the loop with user i is stable, which is decided by poles
 (:mod:`bayes_impedance.design.loop.sampled_loop`). Of one population of the posterior the share of stable users is
-estimated with the users' weights for it (:meth:`Population.weights`),
+estimated with the users' weights for it (:meth:`UserPopulation.weights`),
 
 .. math:: p_r = \sum_i w_{ri}\, s_i ,
 
@@ -35,7 +35,7 @@ import numpy as np
 from bayes_impedance.design.circuits.state_space import realise
 from bayes_impedance.design.loop.device import Device
 from bayes_impedance.design.loop.sampled_loop import SampledLoop, largest_stiffness, sampled_loop, stable
-from bayes_impedance.design.users import Population, Users
+from bayes_impedance.design.users import UserPopulation, Users
 
 POPULATIONS = 200
 _STEPS = 8
@@ -143,7 +143,7 @@ def loop_of(device: Device, users: Users) -> SampledLoop:
 
 
 def stability_map(
-    population: Population,
+    population: UserPopulation,
     users: Users,
     device: Device,
     stiffness: np.ndarray,
@@ -158,7 +158,7 @@ def stability_map(
 
     Parameters
     ----------
-    population : Population
+    population : UserPopulation
     users : Users
         Drawn from it.
     device : Device
@@ -201,7 +201,7 @@ def stability_map(
 
 
 def limit_of(
-    population: Population,
+    population: UserPopulation,
     users: Users,
     device: Device,
     damping: float,
@@ -215,7 +215,7 @@ def limit_of(
 
     Parameters
     ----------
-    population : Population
+    population : UserPopulation
     users : Users
         Drawn from it.
     device : Device
@@ -253,13 +253,13 @@ def limit_of(
 
 
 def reason(
-    population: Population, users: Users, row: int, device: Device, damping: float, highest: float = 1e6
+    population: UserPopulation, users: Users, row: int, device: Device, damping: float, highest: float = 1e6
 ) -> Reason:
     """What makes one user's limit differ from that of the population's centre.
 
     Parameters
     ----------
-    population : Population
+    population : UserPopulation
     users : Users
     row : int
         The user.

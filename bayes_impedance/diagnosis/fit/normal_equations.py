@@ -211,7 +211,7 @@ def quadratic(
 
 
 @dataclass(frozen=True)
-class Marginal:
+class MarginalDensity:
     """The likelihood of a = (phi, mu) with everybody's own coefficients integrated out.
 
     Attributes
@@ -228,7 +228,7 @@ class Marginal:
     precision: np.ndarray
 
 
-def marginal(model: Model, h: np.ndarray, d: np.ndarray, tau: np.ndarray) -> Marginal:
+def marginal(model: Model, h: np.ndarray, d: np.ndarray, tau: np.ndarray) -> MarginalDensity:
     """Integrate everybody's coefficients out.
 
     Parameters
@@ -251,7 +251,7 @@ def marginal(model: Model, h: np.ndarray, d: np.ndarray, tau: np.ndarray) -> Mar
     mean = np.linalg.solve(precision, right)
     value = 0.5 * right @ mean - 0.5 * np.linalg.slogdet(precision)[1]
     value += 0.5 * np.einsum("nc,ncd,nd->", h[:, varying], w, h[:, varying])
-    return Marginal(float(value - 0.5 * np.linalg.slogdet(root)[1].sum()), mean, 0.5 * (precision + precision.T))
+    return MarginalDensity(float(value - 0.5 * np.linalg.slogdet(root)[1].sum()), mean, 0.5 * (precision + precision.T))
 
 
 def sums(values: np.ndarray, owner: np.ndarray, n: int) -> np.ndarray:

@@ -14,7 +14,7 @@ import numpy as np
 
 from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods, log_marginal
 from bayes_impedance.diagnosis.heterogeneity.regression import RepetitionLikelihoods, drift_model
-from bayes_impedance.diagnosis.heterogeneity.reml import Covariance, FullCovariance, centred_fit, fit_population
+from bayes_impedance.diagnosis.heterogeneity.reml import Covariance, FullCovariance, centred_fit, fit_normal_population
 
 FOLDS = 5
 HELD_OUT = ("body.covariate", "body.drift")
@@ -69,7 +69,7 @@ def _gain(
     for k in range(min(FOLDS, n)):
         inside, outside = fold == k, fold != k
         for design, sign in ((with_it, 1.0), (without, -1.0)):
-            fit = fit_population(likelihoods.persons(outside), design[outside], start)
+            fit = fit_normal_population(likelihoods.persons(outside), design[outside], start)
             means = design[inside] @ fit.coefficients
             gains[inside] += sign * log_marginal(likelihoods.persons(inside), means, fit.covariance)
     return float(gains.sum()), float(np.sqrt(n) * gains.std(ddof=1))

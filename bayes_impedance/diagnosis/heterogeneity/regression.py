@@ -38,7 +38,7 @@ from bayes_impedance.diagnosis.heterogeneity.reml import (
     Fit,
     FullCovariance,
     centred_fit,
-    fit_population,
+    fit_normal_population,
 )
 from bayes_impedance.errors import InputError
 
@@ -227,7 +227,7 @@ def find_drift(repetitions: RepetitionLikelihoods) -> Trends:
     n = sum(len(order) > 1 for order in repetitions.order)
     if n < MINIMUM_PERSONS:
         return Trends((), 0, reason=f"{n} persons have repetitions, and at least {MINIMUM_PERSONS} are needed")
-    fit = fit_population(*drift_model(repetitions))
+    fit = fit_normal_population(*drift_model(repetitions))
     kept = np.flatnonzero(np.sqrt(np.diag(fit.variance)) < _LARGEST_SLOPE_SD)
     remarks = tuple(f"{e} is not determined by the repetitions" for e in _others(repetitions.elements, kept))
     found = _trends(fit, {int(e): repetitions.elements[e] for e in kept}, "repetition", "linear", 1.0)
@@ -273,7 +273,7 @@ class _Search:
             return []  # almost the same as those beside it: no recording could tell which it is
         p = len(self.likelihoods.elements)
         design = np.einsum("nk,pq->npkq", z, np.eye(p)).reshape(n, p, -1)
-        fit = fit_population(self.likelihoods.persons(rows), design, FullCovariance(self.covariance))
+        fit = fit_normal_population(self.likelihoods.persons(rows), design, FullCovariance(self.covariance))
         wanted = {k * p + int(e): self.likelihoods.elements[e] for e in self.kept}
         wanted = {c: e for c, e in wanted.items() if fit.variance[c, c] < _LARGEST_SLOPE_SD**2}
         return _trends(fit, wanted, name, self.regressors[name][1], float(sd[-1]))

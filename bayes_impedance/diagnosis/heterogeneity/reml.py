@@ -288,7 +288,7 @@ class Problem:
         return Fit(self, structure, factor, coefficients, variance, pull, weight, x, objective)
 
 
-def fit_population(likelihoods: PersonLikelihoods, design: np.ndarray, start: Covariance) -> Fit:
+def fit_normal_population(likelihoods: PersonLikelihoods, design: np.ndarray, start: Covariance) -> Fit:
     """Maximise the restricted likelihood.
 
     Parameters
@@ -358,7 +358,7 @@ def centred_fit(
         around = likelihoods.around(centre)
         design = np.broadcast_to(np.eye(p), (len(around), p, p))
         if rounds == 2:
-            structure = fit_population(around, design, structure).structure
+            structure = fit_normal_population(around, design, structure).structure
         fit = Problem.of(around, design, covariance).fit(structure)
         centre = centre + fit.coefficients
     return centre - fit.coefficients, fit

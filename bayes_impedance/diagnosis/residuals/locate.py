@@ -65,7 +65,7 @@ noise without repetitions."""
 
 
 @dataclass(frozen=True)
-class Band:
+class MismatchBand:
     """A band of frequencies with structure in it.
 
     Attributes
@@ -99,7 +99,7 @@ class Location:
         Whether there is any.
     p_value : float
         That there is none, corrected for everything that was tried.
-    bands : tuple of Band
+    bands : tuple of MismatchBand
         Most significant first; disjoint within a part and kind; empty if there is no mismatch.
     part : {"magnitude", "phase", "both"}
         Which has more than four fifths of the structure.
@@ -120,7 +120,7 @@ class Location:
 
     mismatch: bool
     p_value: float
-    bands: tuple[Band, ...]
+    bands: tuple[MismatchBand, ...]
     part: Literal["magnitude", "phase", "both"]
     magnitude_share: float
     subjects: Literal["all"] | tuple[str, ...]
@@ -328,7 +328,7 @@ def _amplitudes(pooled: Pooled, found: list[_Found], top: np.ndarray) -> tuple[A
     return energy_amplitudes(pooled, inside.ravel(), max(main.noise, 1.0)), True
 
 
-def _bands(found: list[_Found], frequency_hz: np.ndarray) -> tuple[Band, ...]:
+def _bands(found: list[_Found], frequency_hz: np.ndarray) -> tuple[MismatchBand, ...]:
     """Merge windows of the same part and kind whose gap is less than half of the narrower."""
     groups: list[list[_Found]] = []
     for f in sorted(found, key=lambda f: (f.part, f.kind, f.low)):
@@ -343,7 +343,7 @@ def _bands(found: list[_Found], frequency_hz: np.ndarray) -> tuple[Band, ...]:
         best = max(group, key=lambda f: abs(f.statistic))
         low, high = min(f.low for f in group), max(f.high for f in group)
         bands.append(
-            Band(float(frequency_hz[low]), float(frequency_hz[high - 1]), _PARTS[best.part], best.kind,
+            MismatchBand(float(frequency_hz[low]), float(frequency_hz[high - 1]), _PARTS[best.part], best.kind,
                  best.statistic, min(f.p_value for f in group))
         )  # fmt: skip
     return tuple(sorted(bands, key=lambda band: -abs(band.statistic)))

@@ -27,7 +27,7 @@ from bayes_impedance.diagnosis.fit.model import Addition
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
 from bayes_impedance.diagnosis.selection.cross_validation import people_gain
 from bayes_impedance.diagnosis.selection.stepwise import Found, rivals
-from bayes_impedance.diagnosis.selection.unnamed import Realised, realise
+from bayes_impedance.diagnosis.selection.unnamed import Realised, stand_in_network
 from bayes_impedance.diagnosis.types import OnePort
 
 SERIES_TERMS = ("rig.resonance", "body.relaxation", "body.resonator")
@@ -86,7 +86,7 @@ def names_that_hold(
     own = found.final.model.additions[len(found.base.model.additions) :]
     named = gain(found.final, found.base)
     if rest is not None and named < _NAMED_SHARE * (named + rest.trial.gain):
-        alone = realise(refitter, found.base, found.steps[0].residuals, one_ports, seed, executor)
+        alone = stand_in_network(refitter, found.base, found.steps[0].residuals, one_ports, seed, executor)
         if alone is not None and alone.trial.gain > named:
             return _without_names(found), alone
     doubtful = _of_one_thing(found, own, residuals, remains)

@@ -79,7 +79,7 @@ def branch_effects() -> tuple[Effect, ...]:
     )
 
 
-def realise(
+def stand_in_network(
     refitter: Refitter,
     fit: Refit,
     residuals: Sequence[PersonResiduals],

@@ -14,7 +14,7 @@ from bayes_impedance.classical import check_passivity
 from bayes_impedance.design.circuits import spice
 from bayes_impedance.design.circuits.ladders import FILTERS, built, power_law
 from bayes_impedance.design.circuits.state_space import realise
-from bayes_impedance.design.users import Population, Users
+from bayes_impedance.design.users import UserPopulation, Users
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.elements import kind_of
 from bayes_impedance.network.kernel import Kernel
@@ -235,7 +235,7 @@ def test_ngspice_runs_every_user_and_draws_its_own(tmp_path: Path) -> None:
     network = parse("(n1|r1)-m1")
     mu = np.log([1e-3, 2.0, 1e-3])
     factor = np.array([[0.3, 0, 0], [-0.24, 0.18, 0], [0, 0, 0.2]])  # correlation of n1 and r1: -0.8
-    population = Population(network, "N s/m", np.tile(mu, (4, 1)), np.tile(factor, (4, 1, 1)), np.zeros((4, 3)))
+    population = UserPopulation(network, "N s/m", np.tile(mu, (4, 1)), np.tile(factor, (4, 1, 1)), np.zeros((4, 3)))
     users = population.draw(6, seed=3)
     (tmp_path / "users.lib").write_text(spice.library(users), encoding="utf-8")
     frequency, z = ngspice(spice.sweep(users, "users.lib", BAND, "out.txt", points=5), tmp_path)

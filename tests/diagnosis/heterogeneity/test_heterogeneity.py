@@ -18,7 +18,7 @@ from bayes_impedance.diagnosis.heterogeneity.reml import (
     FullCovariance,
     Problem,
     centred_fit,
-    fit_population,
+    fit_normal_population,
 )
 from bayes_impedance.diagnosis.heterogeneity.subgroups import find_subgroup
 from bayes_impedance.diagnosis.heterogeneity.two_groups import along
@@ -151,7 +151,7 @@ def test_the_fit_is_a_maximum_wherever_it_starts():
     rng = np.random.default_rng(5)
     people = observed(rng, population(rng, 40, covariance(4), 0.0), informations(rng, 40, 4, unseen=1))
     design = np.broadcast_to(np.eye(4), (40, 4, 4))
-    fits = [fit_population(people, design, FullCovariance(s * np.eye(4))) for s in (0.002, 0.09, 3.0)]
+    fits = [fit_normal_population(people, design, FullCovariance(s * np.eye(4))) for s in (0.002, 0.09, 3.0)]
     for fit in fits:
         gradient, information = fit.scoring()
         assert gradient @ np.linalg.solve(information, gradient) < 1e-4
