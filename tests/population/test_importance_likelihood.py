@@ -164,8 +164,10 @@ def test_log_weights_are_ratio_times_population():
     means = np.zeros((N, P))
     draws, _ = gaussian_draws(centres, covariances, means, 64, 3)
     p = parameters(2)
-    log_weights = ImportanceLikelihood(draws, means, REFERENCE_COVARIANCE, repetitions, np.zeros((N, 0)),
-    ()).log_weights(p) assert log_weights.shape == (2, N, 64)
+    log_weights = ImportanceLikelihood(
+        draws, means, REFERENCE_COVARIANCE, repetitions, np.zeros((N, 0)), ()
+    ).log_weights(p)
+    assert log_weights.shape == (2, N, 64)
     for w in range(2):
         for i, d in enumerate(draws):
             covariance = p.covariance[w] + np.diag(p.between_repetitions[w] ** 2) / repetitions[i]
