@@ -106,7 +106,9 @@ def scales_at(frequency_hz: np.ndarray, z: np.ndarray) -> Scales:
     low, middle, high = 0, len(frequency_hz) // 2, -1
     sizes = np.median(np.abs(z).reshape(-1, len(frequency_hz)), axis=0)
     omega = 2 * np.pi * frequency_hz
-    return Scales(*(float(a[k]) for a in (omega, sizes) for k in (low, middle, high)), "N s/m")
+    names = ("low", "middle", "high", "z_low", "z_middle", "z_high")
+    values = [float(a[k]) for a in (omega, sizes) for k in (low, middle, high)]
+    return Scales(**dict(zip(names, values, strict=True)), unit="N s/m")
 
 
 def concealing(
@@ -164,11 +166,11 @@ TOY = ("n1|r1", {"n1": 1e-3, "r1": 2.0})
 def recovered(experiment: Experiment, effect: Effect, place: str, pooling: str, rounds: int = 200) -> Refit:
     """The network fitted without, then with the effect: its coefficient begins at zero."""
     refitter, fit = experiment.refitter, experiment.fit()
-    shared = experiment.grown(Addition(effect, place, "shared"))
+    shared = experiment.grown(Addition(effect=effect, place=place, pooling="shared"))
     grown = refitter.fit(shared, *enlarged(fit, shared), rounds=60)
     if pooling == "shared":
         return grown
-    varying = experiment.grown(Addition(effect, place, pooling))
+    varying = experiment.grown(Addition(effect=effect, place=place, pooling=pooling))
     _, population = enlarged(fit, varying)
     n = fit.model.n_elements
     population.mu[n:] = grown.u[0, n:]

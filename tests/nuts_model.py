@@ -70,7 +70,7 @@ def impedance(theta: jax.Array, omega: jax.Array) -> jax.Array:
     return skin * tissue / (skin + tissue)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Data:
     """Recordings of N persons, J repetitions and F frequencies, and their expansion in P log elements."""
 
@@ -101,7 +101,7 @@ def expand(recordings: Recordings, centre: np.ndarray, points: np.ndarray) -> Da
     jacobian = -twice(jax.jacfwd(whitened))(theta, z, sigma)
     information = jnp.einsum("ijkp,ijkq->ijpq", jacobian, jacobian)
     pull = jnp.einsum("ijpq,ijq->ijp", information, theta) + jnp.einsum("ijkp,ijk->ijp", jacobian, residual)
-    return Data(omega, z, sigma, jnp.asarray(centre), information, pull)
+    return Data(omega=omega, z=z, sigma=sigma, centre=jnp.asarray(centre), information=information, pull=pull)
 
 
 def _transpose(matrix: jax.Array) -> jax.Array:
@@ -221,7 +221,7 @@ def _named(
     return values
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Moments:
     """Mean and standard deviation of one quantity, with standard errors."""
 
@@ -242,7 +242,14 @@ class Moments:
             rhat = float(split_gelman_rubin(chains))
         sd = float(chains.std())
         variance_error = float(square.std()) / np.sqrt(of_square)
-        return cls(float(chains.mean()), sd / np.sqrt(effective), sd, variance_error / (2 * sd), effective, rhat)
+        return cls(
+            mean=float(chains.mean()),
+            mean_error=sd / np.sqrt(effective),
+            sd=sd,
+            sd_error=variance_error / (2 * sd),
+            effective=effective,
+            rhat=rhat,
+        )
 
 
 @dataclass(frozen=True)

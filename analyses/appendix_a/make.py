@@ -25,11 +25,20 @@ def published_curve(entry: dict[str, list[float]]) -> np.ndarray:
 
 def dataset(title: str, curves: dict[str, np.ndarray]) -> Recordings:
     """Each curve as a subject with one repetition."""
-    subjects = tuple(Subject(name, FREQUENCY_HZ, z[None], ("1",)) for name, z in curves.items())
+    subjects = tuple(
+        Subject(name=name, frequency_hz=FREQUENCY_HZ, z=z[None], repetitions=("1",)) for name, z in curves.items()
+    )
     source = (
         "appendix A of the paper, coefficients.toml; evaluated at 401 points, sign turned: fitted curves, no recordings"
     )
-    return Recordings(title, "N s/m", PAPER_NETWORK, source, "facts, not protected", subjects)
+    return Recordings(
+        title=title,
+        unit="N s/m",
+        network=PAPER_NETWORK,
+        source=source,
+        licence="facts, not protected",
+        subjects=subjects,
+    )
 
 
 def main() -> None:

@@ -48,7 +48,7 @@ COVARIATE = "contact_force_n"
 STRONG_COMMUNALITY = 0.95
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Case:
     """A virtual experiment before noise.
 

@@ -97,7 +97,14 @@ def recordings_of(experiment: Experiment, title: str) -> Recordings:
         )
         for i, z in enumerate(experiment.recorded)
     )
-    return Recordings(title, "N s/m", NETWORK, "simulated: a virtual world, not measured", "MIT", subjects)
+    return Recordings(
+        title=title,
+        unit="N s/m",
+        network=NETWORK,
+        source="simulated: a virtual world, not measured",
+        licence="MIT",
+        subjects=subjects,
+    )
 
 
 def reachable(plan: Plan) -> tuple[Plan, Experiment]:

@@ -43,7 +43,7 @@ def without_and_with(before: Recordings, after: Recordings, effect_id: str, seed
         known = found.model
         kept = [i for i, a in enumerate(known.additions) if (a.effect.id, a.place) != (effect_id, "port")]
         starts = [starts_of(known)[i] for i in kept]
-        additions = (*(known.additions[i] for i in kept), Addition(effect, "port", "shared"))
+        additions = (*(known.additions[i] for i in kept), Addition(effect=effect, place="port", pooling="shared"))
         shape = {coefficient.name: 0.0 for coefficient in effect.coefficients}
         model = build(known.network, additions, known.scales, [*starts, shape])
         estimates = []

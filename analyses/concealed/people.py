@@ -51,7 +51,7 @@ Change = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """What stands at a place, changed: (s (F,), z (..., F)) -> z (..., F)."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Conditions:
     """What is unpleasant about the recordings without anything missing in the network.
 

@@ -51,9 +51,9 @@ def one_case(case: Mapping[str, Any]) -> Record:
     from bayes_impedance.diagnosis.selection.stepwise import Step
 
     plan = Plan(
-        (case["kind"],),
-        (case["strength"],),
-        case["seed"],
+        kinds=(case["kind"],),
+        strengths=(case["strength"],),
+        seed=case["seed"],
         n_subjects=int(case["subjects"]),
         n_points=case["points"],
         conditions=Conditions(noise=case["noise"]),

@@ -162,7 +162,7 @@ def model_search(recordings: Recordings, u: np.ndarray, mean: np.ndarray) -> tup
         shapes = list(shape_grid(effect, scales))
         chosen = [shapes[i] for i in np.unique(np.linspace(0, len(shapes) - 1, _SHAPES_TRIED).astype(int))]
         for place in effect.sites(network):
-            addition = Addition(effect, place.name, "shared")
+            addition = Addition(effect=effect, place=place.name, pooling="shared")
             models = [build(network, (addition,), scales, (shape,)) for shape in chosen]
             k = len(u) + len(models[0].parameters)
             starts = np.array([np.concatenate([u, [p.start for p in m.parameters]]) for m in models])
@@ -181,7 +181,15 @@ def one_case(case: Mapping[str, Any]) -> Record:
     if "folder" in case:
         return looks(read_recordings(Path(case["folder"])), 1)
     plan = draw(case["seed"], 1, Sizes((case["subjects"],), (case["points"],)))[0]
-    nothing = Plan(("nothing",), (0.0,), plan.seed, plan.n_subjects, 3, plan.n_points, conditions=plan.conditions)
+    nothing = Plan(
+        kinds=("nothing",),
+        strengths=(0.0,),
+        seed=plan.seed,
+        n_subjects=plan.n_subjects,
+        n_repetitions=3,
+        n_points=plan.n_points,
+        conditions=plan.conditions,
+    )
     return looks(recordings_of(conduct(nothing), "nothing"), 1)
 
 

@@ -59,7 +59,7 @@ _RANDOM_STARTS = 3072
 _START_SPREAD, _THINNED_POINTS, _KEPT, _PROVISIONAL_NOISE = 2.0, 64, 6, 0.05
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class MappedElement:
     """One element of the nearest network.
 
@@ -85,7 +85,7 @@ class MappedElement:
     amplification: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class NetworkMapping:
     """A rational impedance seen as a network.
 
@@ -212,19 +212,21 @@ def map_to_network(
     relative = np.abs(model / target - 1)
     worst = int(np.argmax(relative))
     return NetworkMapping(
-        str(network),
-        len(equations.names) - 1,
-        len(equations.elements),
-        surplus + missing,
-        exact_solutions(equations, transfer, log_elements, seed),
-        _described(equations.elements, unit, log_elements, standard_error, equations.names, sensitivity),
-        log_elements,
-        float(np.sqrt(np.mean(relative**2))),
-        float(frequency[worst]),
-        float(relative[worst]),
-        None if noise_sd is None else float(np.sqrt(np.mean(np.abs(model - target) ** 2 / noise_sd**2))),
-        float(singular[0] / singular[-1]) if singular[-1] > 0 else np.inf,
-        _ratios(equations.names, wanted, value[0]),
+        network=str(network),
+        n_coefficients=len(equations.names) - 1,
+        n_elements=len(equations.elements),
+        obstacles=surplus + missing,
+        exact=exact_solutions(equations, transfer, log_elements, seed),
+        elements=_described(equations.elements, unit, log_elements, standard_error, equations.names, sensitivity),
+        log_elements=log_elements,
+        distance=float(np.sqrt(np.mean(relative**2))),
+        worst_hz=float(frequency[worst]),
+        worst_relative=float(relative[worst]),
+        whitened_distance=None
+        if noise_sd is None
+        else float(np.sqrt(np.mean(np.abs(model - target) ** 2 / noise_sd**2))),
+        condition=float(singular[0] / singular[-1]) if singular[-1] > 0 else np.inf,
+        coefficient_ratios=_ratios(equations.names, wanted, value[0]),
     )
 
 
@@ -232,7 +234,14 @@ def _nearest(
     kernel: Kernel, frequency: np.ndarray, target: np.ndarray, noise_sd: np.ndarray | None, seed: int
 ) -> np.ndarray:
     """Log elements with the least weighted squares, from the starts that a person's curve would get."""
-    recordings = Recordings("curve", "", None, "", "", (Subject("curve", frequency, target[None], ("1",)),))
+    recordings = Recordings(
+        title="curve",
+        unit="",
+        network=None,
+        source="",
+        licence="",
+        subjects=(Subject(name="curve", frequency_hz=frequency, z=target[None], repetitions=("1",)),),
+    )
     prior = default_prior(kernel.elements, recordings)
     sd = _PROVISIONAL_NOISE * np.abs(target) if noise_sd is None else noise_sd
     likelihood = Likelihood.make(frequency, target[None], sd[None], np.zeros((1, len(kernel.elements))))
@@ -278,7 +287,13 @@ def _described(
         held_by = tuple((coefficients[k], float(inverse[p, k])) for k in np.argsort(-np.abs(inverse[p]))[:_HELD_BY])
         amplification = float(np.linalg.norm(inverse[p]))
         elements[name] = MappedElement(
-            kind_of(name).unit(unit), middle, low, high, float(standard_error[p]), held_by, amplification
+            unit=kind_of(name).unit(unit),
+            value=middle,
+            q05=low,
+            q95=high,
+            standard_error=float(standard_error[p]),
+            held_by=held_by,
+            amplification=amplification,
         )
     return elements
 

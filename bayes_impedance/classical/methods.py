@@ -51,7 +51,7 @@ FAMILIES = (MAGNITUDES, PHASES, TABLES, RATIONAL, COMPLEX, OURS)
 """What a method looks at or is."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Method:
     """One curve for the population, and how it was found.
 
@@ -105,7 +105,7 @@ class Method:
         }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class MethodComparison:
     """All methods on one set of recordings.
 
@@ -197,7 +197,9 @@ def compare_methods(
     network = parse(result.attributes["network"])
     frequency = common_grid(recordings)
     observed = on_grid(recordings, frequency)
-    bench = _Bench(recordings, network, frequency, observed, result, seed)
+    bench = _Bench(
+        recordings=recordings, network=network, frequency_hz=frequency, observed=observed, result=result, seed=seed
+    )
     stages: tuple[Callable[[], list[Method]], ...] = (
         bench.magnitudes,
         bench.phases,
@@ -216,19 +218,19 @@ def compare_methods(
     mapping = map_to_network(sit.transfer, network, frequency, unit=recordings.unit, seed=seed)
     progress("the paper's methods", len(stages) + 1, len(stages) + 1)
     return MethodComparison(
-        recordings.title,
-        recordings.unit,
-        str(network),
-        frequency,
-        observed,
-        tuple(methods),
-        normality(observed) if len(recordings) >= MINIMUM_PEOPLE else None,
-        mapping,
-        tuple(result.problems),
+        title=recordings.title,
+        unit=recordings.unit,
+        network=str(network),
+        frequency_hz=frequency,
+        observed=observed,
+        methods=tuple(methods),
+        normality=normality(observed) if len(recordings) >= MINIMUM_PEOPLE else None,
+        mapping=mapping,
+        problems=tuple(result.problems),
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Bench:
     """What all methods need."""
 
@@ -325,7 +327,7 @@ class _Bench:
 
     def _method(self, id: str, label: str, paper: str, family: str, curve: np.ndarray, **more: Any) -> Method:
         errors = error_curves(np.abs(curve), np.angle(curve, deg=True), self.observed)
-        return Method(id, label, paper, family, curve, errors, **more)
+        return Method(id=id, label=label, paper=paper, family=family, curve=curve, errors=errors, **more)
 
 
 def _without_nan(values: dict[str, float]) -> dict[str, float | None]:

@@ -79,7 +79,7 @@ _ROUNDING = 1e-12
 """Values that differ by less than this part of their size differ by rounding only."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Normality:
     """P values of every test at every frequency; NaN where a test is impossible.
 

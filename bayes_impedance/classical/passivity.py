@@ -79,7 +79,7 @@ class Violation:
     relative: float
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Passivity:
     """Whether an impedance is positive real, and what is wrong with it.
 
@@ -140,7 +140,14 @@ def check_passivity(model: PoleResidue | TransferFunction, *, unit: str = "") ->
     ]
     reasons += [_residue_sentence(wrong) for wrong in axis.wrong]
     reasons += [_violation_sentence(violation, unit) for violation in violations]
-    return Passivity(not reasons, violations, axis.unstable, axis.wrong, tuple(reasons), margin)
+    return Passivity(
+        positive_real=not reasons,
+        violations=violations,
+        unstable_poles=axis.unstable,
+        wrong_residues=axis.wrong,
+        reasons=tuple(reasons),
+        margin=margin,
+    )
 
 
 def _hertz(value: float) -> str:

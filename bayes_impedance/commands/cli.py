@@ -247,8 +247,8 @@ def _diagnose(options: argparse.Namespace) -> int:
     from bayes_impedance.commands.jobs import FitOptions, diagnose_dataset
 
     chosen = FitOptions(
-        options.network,
-        options.covariance,
+        network=options.network,
+        covariance=options.covariance,
         subjects=tuple(options.subject),
         seed=options.seed,
         quick=options.quick,
@@ -286,18 +286,18 @@ def _export(options: argparse.Namespace) -> int:
     from bayes_impedance.commands.export import PRODUCTS, ExportOptions, assumed, export_result
 
     chosen = ExportOptions(
-        tuple(options.what or PRODUCTS),
-        options.users,
-        options.seed,
-        options.spanning,
-        options.one_touch,
-        assumed(options.assume),
-        options.device,
-        options.damping,
-        options.share,
-        options.grid,
-        options.pictures,
-        options.workers,
+        what=tuple(options.what or PRODUCTS),
+        users=options.users,
+        seed=options.seed,
+        spanning=options.spanning,
+        repetitions=options.one_touch,
+        assume=assumed(options.assume),
+        device=options.device,
+        damping=options.damping,
+        share=options.share,
+        grid=options.grid,
+        pictures=options.pictures,
+        workers=options.workers,
     )
     with Bars() as bars:
         files, answer = export_result(options.result, options.out, chosen, bars)
@@ -345,14 +345,14 @@ def _fit_options(options: argparse.Namespace) -> Any:
     from bayes_impedance.commands.jobs import FitOptions
 
     return FitOptions(
-        options.network,
-        options.covariance,
-        tuple(options.covariate),
-        tuple(options.subject),
-        options.seed,
-        options.quick,
-        options.workers,
-        options.scheduler,
+        network=options.network,
+        covariance=options.covariance,
+        covariates=tuple(options.covariate),
+        subjects=tuple(options.subject),
+        seed=options.seed,
+        quick=options.quick,
+        workers=options.workers,
+        scheduler=options.scheduler,
     )
 
 

@@ -16,7 +16,7 @@ PRODUCTS = ("users", "transfer", "spice", "stability")
 _POINTS = 201
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ExportOptions:
     """What a user may choose about an export.
 

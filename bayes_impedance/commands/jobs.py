@@ -37,7 +37,7 @@ VERDICT_FILE = "verdict.json"
 _THREADS = 2
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FitOptions:
     """What a user may choose about a fit.
 

@@ -90,7 +90,7 @@ class Users:
         return replace(self, names=names, log_elements=np.concatenate([self.log_elements, other.log_elements]))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class UserPopulation:
     """What the posterior says of the population: S draws of its parameters.
 
@@ -239,7 +239,14 @@ def population_of(result: Result, assume: Mapping[str, float] | None = None) -> 
     factor = np.linalg.cholesky(covariance)
     for name in assume:
         factor[:, network.elements.index(name), :] = 0.0
-    return UserPopulation(network, str(result.attributes["unit"]), mu, factor, rho, tuple(assume))
+    return UserPopulation(
+        network=network,
+        unit=str(result.attributes["unit"]),
+        mu=mu,
+        factor=factor,
+        between_repetitions=rho,
+        fixed=tuple(assume),
+    )
 
 
 def _flat(posterior: Mapping[str, np.ndarray], name: str) -> np.ndarray:

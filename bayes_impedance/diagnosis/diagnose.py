@@ -44,7 +44,7 @@ from bayes_impedance.runtime.progress import Progress
 _MAINS_ALPHA = 1e-3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Job:
     """What all parts of one diagnosis share."""
 
@@ -112,7 +112,7 @@ def diagnose(
     candidates = tuple(registered() if effects is None else effects)
     own = executor_of(workers) if executor is None else nullcontext(executor)
     with threadpool_limits(1), own as executor:
-        job = _Job(candidates, diagonal, quick, seed, executor, progress)
+        job = _Job(effects=candidates, diagonal=diagonal, quick=quick, seed=seed, executor=executor, progress=progress)
         claimed = None
         if simulation is not None:
             with clock.measure("simulation"):
@@ -181,25 +181,38 @@ def _diagnose(
         remarks.append(
             "The simulation itself holds structure that the network does not describe; it was taken off the recordings."
         )
-    evidence = Evidence(found, first, entries, structures, unknown, hum, held, before, after, changed, remarks, spoilt)
+    evidence = Evidence(
+        found=found,
+        location=first,
+        entries=entries,
+        structures=structures,
+        unknown=unknown,
+        hum=hum,
+        gain=held,
+        before=before,
+        after=after,
+        changed=changed,
+        remarks=remarks,
+        spoilt=spoilt,
+    )
     verdict = make_verdict(given, fitted, evidence, seed)
     differences: tuple[ParameterDifference, ...] = ()
     if claimed is not None:
         differences = compare_populations(claimed.found.final, final, recordings.unit)
         verdict["parameters_differ"] = [asdict(d) for d in differences if d.p_value < 0.05]
     return Diagnosis(
-        recordings.title,
-        recordings.unit,
-        recordings.names,
-        max(len(s.repetitions) for s in recordings.subjects),
-        verdict,
-        before,
-        after,
-        on_grid(clean, before.frequency_hz),
-        ranking(found.steps[0]),
-        one_ports,
-        differences,
-        clock.seconds,
+        title=recordings.title,
+        unit=recordings.unit,
+        subjects=recordings.names,
+        repetitions=max(len(s.repetitions) for s in recordings.subjects),
+        verdict=verdict,
+        before=before,
+        after=after,
+        observed=on_grid(clean, before.frequency_hz),
+        ranking=ranking(found.steps[0]),
+        one_ports=one_ports,
+        differences=differences,
+        seconds=clock.seconds,
     )
 
 

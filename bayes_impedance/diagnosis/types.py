@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Snapshot:
     """How well one model describes the recordings: the network as given, or with what was found.
 
@@ -46,7 +46,7 @@ class Snapshot:
     coverage90: np.ndarray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Ranked:
     """A candidate in the ranking of the first screening.
 
@@ -106,7 +106,7 @@ class OnePort:
     share: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ParameterDifference:
     """How an element differs between simulation and recordings.
 
@@ -133,7 +133,7 @@ class ParameterDifference:
     p_value: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Diagnosis:
     """Everything a diagnosis found.
 

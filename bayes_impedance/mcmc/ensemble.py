@@ -38,7 +38,7 @@ _KEPT_DRAWS = 500
 _PIECE, _KEPT_SHARE = 25, 0.1
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SamplerSettings:
     """How long to sample.
 
@@ -82,7 +82,7 @@ class SamplerSettings:
 QUICK = SamplerSettings(ensembles=2, burn_in=(80, 40), chunk=100, longest=1500, effective=600.0)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Chains:
     """Draws and how good they are.
 
@@ -343,14 +343,14 @@ def _collect(ensembles: list[_Ensemble]) -> Chains:
     steps, walkers = ensembles[0].sampler.get_chain().shape[:2]
     tau = np.array(times)
     return Chains(
-        coordinates,
-        np.array([p[:fewest] for p in log_probability]),
-        rhat(coordinates),
-        np.sum(steps * walkers / tau, axis=0),
-        tau.mean(axis=0),
-        float(np.mean([e.sampler.acceptance_fraction.mean() for e in ensembles])),
-        steps,
-        walkers,
+        coordinates=coordinates,
+        log_probability=np.array([p[:fewest] for p in log_probability]),
+        rhat=rhat(coordinates),
+        effective=np.sum(steps * walkers / tau, axis=0),
+        autocorrelation_time=tau.mean(axis=0),
+        acceptance=float(np.mean([e.sampler.acceptance_fraction.mean() for e in ensembles])),
+        steps=steps,
+        walkers=walkers,
     )
 
 

@@ -29,7 +29,7 @@ _MAX_ITERATIONS = 100
 _GAUSS_NEWTON_ITERATIONS = 15
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Mode:
     """Where one person's posterior is highest.
 
@@ -238,4 +238,11 @@ def mode_at(
     offset = theta - prior_mean
     objective = exponent * np.log(SCALE_SHAPE + 0.5 * chi) + 0.5 * offset @ prior_precision @ offset
     scale = float(np.sqrt((SCALE_SHAPE + 0.5 * chi) / exponent))  # inf, and no error, where chi is
-    return Mode(theta, float(objective), w * information + prior_precision, w * information, scale, decrement)
+    return Mode(
+        theta=theta,
+        objective=float(objective),
+        precision=w * information + prior_precision,
+        information=w * information,
+        scale=scale,
+        decrement=decrement,
+    )

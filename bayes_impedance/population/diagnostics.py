@@ -32,7 +32,7 @@ PARETO_LIMIT = 0.7
 """Above this tail of a person's weights, the effective number of draws means little (Vehtari et al. 2024)."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Diagnostics:
     """How far the result can be trusted.
 
@@ -132,17 +132,17 @@ def assess(
         tail, effective = marginal.pareto_k(some), marginal.effective(some)
         noise = noise_within(float(np.mean(marginal.variance(some))), n, chains.coordinates.shape[-1])
     return Diagnostics(
-        float(chains.rhat.max()),
-        float(chains.effective.min()),
-        float(chains.autocorrelation_time.max()),
-        chains.acceptance,
-        chains.coordinates.shape[0],
-        chains.steps,
-        chains.walkers,
-        noise,
-        tail,
-        effective,
-        tuple(s.name for s, well in zip(recordings.subjects, point.converged, strict=True) if not well),
-        redrawn,
-        point.rivals,
+        rhat_max=float(chains.rhat.max()),
+        effective_min=float(chains.effective.min()),
+        autocorrelation_max=float(chains.autocorrelation_time.max()),
+        acceptance=chains.acceptance,
+        ensembles=chains.coordinates.shape[0],
+        steps=chains.steps,
+        walkers=chains.walkers,
+        log_likelihood_variance=noise,
+        pareto_k=tail,
+        effective_draws=effective,
+        unconverged=tuple(s.name for s, well in zip(recordings.subjects, point.converged, strict=True) if not well),
+        redrawn=redrawn,
+        rivals=point.rivals,
     )

@@ -85,7 +85,7 @@ class FitSettings:
 QUICK_SETTINGS = FitSettings(draws=256, sampler=QUICK)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PopulationFit:
     """Posterior of a population.
 
@@ -254,22 +254,22 @@ def fit_population(
     shape = (settings.sampler.ensembles, -1, len(recordings.subjects))
     identified = point.determined & (parameters.mu.std(axis=0) < IDENTIFIED_SD)
     return PopulationFit(
-        recordings,
-        kernel,
-        prior,
-        settings,
-        seed,
-        parameters,
-        settings.sampler.ensembles,
-        chains.log_probability[:, kept],
-        person_draws.reshape(*shape, len(kernel.elements)),
-        person_likelihood.reshape(*shape),
-        point.deviations,
-        noise,
-        point.scale,
-        identified,
-        diagnostics,
-        clock.seconds,
+        recordings=recordings,
+        kernel=kernel,
+        prior=prior,
+        settings=settings,
+        seed=seed,
+        parameters=parameters,
+        n_ensembles=settings.sampler.ensembles,
+        log_probability=chains.log_probability[:, kept],
+        person_draws=person_draws.reshape(*shape, len(kernel.elements)),
+        person_log_likelihood=person_likelihood.reshape(*shape),
+        deviations=point.deviations,
+        noise=noise,
+        noise_scale=point.scale,
+        identified=identified,
+        diagnostics=diagnostics,
+        seconds=clock.seconds,
     )
 
 
@@ -313,22 +313,22 @@ def _one_person(
     ensembles = settings.sampler.ensembles
     diagnostics = assess(recordings, point, chains, None, parameters, 0)
     return PopulationFit(
-        recordings,
-        kernel,
-        prior,
-        settings,
-        seed,
-        parameters,
-        ensembles,
-        chains.log_probability,
-        theta.reshape(ensembles, -1, 1, p),
-        marginal_log_likelihood(kernel, likelihood, ridge, theta).reshape(ensembles, -1, 1),
-        (likelihood.deviations,),
-        (_scaled_noise(first.model, recordings.subjects[0], mode.scale),),
-        np.array([mode.scale]),
-        point.determined & (theta.std(axis=0) < IDENTIFIED_SD),
-        diagnostics,
-        clock.seconds,
+        recordings=recordings,
+        kernel=kernel,
+        prior=prior,
+        settings=settings,
+        seed=seed,
+        parameters=parameters,
+        n_ensembles=ensembles,
+        log_probability=chains.log_probability,
+        person_draws=theta.reshape(ensembles, -1, 1, p),
+        person_log_likelihood=marginal_log_likelihood(kernel, likelihood, ridge, theta).reshape(ensembles, -1, 1),
+        deviations=(likelihood.deviations,),
+        noise=(_scaled_noise(first.model, recordings.subjects[0], mode.scale),),
+        noise_scale=np.array([mode.scale]),
+        identified=point.determined & (theta.std(axis=0) < IDENTIFIED_SD),
+        diagnostics=diagnostics,
+        seconds=clock.seconds,
     )
 
 

@@ -102,7 +102,7 @@ class PopulationParameters:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Coordinates:
     """The map between population parameters and the real vector that is sampled.
 

@@ -82,13 +82,13 @@ class Posterior:
         self.covariance[:, held] = 0
         self.covariance[held, held] = 1.0
         self.coordinates = Coordinates(
-            prior,
-            correlated,
-            bool(self.repetitions.max() > 1),
-            covariates.shape[1],
-            tuple(np.flatnonzero(determined)),
-            point.mu,
-            np.ones(point.mu.size),
+            prior=prior,
+            correlated=correlated,
+            repetitions=bool(self.repetitions.max() > 1),
+            n_covariates=covariates.shape[1],
+            free=tuple(np.flatnonzero(determined)),
+            held_mu=point.mu,
+            held_dispersion=np.ones(point.mu.size),
         )
         if not self.coordinates.free:
             raise InputError(

@@ -33,7 +33,7 @@ _REPETITION_FORCE = 0.03
 _SCALE_SPREAD = 0.15
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class VirtualPopulation:
     """A population with known parameters.
 

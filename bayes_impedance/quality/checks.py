@@ -23,7 +23,7 @@ COMMON = 0.5
 COMMON_MINIMUM = 4
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Finding:
     """One thing that somebody should look at.
 
@@ -182,14 +182,16 @@ def _group(
             band = _hull(same)
             whose = f"{len(recordings)} of {total} recordings"
             text = f"{message(whose, _band(band), same)}; so many at once point to the rig and not to the subjects"
-            yield Finding(kind, "warning", None, None, band, text)
+            yield Finding(id=kind, severity="warning", subject=None, repetition=None, frequency_hz=band, message=text)
             continue
         for event in same:
             rest.setdefault((event.subject, event.repetition), []).append(event)
     for (subject, repetition), own in rest.items():
         band = _hull(own)
         text = message(f'subject "{subject}", repetition "{repetition}"', _band(band), own)
-        yield Finding(kind, "warning", subject, repetition, band, text)
+        yield Finding(
+            id=kind, severity="warning", subject=subject, repetition=repetition, frequency_hz=band, message=text
+        )
 
 
 def _hull(events: list[_Event]) -> tuple[float, float]:
@@ -239,24 +241,24 @@ def _check_duplicates(recordings: Recordings) -> Iterator[Finding]:
                 f'(repetition "{pair.other_repetition}")'
             )
         yield Finding(
-            "duplicate_subject",
-            "warning",
-            pair.other_subject,
-            pair.other_repetition,
-            None,
-            f"{whose} are {same}; look for a file that was copied or exported twice and delete one",
+            id="duplicate_subject",
+            severity="warning",
+            subject=pair.other_subject,
+            repetition=pair.other_repetition,
+            frequency_hz=None,
+            message=f"{whose} are {same}; look for a file that was copied or exported twice and delete one",
         )
 
 
 def _check_odd_subjects(recordings: Recordings) -> Iterator[Finding]:
     for odd in odd_subjects(recordings.subjects):
         yield Finding(
-            "odd_subject",
-            "warning",
-            odd.name,
-            None,
-            None,
-            f'subject "{odd.name}": the whole curve is far from the others ({odd.factor:.3g} times the median '
+            id="odd_subject",
+            severity="warning",
+            subject=odd.name,
+            repetition=None,
+            frequency_hz=None,
+            message=f'subject "{odd.name}": the whole curve is far from the others ({odd.factor:.3g} times the median '
             f"magnitude, {odd.phase_deg:+.3g} deg); "
             "check unit, sign and calibration of this recording, or leave the subject out",
         )
@@ -265,12 +267,12 @@ def _check_odd_subjects(recordings: Recordings) -> Iterator[Finding]:
 def _check_repetition_spread(recordings: Recordings) -> Iterator[Finding]:
     for name, spread, usual in repetition_spreads(recordings.subjects):
         yield Finding(
-            "repetition_spread",
-            "warning",
-            name,
-            None,
-            None,
-            f'subject "{name}": the repetitions differ by {spread:.2g} of |z| where {usual:.2g} is usual; '
+            id="repetition_spread",
+            severity="warning",
+            subject=name,
+            repetition=None,
+            frequency_hz=None,
+            message=f'subject "{name}": the repetitions differ by {spread:.2g} of |z| where {usual:.2g} is usual; '
             "check that they are of the same person and contact, and delete the one that went wrong",
         )
 
@@ -280,22 +282,22 @@ def _check_units(recordings: Recordings) -> Iterator[Finding]:
     suspects = suspect_units(recordings.subjects) if recordings.polar else ()
     if "phase_in_radians" in suspects:
         yield Finding(
-            "phase_in_radians",
-            "warning",
-            None,
-            None,
-            None,
-            "the phases lie within 3.2 deg although such magnitudes have much larger ones; "
+            id="phase_in_radians",
+            severity="warning",
+            subject=None,
+            repetition=None,
+            frequency_hz=None,
+            message="the phases lie within 3.2 deg although such magnitudes have much larger ones; "
             "if the column phase_deg is in radians, multiply it by 180/pi",
         )
     if "magnitude_in_db" in suspects:
         yield Finding(
-            "magnitude_in_db",
-            "warning",
-            None,
-            None,
-            None,
-            "the slope of the magnitude agrees with the phase only if the magnitude is in dB; "
+            id="magnitude_in_db",
+            severity="warning",
+            subject=None,
+            repetition=None,
+            frequency_hz=None,
+            message="the slope of the magnitude agrees with the phase only if the magnitude is in dB; "
             "if it is, convert the column to 10^(dB/20)",
         )
 
@@ -303,20 +305,21 @@ def _check_units(recordings: Recordings) -> Iterator[Finding]:
 def _check_size(recordings: Recordings) -> Iterator[Finding]:
     if len(recordings) == 1:
         yield Finding(
-            "one_subject",
-            "note",
-            recordings.subjects[0].name,
-            None,
-            None,
-            "there is one subject, so that the dispersion between persons cannot be estimated; add subjects for it",
+            id="one_subject",
+            severity="note",
+            subject=recordings.subjects[0].name,
+            repetition=None,
+            frequency_hz=None,
+            message="there is one subject, so that the dispersion between persons cannot be estimated; "
+            "add subjects for it",
         )
     if recordings.repetitions_max == 1:
         yield Finding(
-            "one_repetition",
-            "note",
-            None,
-            None,
-            None,
-            "each subject was measured once, so that the dispersion between repetitions cannot be estimated and "
-            "the noise only from the roughness of the curves; repeat the measurement for it",
+            id="one_repetition",
+            severity="note",
+            subject=None,
+            repetition=None,
+            frequency_hz=None,
+            message="each subject was measured once, so that the dispersion between repetitions cannot be estimated "
+            "and the noise only from the roughness of the curves; repeat the measurement for it",
         )

@@ -16,7 +16,7 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.recordings.csv_table import ComplexArray, FloatArray, has_control_character, similar
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Subject:
     """One person's recordings on one grid of frequencies.
 
@@ -84,7 +84,7 @@ class Subject:
         return replace(self, frequency_hz=self.frequency_hz[points], z=self.z[:, points], noise_sd=noise)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Recordings:
     """A dataset.
 

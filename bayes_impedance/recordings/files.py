@@ -157,10 +157,19 @@ class _Reading:
         simple = np.array_equal(own.ravel(), np.arange(own.size) + 2)
         shared = self.subjects[-1].frequency_hz if self.subjects else subject.frequency_hz
         grid = shared if np.array_equal(shared, subject.frequency_hz) else subject.frequency_hz
-        factors = signed_factor(self.metadata), self.metadata.factor
-        noise = subject.noise_sd is not None
         return StoredSubject(
-            subject, grid, StoredRows(folder, digest, None if simple else own, rows.shape, table.polar, *factors, noise)
+            subject,
+            grid,
+            StoredRows(
+                folder=folder,
+                digest=digest,
+                rows=None if simple else own,
+                shape=rows.shape,
+                polar=table.polar,
+                factor=signed_factor(self.metadata),
+                noise_factor=self.metadata.factor,
+                with_noise=subject.noise_sd is not None,
+            ),
         )
 
     def _warn(self, table: RecordingTable, folder: Path | None) -> None:

@@ -38,7 +38,7 @@ _REMEDY = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RecordingTable:
     """Rows of all recordings, ordered by subject, then repetition, then frequency.
 

@@ -60,7 +60,7 @@ _OTHER_QUANTITIES = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Metadata:
     """Content of dataset.toml.
 

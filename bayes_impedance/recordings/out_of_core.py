@@ -22,7 +22,7 @@ from bayes_impedance.recordings.long_table import KNOWN, values
 from bayes_impedance.recordings.parquet import parquet_table
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class StoredRows:
     """Where a subject's checked numbers are.
 

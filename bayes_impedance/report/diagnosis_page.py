@@ -62,7 +62,7 @@ _QUANTITIES = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RankedRow:
     """A line of the ranking; `bar` is the score in percent of the best."""
 

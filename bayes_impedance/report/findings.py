@@ -45,7 +45,7 @@ class Quantity:
     spread: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Alias:
     """Another explanation, how far it is behind, and what would tell it apart."""
 
@@ -57,7 +57,7 @@ class Alias:
     remedy: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class EffectCard:
     """A card: one effect that was left out."""
 

@@ -42,7 +42,7 @@ _OUTLIERS = 3
 """How many subjects are listed for each reason to stand out."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ElementRow:
     """A line of the table of elements; all fields are text for the page."""
 
@@ -179,7 +179,21 @@ def element_rows(result: Result) -> list[ElementRow]:
         persons = _spread(entry["dispersion_between_persons"])
         repetitions = _spread(entry["dispersion_between_repetitions"])
         title = f"{places[name]} {noun}" if places[name] else noun
-        rows.append(ElementRow(name, title, story, entry["identified"], value, interval, unit, *persons, *repetitions))
+        rows.append(
+            ElementRow(
+                name=name,
+                title=title,
+                story=story,
+                identified=entry["identified"],
+                value=value,
+                interval=interval,
+                unit=unit,
+                between_persons=persons[0],
+                between_persons_interval=persons[1],
+                between_repetitions=repetitions[0],
+                between_repetitions_interval=repetitions[1],
+            )
+        )
     return rows
 
 

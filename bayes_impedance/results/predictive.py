@@ -52,7 +52,7 @@ class Band:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Replication:
     """Eq. 5's error of the population network in replicated populations, beside the observed one.
 
@@ -76,7 +76,7 @@ class Replication:
     replicates: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Predictive:
     """Bands and errors on one grid.
 
@@ -151,20 +151,22 @@ def predict(fit: PopulationFit, *, n_draws: int = 1000, n_replicates: int = 200,
     bands = [recording.magnitude, recording.phase_deg]
     own = _own_networks(fit)
     return Predictive(
-        frequency,
-        observed,
-        centre,
-        person,
-        recording,
-        magnitude,
-        phase,
-        errors,
-        _replicate(fit, frequency, observed, noise, magnitude, phase, errors["population_network"], n_replicates, rng),
-        np.array([coverage(m, b[1], b[3]) for m, b in zip(measured, bands, strict=True)]),
-        np.array([coverage(m, b[0], b[4]) for m, b in zip(measured, bands, strict=True)]),
-        own[0],
-        own[1],
-        own[2],
+        frequency_hz=frequency,
+        observed=observed,
+        centre=centre,
+        person=person,
+        recording=recording,
+        network_magnitude=magnitude,
+        network_phase_deg=phase,
+        errors=errors,
+        replication=_replicate(
+            fit, frequency, observed, noise, magnitude, phase, errors["population_network"], n_replicates, rng
+        ),
+        coverage50=np.array([coverage(m, b[1], b[3]) for m, b in zip(measured, bands, strict=True)]),
+        coverage90=np.array([coverage(m, b[0], b[4]) for m, b in zip(measured, bands, strict=True)]),
+        person_relative_rms=own[0],
+        person_delta_magnitude=own[1],
+        person_delta_phase_deg=own[2],
     )
 
 
@@ -235,13 +237,13 @@ def _replicate(
         return np.asarray((1 + np.sum(replicated >= value, axis=0)) / (n_replicates + 1))
 
     return Replication(
-        np.quantile(m, quantiles, axis=0),
-        np.quantile(p, quantiles, axis=0),
-        rank(m, seen.magnitude),
-        rank(p, seen.phase_deg),
-        float(rank(np.nanmean(m, axis=1), np.nanmean(seen.magnitude))),
-        float(rank(np.nanmean(p, axis=1), np.nanmean(seen.phase_deg))),
-        n_replicates,
+        magnitude=np.quantile(m, quantiles, axis=0),
+        phase_deg=np.quantile(p, quantiles, axis=0),
+        magnitude_rank=rank(m, seen.magnitude),
+        phase_rank=rank(p, seen.phase_deg),
+        mean_magnitude_rank=float(rank(np.nanmean(m, axis=1), np.nanmean(seen.magnitude))),
+        mean_phase_rank=float(rank(np.nanmean(p, axis=1), np.nanmean(seen.phase_deg))),
+        replicates=n_replicates,
     )
 
 

@@ -34,7 +34,7 @@ people, challenge, scoring, visible, rivals, on_real, power, run = (
 
 
 def _plan(name: str, strength: float = 0.3, **sizes: Any) -> Any:
-    return experiment.Plan((name,), (strength,), 3, **({"n_subjects": 8, "n_points": 41} | sizes))
+    return experiment.Plan(kinds=(name,), strengths=(strength,), seed=3, **({"n_subjects": 8, "n_points": 41} | sizes))
 
 
 def test_draw_has_the_stated_shares() -> None:
@@ -142,7 +142,7 @@ def test_score_of_verdicts_made_by_hand() -> None:
 
 
 def test_score_of_pairs_unknowns_and_traps() -> None:
-    pair = experiment.Plan(("rig.highpass", "body.line"), (0.3, 0.3), 3, n_subjects=8, n_points=41)
+    pair = experiment.Plan(kinds=("rig.highpass", "body.line"), strengths=(0.3, 0.3), seed=3, n_subjects=8, n_points=41)
     truth = visible.truth_of(experiment.conduct(pair))
     both = scoring.score_case(_verdict(_entry("body.line", "skin", "body"), _entry("rig.highpass", "port")), truth)
     assert both["right"]
@@ -285,7 +285,7 @@ def test_six_cases_from_end_to_end(tmp_path: Path) -> None:
         ("nothing", 0.0),
     )
     plans = [
-        experiment.Plan((name,), (strength,), 20 + i, n_subjects=10, n_points=61)
+        experiment.Plan(kinds=(name,), strengths=(strength,), seed=20 + i, n_subjects=10, n_points=61)
         for i, (name, strength) in enumerate(cases)
     ]
     challenge.prepare(plans, tmp_path, 0)

@@ -26,7 +26,7 @@ S = 2j * np.pi * F
 
 
 def _plan(name: str, strength: float = 0.3, **sizes: Any) -> Any:
-    return experiment.Plan((name,), (strength,), 3, **({"n_subjects": 8, "n_points": 41} | sizes))
+    return experiment.Plan(kinds=(name,), strengths=(strength,), seed=3, **({"n_subjects": 8, "n_points": 41} | sizes))
 
 
 def test_the_world_imports_nothing_that_it_checks() -> None:

@@ -38,7 +38,10 @@ def recordings_of_dampers(seed: int) -> Recordings:
     z = r + 2.0 * NOISE * scale * (parts[0] + 1j * parts[1])
     noise_sd = np.full((REPETITIONS, FREQUENCIES), 2.0 * NOISE)
     names = tuple(str(j + 1) for j in range(REPETITIONS))
-    subjects = tuple(Subject(f"D{i + 1:02d}", frequency, z[i], names, noise_sd) for i in range(PERSONS))
+    subjects = tuple(
+        Subject(name=f"D{i + 1:02d}", frequency_hz=frequency, z=z[i], repetitions=names, noise_sd=noise_sd)
+        for i in range(PERSONS)
+    )
     return Recordings(
         title="dampers",
         unit="N s/m",

@@ -267,7 +267,8 @@ def test_one_person_has_a_posterior_but_no_dispersion(small_simulation: Simulati
 
 def test_one_repetition_merges_the_dispersions(small_simulation: Simulation) -> None:
     single = tuple(
-        Subject(s.name, s.frequency_hz, s.z[:1], s.repetitions[:1]) for s in small_simulation.recordings.subjects
+        Subject(name=s.name, frequency_hz=s.frequency_hz, z=s.z[:1], repetitions=s.repetitions[:1])
+        for s in small_simulation.recordings.subjects
     )
     fit = fit_population(replace(small_simulation.recordings, subjects=single), settings=SHORT, seed=1)
     assert not fit.repeated
@@ -279,7 +280,9 @@ def test_unequal_numbers_of_repetitions_and_grids(small_simulation: Simulation) 
     subjects = []
     for i, s in enumerate(small_simulation.recordings.subjects):
         j, step = 1 + i % 3, slice(i % 2, None)
-        subjects.append(Subject(s.name, s.frequency_hz[step], s.z[:j, step], s.repetitions[:j]))
+        subjects.append(
+            Subject(name=s.name, frequency_hz=s.frequency_hz[step], z=s.z[:j, step], repetitions=s.repetitions[:j])
+        )
     fit = fit_population(replace(small_simulation.recordings, subjects=tuple(subjects)), settings=SHORT, seed=1)
     assert not fit.diagnostics.problems
     truth = np.log(SMALL.vector(SMALL.central))
@@ -300,7 +303,16 @@ def test_a_covariate_that_elements_follow_is_found(small_simulation: Simulation)
     ):
         clean = kernel.impedance(theta + effect * years, s.frequency_hz)
         noise = 0.01 * np.abs(clean) * (rng.normal(size=s.z.shape) + 1j * rng.normal(size=s.z.shape))
-        shifted.append(Subject(s.name, s.frequency_hz, clean + noise, s.repetitions, None, {"age_y": float(years)}))
+        shifted.append(
+            Subject(
+                name=s.name,
+                frequency_hz=s.frequency_hz,
+                z=clean + noise,
+                repetitions=s.repetitions,
+                noise_sd=None,
+                covariates={"age_y": float(years)},
+            )
+        )
     recordings = replace(small_simulation.recordings, subjects=tuple(shifted))
     fit = fit_population(recordings, settings=replace(SHORT, covariates=("age_y",)), seed=1)
     slope = fit.parameters.slopes[:, :, 0]
@@ -346,7 +358,7 @@ def test_no_network_and_too_few_points_are_said(small_simulation: Simulation) ->
     with pytest.raises(InputError, match="no network"):
         fit_population(_with(recordings, network=None))
     first = recordings.subjects[0]
-    short = Subject("short", first.frequency_hz[:2], first.z[:, :2], first.repetitions)
+    short = Subject(name="short", frequency_hz=first.frequency_hz[:2], z=first.z[:, :2], repetitions=first.repetitions)
     with pytest.raises(InputError, match="subject short has 2 frequencies, too few for 5 elements"):
         fit_population(_with(recordings, subjects=(*recordings.subjects, short)))
     with pytest.raises(InputError, match="'half'"):

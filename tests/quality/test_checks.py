@@ -47,13 +47,13 @@ def simulate(
         sd = noise * np.abs(z) * (1 + 3 * np.clip(np.log2(10 / f), 0, 1))
         made.append(
             Subject(
-                f"S{i:02d}",
-                f,
-                z + sd * gaussian(rng, repetitions, points),
-                tuple(str(j + 1) for j in range(repetitions)),
+                name=f"S{i:02d}",
+                frequency_hz=f,
+                z=z + sd * gaussian(rng, repetitions, points),
+                repetitions=tuple(str(j + 1) for j in range(repetitions)),
             )
         )
-    return Recordings("simulated", "N s/m", None, "", "", tuple(made))
+    return Recordings(title="simulated", unit="N s/m", network=None, source="", licence="", subjects=tuple(made))
 
 
 def change(data: Recordings, index: int, edit: Callable[[Complex], None]) -> Recordings:
@@ -295,14 +295,14 @@ def test_odd_subject(factor: complex, words: str) -> None:
 def test_odd_subject_of_another_grid() -> None:
     data = simulate(1)
     f = np.geomspace(20, 1000, 50)
-    odd = Subject("X", f, 100 * fingertip(f, np.ones(8))[None], ("1",))
+    odd = Subject(name="X", frequency_hz=f, z=100 * fingertip(f, np.ones(8))[None], repetitions=("1",))
     assert only(replace(data, subjects=(*data.subjects, odd)), "odd_subject").subject == "X"
 
 
 def test_bands_that_do_not_overlap_are_not_compared() -> None:
     data = simulate(1)
     f = np.geomspace(6e3, 1e4, 50)
-    other = Subject("X", f, 100 * fingertip(f, np.ones(8))[None], ("1",))
+    other = Subject(name="X", frequency_hz=f, z=100 * fingertip(f, np.ones(8))[None], repetitions=("1",))
     assert warnings(replace(data, subjects=(*data.subjects, other))) == []
 
 
@@ -329,7 +329,15 @@ def test_damper_is_not_in_radians() -> None:
     f = np.geomspace(5, 5000, 101)
     rng = np.random.default_rng(1)
     z = 2 + 0.01 * gaussian(rng, 3, 101)
-    data = Recordings("damper", "N s/m", None, "", "", (Subject("A", f, z, ("1", "2", "3")),), polar=True)
+    data = Recordings(
+        title="damper",
+        unit="N s/m",
+        network=None,
+        source="",
+        licence="",
+        subjects=(Subject(name="A", frequency_hz=f, z=z, repetitions=("1", "2", "3")),),
+        polar=True,
+    )
     assert warnings(data) == []
 
 
@@ -389,16 +397,25 @@ def test_few_points(points: int) -> None:
 
 
 def test_no_subjects() -> None:
-    empty = Recordings("", "N s/m", None, "", "", ())
+    empty = Recordings(title="", unit="N s/m", network=None, source="", licence="", subjects=())
     assert check_recordings(empty) == ()
     assert describe(empty)["frequency_hz"] is None
 
 
 def test_describe() -> None:
     f = np.array([1.0, 2.0, 4.0])
-    a = Subject("A", f, np.array([[3 + 4j, 1, 2]]), ("1",), None, {"age_y": 3.0})
-    b = Subject("B", f[:2], np.array([[1j, 2], [0.5, 2]]), ("1", "2"))
-    assert describe(Recordings("T", "ohm", "r1", "", "", (a, b), sha256="abc")) == {
+    a = Subject(
+        name="A",
+        frequency_hz=f,
+        z=np.array([[3 + 4j, 1, 2]]),
+        repetitions=("1",),
+        noise_sd=None,
+        covariates={"age_y": 3.0},
+    )
+    b = Subject(name="B", frequency_hz=f[:2], z=np.array([[1j, 2], [0.5, 2]]), repetitions=("1", "2"))
+    assert describe(
+        Recordings(title="T", unit="ohm", network="r1", source="", licence="", subjects=(a, b), sha256="abc")
+    ) == {
         "title": "T",
         "unit": "ohm",
         "network": "r1",

@@ -43,11 +43,18 @@ def subject(
     f = np.geomspace(3.0, 700.0, points)
     j = np.arange(1, repetitions + 1)[:, None]
     z = j / 3 + 2j * np.pi * f * 1e-3
-    return Subject(name, f, z, tuple(map(str, j[:, 0])), np.abs(z) / 70 if noise else None, covariates)
+    return Subject(
+        name=name,
+        frequency_hz=f,
+        z=z,
+        repetitions=tuple(map(str, j[:, 0])),
+        noise_sd=np.abs(z) / 70 if noise else None,
+        covariates=covariates,
+    )
 
 
 def recordings(*subjects: Subject) -> Recordings:
-    return Recordings("Title", "N s/m", "r1|m1", "a source", "MIT", subjects)
+    return Recordings(title="Title", unit="N s/m", network="r1|m1", source="a source", licence="MIT", subjects=subjects)
 
 
 # What is read
@@ -622,7 +629,16 @@ def _subjects(draw: st.DrawFn) -> tuple[Subject, ...]:
         imaginary = np.reshape(draw(st.lists(_reals, min_size=real.size, max_size=real.size)), shape)
         z = real + 1j * imaginary
         covariates = draw(st.dictionaries(st.sampled_from(["age_y", "Force N"]), _reals))
-        subjects.append(Subject(name, f, z, tuple(repetitions), noise if draw(st.booleans()) else None, covariates))
+        subjects.append(
+            Subject(
+                name=name,
+                frequency_hz=f,
+                z=z,
+                repetitions=tuple(repetitions),
+                noise_sd=noise if draw(st.booleans()) else None,
+                covariates=covariates,
+            )
+        )
     return tuple(subjects)
 
 
@@ -631,7 +647,9 @@ def _subjects(draw: st.DrawFn) -> tuple[Subject, ...]:
 def test_round_trip_of_anything(
     tmp_path_factory: pytest.TempPathFactory, subjects: tuple[Subject, ...], title: str, source: str, compress: bool
 ) -> None:
-    data = Recordings(title.strip() or "T", "ohm", None, source, "", subjects)
+    data = Recordings(
+        title=title.strip() or "T", unit="ohm", network=None, source=source, licence="", subjects=subjects
+    )
     folder = write_recordings(data, tmp_path_factory.mktemp("round"), compress=compress)
     again = read_recordings(folder)
     # Repetitions come back in the order in which their names first appear in the file.

@@ -260,7 +260,19 @@ def holes(diagnosis: Diagnosis) -> Diagnosis:
         observed=observed,
         one_ports=(replace(port, sd=empty, share=np.nan), replace(port, ratio=1j * empty)),
         ranking=(rank(0, score=np.nan, p_value=np.nan, likeness=np.nan, size=""),),
-        differences=(ParameterDifference("m2", "kg", "central", 8e-4, np.nan, np.nan, np.nan, np.nan, np.nan),),
+        differences=(
+            ParameterDifference(
+                element="m2",
+                unit="kg",
+                what="central",
+                simulation=8e-4,
+                recordings=np.nan,
+                ratio=np.nan,
+                q05=np.nan,
+                q95=np.nan,
+                p_value=np.nan,
+            ),
+        ),
         seconds={},
     )
 
@@ -448,8 +460,28 @@ def test_names_are_escaped_on_the_page_and_harmless_in_pictures(tmp_path: Path) 
 
 def test_differences_from_a_simulation_are_listed_by_element(tmp_path: Path) -> None:
     rows = (
-        ParameterDifference("m2", "kg", "central", 7.9e-4, 8.6e-4, 1.09, 1.02, 1.17, 0.03),
-        ParameterDifference("r1", "N s/m", "dispersion_between_persons", 0.3, 0.41, 1.37, 1.1, 1.7, 0.0),
+        ParameterDifference(
+            element="m2",
+            unit="kg",
+            what="central",
+            simulation=7.9e-4,
+            recordings=8.6e-4,
+            ratio=1.09,
+            q05=1.02,
+            q95=1.17,
+            p_value=0.03,
+        ),
+        ParameterDifference(
+            element="r1",
+            unit="N s/m",
+            what="dispersion_between_persons",
+            simulation=0.3,
+            recordings=0.41,
+            ratio=1.37,
+            q05=1.1,
+            q95=1.7,
+            p_value=0.0,
+        ),
     )
     diagnosis = make_diagnosis()
     _, page = page_of(replace(diagnosis, differences=rows), tmp_path)

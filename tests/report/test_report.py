@@ -17,8 +17,22 @@ from bayes_impedance.report import REPORT_FILE, write_report
 from bayes_impedance.report.schematic import schematic
 
 FINDINGS = (
-    Finding("jump", "warning", "P01", "2", (50.0, 60.0), 'subject "P01": a jump of <z> by 30 %; check the gain'),
-    Finding("one_repetition", "note", None, None, None, "each subject was measured once"),
+    Finding(
+        id="jump",
+        severity="warning",
+        subject="P01",
+        repetition="2",
+        frequency_hz=(50.0, 60.0),
+        message='subject "P01": a jump of <z> by 30 %; check the gain',
+    ),
+    Finding(
+        id="one_repetition",
+        severity="note",
+        subject=None,
+        repetition=None,
+        frequency_hz=None,
+        message="each subject was measured once",
+    ),
 )
 
 

@@ -33,8 +33,17 @@ def recordings(*grids, repetitions=2):
     for i, grid in enumerate(grids):
         frequency = np.asarray(grid, dtype=float)
         z = (1 + np.arange(repetitions)[:, None]) * (2 + i + 1j * np.log(frequency))
-        subjects.append(Subject(f"S{i}", frequency, z, tuple(map(str, range(repetitions))), None, {}))
-    return Recordings("Title", "N s/m", None, "", "", tuple(subjects))
+        subjects.append(
+            Subject(
+                name=f"S{i}",
+                frequency_hz=frequency,
+                z=z,
+                repetitions=tuple(map(str, range(repetitions))),
+                noise_sd=None,
+                covariates={},
+            )
+        )
+    return Recordings(title="Title", unit="N s/m", network=None, source="", licence="", subjects=tuple(subjects))
 
 
 def angle_between(a, b):

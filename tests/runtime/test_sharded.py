@@ -204,7 +204,16 @@ def test_noise_counts_as_far_as_it_differs_within_the_posterior() -> None:
 @pytest.mark.parametrize(("people", "kept"), [(71, 500), (100_000, 100)])
 def test_a_result_of_many_persons_keeps_fewer_sets(people: int, kept: int) -> None:
     nothing = np.zeros(1)
-    chains = Chains(np.zeros((4, 500, 3)), np.zeros((4, 500)), nothing, nothing, nothing, 0.3, 300, 104)
+    chains = Chains(
+        coordinates=np.zeros((4, 500, 3)),
+        log_probability=np.zeros((4, 500)),
+        rhat=nothing,
+        effective=nothing,
+        autocorrelation_time=nothing,
+        acceptance=0.3,
+        steps=300,
+        walkers=104,
+    )
     chosen = _kept_sets(chains, 8 * people)
     assert len(chosen) == kept
     assert (chosen[0], chosen[-1]) == (0, 499)

@@ -45,7 +45,7 @@ STRONG_COMMUNALITY = 0.95
 _TRANSVERSE = {"n3": 0.4, "r3": 1.6, "m2": 1.0, "r1": 2.0, "n1": 0.3, "m1": 0.7, "n2": 0.3, "r2": 2.0}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Plan:
     """What is to be recorded.
 

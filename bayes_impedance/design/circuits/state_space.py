@@ -29,7 +29,7 @@ applies is decided by the network's structure, never by how small a number is.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -38,7 +38,7 @@ from bayes_impedance.network.elements import kind_of
 from bayes_impedance.network.notation import Element, Network, Parallel, Series
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Realisation:
     """An impedance (or a mobility: the same with the letters exchanged) of U users in state space.
 
@@ -84,21 +84,21 @@ class Realisation:
         a = np.zeros((self.m.size, n + o, n + o))
         a[:, :n, :n], a[:, n:, n:] = self.a, other.a
         return Realisation(
-            max(self.high, other.high),
-            min(self.low, other.low),
-            self.m + other.m,
-            self.k + other.k,
-            self.d + other.d,
-            a,
-            np.concatenate([self.b, other.b], axis=1),
-            np.concatenate([self.c, other.c], axis=1),
+            high=max(self.high, other.high),
+            low=min(self.low, other.low),
+            m=self.m + other.m,
+            k=self.k + other.k,
+            d=self.d + other.d,
+            a=a,
+            b=np.concatenate([self.b, other.b], axis=1),
+            c=np.concatenate([self.c, other.c], axis=1),
         )
 
     def scaled(self, factor: float) -> Realisation:
         """The same times a positive number."""
         root = np.sqrt(factor)
-        values = (self.m * factor, self.k * factor, self.d * factor)
-        return Realisation(self.high, self.low, *values, self.a, self.b * root, self.c * root)
+        m, k, d = self.m * factor, self.k * factor, self.d * factor
+        return replace(self, m=m, k=k, d=d, b=self.b * root, c=self.c * root)
 
     def reciprocal(self) -> Realisation:
         """1/z: the mobility of an impedance."""
@@ -119,7 +119,7 @@ class Realisation:
         a = np.zeros((self.m.size, n + 1, n + 1))
         a[:, 1:, 1:] = self.a
         b, c = np.concatenate([root, self.b], axis=1), np.concatenate([root, self.c], axis=1)
-        return Realisation(self.high, self.low, self.m, np.zeros_like(self.k), self.d, a, b, c)
+        return Realisation(high=self.high, low=self.low, m=self.m, k=np.zeros_like(self.k), d=self.d, a=a, b=b, c=c)
 
     def _mass_as_state(self, pole: np.ndarray | None) -> tuple[Realisation, np.ndarray | None]:
         root, n = np.sqrt(self.m), self.a.shape[-1]
@@ -132,13 +132,13 @@ class Realisation:
         b[:, 0] = 1 / root
         zero = np.zeros_like(self.m)
         state = None if pole is None else np.concatenate([root[:, None], pole], axis=1)
-        return Realisation(-1, -self.low, zero, zero, zero, a, b, b.copy()), state
+        return Realisation(high=-1, low=-self.low, m=zero, k=zero, d=zero, a=a, b=b, c=b.copy()), state
 
     def _resistance_inverted(self, pole: np.ndarray | None) -> tuple[Realisation, np.ndarray | None]:
         d = self.d[:, None]
         a = self.a - self.b[:, :, None] * self.c[:, None, :] / d[..., None]
         zero = np.zeros_like(self.d)
-        return Realisation(0, -self.low, zero, zero, 1 / self.d, a, self.b / d, -self.c / d), pole
+        return Realisation(high=0, low=-self.low, m=zero, k=zero, d=1 / self.d, a=a, b=self.b / d, c=-self.c / d), pole
 
     def _force_as_input(self, pole: np.ndarray | None) -> tuple[Realisation, np.ndarray | None]:
         size = np.linalg.norm(self.b, axis=1)
@@ -147,14 +147,14 @@ class Realisation:
         turned = np.einsum("unm,um->un", self.a, along)  # A b
         zero = np.zeros_like(self.d)
         found = Realisation(
-            1,
-            -self.low,
-            1 / size**2,
-            zero,
-            -np.einsum("un,un->u", along, turned) / size**2,
-            np.einsum("unp,unm,umq->upq", rest, self.a, rest),
-            np.einsum("unp,un->up", rest, turned) / size[:, None],
-            -np.einsum("un,unm,ump->up", along, self.a, rest) / size[:, None],
+            high=1,
+            low=-self.low,
+            m=1 / size**2,
+            k=zero,
+            d=-np.einsum("un,un->u", along, turned) / size**2,
+            a=np.einsum("unp,unm,umq->upq", rest, self.a, rest),
+            b=np.einsum("unp,un->up", rest, turned) / size[:, None],
+            c=-np.einsum("un,unm,ump->up", along, self.a, rest) / size[:, None],
         )
         return found, None if pole is None else np.einsum("unp,un->up", rest, pole)
 
@@ -164,14 +164,14 @@ class Realisation:
         rest = _orthogonal_to(along)
         k = np.einsum("un,un->u", self.c, along) * np.einsum("un,un->u", along, self.b)
         return Realisation(
-            self.high,
-            self.low,
-            self.m,
-            self.k + k,
-            self.d,
-            np.einsum("unp,unm,umq->upq", rest, self.a, rest),
-            np.einsum("unp,un->up", rest, self.b),
-            np.einsum("unp,un->up", rest, self.c),
+            high=self.high,
+            low=self.low,
+            m=self.m,
+            k=self.k + k,
+            d=self.d,
+            a=np.einsum("unp,unm,umq->upq", rest, self.a, rest),
+            b=np.einsum("unp,un->up", rest, self.b),
+            c=np.einsum("unp,un->up", rest, self.c),
         )
 
 
@@ -222,7 +222,7 @@ def _leaf(element: Element, values: Mapping[str, np.ndarray]) -> Realisation:
     value = np.asarray(element.impedance(1.0, values))  # s = 1: the coefficient itself
     zero, none = np.zeros_like(value), np.zeros((value.size, 0))
     m, d, k = (value if kind.power == power else zero for power in (1, 0, -1))
-    return Realisation(kind.power, kind.power, m, k, d, np.zeros((value.size, 0, 0)), none, none)
+    return Realisation(high=kind.power, low=kind.power, m=m, k=k, d=d, a=np.zeros((value.size, 0, 0)), b=none, c=none)
 
 
 def _orthogonal_to(along: np.ndarray) -> np.ndarray:

@@ -29,7 +29,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import expm
@@ -47,7 +47,7 @@ _SCAN = 81
 _BISECTIONS = 40
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SampledLoop:
     """A device in the hands of U users, from sample to sample.
 
@@ -72,8 +72,13 @@ class SampledLoop:
     period_s: float
 
     def __getitem__(self, rows: np.ndarray) -> SampledLoop:
-        parts = (self.transition[rows], self.now[rows], self.late[rows], self.position[rows])
-        return SampledLoop(*parts, self.whole, self.period_s)
+        return replace(
+            self,
+            transition=self.transition[rows],
+            now=self.now[rows],
+            late=self.late[rows],
+            position=self.position[rows],
+        )
 
     def __len__(self) -> int:
         return int(self.now.shape[0])
@@ -176,7 +181,9 @@ def sampled_loop(device: Device, users: Realisation) -> SampledLoop:
         transition, late = first[:, :n, :n], np.zeros_like(b)
     if not np.all(np.isfinite(transition)):
         raise InputError("the motion of device and user cannot be computed over one period: check values and units")
-    return SampledLoop(transition, first[:, :n, n], late, position, whole, period)
+    return SampledLoop(
+        transition=transition, now=first[:, :n, n], late=late, position=position, whole=whole, period_s=period
+    )
 
 
 def _with_position(mobility: Realisation) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

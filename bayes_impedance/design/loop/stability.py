@@ -42,7 +42,7 @@ _STEPS = 8
 _DIFFERENCE = 1e-3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class StabilityMap:
     """Share of users with whom the loop is stable.
 
@@ -81,7 +81,7 @@ class StabilityMap:
     effective_users: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Limit:
     """Up to which stiffness a share of the users is stable, at one virtual damping.
 
@@ -185,18 +185,18 @@ def stability_map(
     draws = rng.beta(0.5 + effective[:, None] * share, 0.5 + effective[:, None] * (1 - share))
     low, high = np.quantile(draws, (0.05, 0.95), axis=0)
     return StabilityMap(
-        device,
-        stiffness,
-        damping,
-        users,
-        found.reshape(len(users), *shape),
-        found.mean(axis=0).reshape(shape),
-        low.reshape(shape),
-        high.reshape(shape),
-        centre.reshape(shape),
-        np.array(ends),
-        device.classical_stiffness(damping),
-        float(np.median(effective)),
+        device=device,
+        stiffness=stiffness,
+        damping=damping,
+        users=users,
+        stable=found.reshape(len(users), *shape),
+        probability=found.mean(axis=0).reshape(shape),
+        low=low.reshape(shape),
+        high=high.reshape(shape),
+        mean_user=centre.reshape(shape),
+        mean_user_limit=np.array(ends),
+        classical=device.classical_stiffness(damping),
+        effective_users=float(np.median(effective)),
     )
 
 
@@ -238,17 +238,17 @@ def limit_of(
     position = np.sum(total < (1 - share) * total[:, -1:], axis=1)
     low, high = np.quantile(each[order][np.minimum(position, len(users) - 1)], (0.05, 0.95))
     return Limit(
-        damping,
-        share,
-        float(np.quantile(each, 1 - share)),
-        float(low),
-        float(high),
-        float(own[0]),
-        float(own_hz[0]),
-        float(device.classical_stiffness(damping)),
-        each,
-        frequency,
-        int(np.argmin(each)),
+        damping=damping,
+        share=share,
+        stiffness=float(np.quantile(each, 1 - share)),
+        low=float(low),
+        high=float(high),
+        mean_user=float(own[0]),
+        mean_user_hz=float(own_hz[0]),
+        classical=float(device.classical_stiffness(damping)),
+        each=each,
+        each_hz=frequency,
+        worst=int(np.argmin(each)),
     )
 
 

@@ -30,7 +30,7 @@ from bayes_impedance.design.users import PERCENTILES, Users
 from bayes_impedance.errors import InputError
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Transparency:
     """Transmitted against desired impedance.
 
@@ -106,13 +106,13 @@ def transparency(
     velocity = tip_open + force / total
     desired = stiffness / s + damping
     return Transparency(
-        frequency_hz,
-        stiffness,
-        damping,
-        desired,
-        np.asarray(1 / velocity - user),
-        np.asarray(np.abs(velocity * (user + desired) - 1)),
-        float(good.mean()),
+        frequency_hz=frequency_hz,
+        stiffness=stiffness,
+        damping=damping,
+        desired=desired,
+        transmitted=np.asarray(1 / velocity - user),
+        velocity_error=np.asarray(np.abs(velocity * (user + desired) - 1)),
+        share=float(good.mean()),
     )
 
 

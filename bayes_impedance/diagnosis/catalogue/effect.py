@@ -50,7 +50,7 @@ _DAMPER_LEVELS = (0.1, 0.5)
 _LINE_LEVELS = (0.3, 1.0, 3.0, 10.0)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Scales:
     """Typical sizes in a dataset: they make coefficients dimensionless.
 

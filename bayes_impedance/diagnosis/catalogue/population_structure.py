@@ -13,7 +13,7 @@ from dataclasses import dataclass
 __all__ = ["STRUCTURES", "Structure"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Structure:
     """An effect on how elements are distributed, which changes no formula.
 
@@ -40,56 +40,58 @@ STRUCTURES = {
     entry.id: entry
     for entry in (
         Structure(
-            "rig.mains",
-            "hum of the mains",
-            "shared",
-            "z + hum near 50 or 60 Hz and multiples",
-            "The mains couple into the force channel. A few points next to its multiples are far off, at random.",
-            "scatter at single frequencies",
-            "another excitation level: hum stays, the finger's force grows",
-            "Ground loops",
-            "rig",
+            id="rig.mains",
+            name="hum of the mains",
+            pooling="shared",
+            formula="z + hum near 50 or 60 Hz and multiples",
+            story="The mains couple into the force channel. A few points next to its multiples are far off, at random.",
+            look_for="scatter at single frequencies",
+            separates="another excitation level: hum stays, the finger's force grows",
+            source="Ground loops",
+            side="rig",
         ),
         Structure(
-            "body.covariate",
-            "an element follows a covariate",
-            "shared",
-            "log element = mu + b x",
-            "People differ partly for a known reason. An element follows a quantity that was noted for everybody.",
-            "a trend of an element over the covariate",
-            "the same people at several values of the covariate",
-            "Stiffness and damping grow with contact force as F^0.35",
+            id="body.covariate",
+            name="an element follows a covariate",
+            pooling="shared",
+            formula="log element = mu + b x",
+            story="People differ partly for a known reason. "
+            "An element follows a quantity that was noted for everybody.",
+            look_for="a trend of an element over the covariate",
+            separates="the same people at several values of the covariate",
+            source="Stiffness and damping grow with contact force as F^0.35",
         ),
         Structure(
-            "body.subgroup",
-            "a group of people that differs",
-            "some",
-            "mixture of two groups",
-            "Some people differ from the others as a group. One centre with one dispersion does not describe both.",
-            "two clusters",
-            "an examination of what the group has in common",
-            "Calluses of manual workers",
+            id="body.subgroup",
+            name="a group of people that differs",
+            pooling="some",
+            formula="mixture of two groups",
+            story="Some people differ from the others as a group. "
+            "One centre with one dispersion does not describe both.",
+            look_for="two clusters",
+            separates="an examination of what the group has in common",
+            source="Calluses of manual workers",
         ),
         Structure(
-            "body.drift",
-            "tissue that changes while it is measured",
-            "shared",
-            "log element = mu + b (repetition)",
-            "The tissue relaxes under the load while it is measured. "
+            id="body.drift",
+            name="tissue that changes while it is measured",
+            pooling="shared",
+            formula="log element = mu + b (repetition)",
+            story="The tissue relaxes under the load while it is measured. "
             "An element changes from one repetition to the next, the same way in everybody.",
-            "a trend over repetitions",
-            "repetitions in reverse order, or with pauses",
-            "Creep of about 0.5 % per second under load",
+            look_for="a trend over repetitions",
+            separates="repetitions in reverse order, or with pauses",
+            source="Creep of about 0.5 % per second under load",
         ),
         Structure(
-            "body.correlation",
-            "elements vary together",
-            "shared",
-            "full covariance in place of a diagonal one",
-            "Who has a stiff skin has a lossy one too. Elements that vary together need a full covariance.",
-            "correlated estimates",
-            "nothing further: the recordings suffice",
-            "Hierarchical models",
+            id="body.correlation",
+            name="elements vary together",
+            pooling="shared",
+            formula="full covariance in place of a diagonal one",
+            story="Who has a stiff skin has a lossy one too. Elements that vary together need a full covariance.",
+            look_for="correlated estimates",
+            separates="nothing further: the recordings suffice",
+            source="Hierarchical models",
         ),
     )
 }

@@ -106,7 +106,7 @@ def coefficient_posterior(fit: Refit, seed: int, n_draws: int = _DRAWS) -> Coeff
     return CoefficientPosterior(central, relative, np.linalg.inv(solved(tau)[2]))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Reported:
     """A parameter as it is reported.
 
@@ -198,9 +198,27 @@ def _derived(model: Model, addition: int, values: dict[str, np.ndarray], element
 def _reported(name: str, unit: str, values: np.ndarray, dispersion: np.ndarray | None) -> Reported:
     low, middle, high = (float(q) for q in np.quantile(values, (0.05, 0.5, 0.95)))
     if dispersion is None:
-        return Reported(name, unit, middle, low, high, None, None, None)
+        return Reported(
+            name=name,
+            unit=unit,
+            median=middle,
+            q05=low,
+            q95=high,
+            dispersion=None,
+            dispersion_q05=None,
+            dispersion_q95=None,
+        )
     d_low, d_middle, d_high = (float(q) for q in np.quantile(dispersion, (0.05, 0.5, 0.95)))
-    return Reported(name, unit, middle, low, high, d_middle, d_low, d_high)
+    return Reported(
+        name=name,
+        unit=unit,
+        median=middle,
+        q05=low,
+        q95=high,
+        dispersion=d_middle,
+        dispersion_q05=d_low,
+        dispersion_q95=d_high,
+    )
 
 
 def unit_of(unit: str, impedance_unit: str) -> str:

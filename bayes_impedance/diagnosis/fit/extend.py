@@ -30,7 +30,7 @@ LEAST_GAIN = 3.0
 def extended(model: Model, candidate: Candidate, pooling: str, size: float) -> Model:
     """The model with one addition more."""
     effect = candidate.effect
-    addition = Addition(effect, candidate.place, pooling)
+    addition = Addition(effect=effect, place=candidate.place, pooling=pooling)
     shape = candidate.shape
     if not effect.operation:  # as a whole: masses and dampers with its size, compliances against it
         factor = max(size, 1e-12) if effect.connection == "beside" else 1 / max(size, 1e-12)

@@ -53,7 +53,7 @@ _SMALLEST_RHO = 1e-3
 _LONGEST_STEP = 1.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Refit:
     """A fitted model.
 
@@ -189,7 +189,16 @@ class Refitter:
         blocks = self._blocks(model, equations, u, persons, population, np.zeros(n))
         value = self._objective(equations.chi, u[:, varying], persons, population)
         evidence = -value - 0.5 * blocks.log_determinant
-        return Refit(model, self.data, u, persons, population, equations, evidence, settled)
+        return Refit(
+            model=model,
+            data=self.data,
+            u=u,
+            persons=persons,
+            population=population,
+            equations=equations,
+            evidence=evidence,
+            settled=settled,
+        )
 
     def settle(self, fit: Refit, seed: int, tries: int = 6, rounds: int = 3, hold: bool = False) -> Refit:
         """Look for better optima of every person, from draws of the population, until nobody finds one.

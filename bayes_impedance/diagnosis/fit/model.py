@@ -31,7 +31,7 @@ SHAPE_DISPERSION = 0.2
 _INNER = "inner_place_"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Addition:
     """An effect at a place of the network.
 
@@ -64,7 +64,7 @@ class Addition:
         return self.effect.id, self.effect.form, self.place
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Parameter:
     """A parameter besides the network's own elements.
 
@@ -157,13 +157,13 @@ def scales_of(recordings: Recordings) -> Scales:
         return float(np.median(near))
 
     return Scales(
-        2 * np.pi * low,
-        2 * np.pi * middle,
-        2 * np.pi * high,
-        magnitude(low),
-        magnitude(middle),
-        magnitude(high),
-        recordings.unit,
+        low=2 * np.pi * low,
+        middle=2 * np.pi * middle,
+        high=2 * np.pi * high,
+        z_low=magnitude(low),
+        z_middle=magnitude(middle),
+        z_high=magnitude(high),
+        unit=recordings.unit,
     )
 
 
@@ -203,7 +203,18 @@ def build(network: Network, additions: Sequence[Addition], scales: Scales, start
                 if centre_only:
                     given = addition.shape_dispersions
                     spread = given[k - 1] if k <= len(given) else SHAPE_DISPERSION
-                own.append(Parameter(name, i, not varies, centre, sd, centre, not centre_only, spread))
+                own.append(
+                    Parameter(
+                        name=name,
+                        addition=i,
+                        shared=not varies,
+                        centre=centre,
+                        prior_sd=sd,
+                        start=centre,
+                        is_coefficient=not centre_only,
+                        dispersion=spread,
+                    )
+                )
             parameters += own
             found.append((addition, tuple(p.name for p in own), i))
         else:
@@ -215,7 +226,18 @@ def build(network: Network, additions: Sequence[Addition], scales: Scales, start
             for own_name, e in zip(parse(effect.branch).elements, branch.elements, strict=True):
                 centre = band_scale(e, z, f)
                 start = float(np.log(shape[own_name])) if own_name in shape else centre
-                branch_parameters.append(Parameter(e, i, shared, centre, ELEMENT_SD, start, False, addition.dispersion))
+                branch_parameters.append(
+                    Parameter(
+                        name=e,
+                        addition=i,
+                        shared=shared,
+                        centre=centre,
+                        prior_sd=ELEMENT_SD,
+                        start=start,
+                        is_coefficient=False,
+                        dispersion=addition.dispersion,
+                    )
+                )
     operations = []
     for addition, own_names, _ in found:
         effect = addition.effect

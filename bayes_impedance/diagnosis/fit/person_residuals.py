@@ -30,7 +30,7 @@ from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood
 from bayes_impedance.runtime.executors import map_persons
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PersonResiduals:
     """Whitened residuals of one person's J recordings on F frequencies.
 
@@ -92,7 +92,14 @@ def _residuals_of(kernel: Kernel, n_elements: int, d: Likelihood, name: str, u: 
     basis = orthonormal(np.swapaxes(real_and_imaginary(dz[:, :n_elements] * np.sqrt(d.weight)[:, None]), 1, 2))
     own = sharper_weight(own_weight(real_and_imaginary(difference), basis), difference)
     sd = 1 / np.sqrt(d.weight * own)
-    return PersonResiduals(name, frequency, z, sd, real_and_imaginary(difference) * np.sqrt(own), basis)
+    return PersonResiduals(
+        name=name,
+        frequency_hz=frequency,
+        model=z,
+        sd=sd,
+        white=real_and_imaginary(difference) * np.sqrt(own),
+        basis=basis,
+    )
 
 
 def own_weight(white: np.ndarray, basis: np.ndarray) -> float:

@@ -22,7 +22,7 @@ _ROUNDS = 200
 _FEWEST = 2.5
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Members:
     """People with and without an effect.
 
@@ -77,7 +77,16 @@ def mixture(h: np.ndarray, d: np.ndarray) -> Members:
     precision = float(probability @ (1 / (tau**2 + 1 / d)))
     sd = float(1 / np.sqrt(max(precision, 1e-300)))
     relative = tau / max(abs(mean), 1e-300)
-    return Members(probability, fraction, float(q05), float(q95), mean, sd, relative, value - everybody[0])
+    return Members(
+        probability=probability,
+        fraction=fraction,
+        q05=float(q05),
+        q95=float(q95),
+        mean=mean,
+        mean_sd=sd,
+        dispersion=relative,
+        gain=value - everybody[0],
+    )
 
 
 def _maximised(h: np.ndarray, d: np.ndarray, mean: float, some: bool) -> tuple[float, np.ndarray, float, float, float]:

@@ -57,15 +57,15 @@ def compare_populations(claimed: Refit, recorded: Refit, unit: str) -> tuple[Par
     corrected = holm(raw)
     found = [
         ParameterDifference(
-            name,
-            own_unit,
-            what,
-            simulated,
-            measured,
-            float(np.exp(d)),
-            float(np.exp(d - _Z90 * sd)),
-            float(np.exp(d + _Z90 * sd)),
-            float(p),
+            element=name,
+            unit=own_unit,
+            what=what,
+            simulation=simulated,
+            recordings=measured,
+            ratio=float(np.exp(d)),
+            q05=float(np.exp(d - _Z90 * sd)),
+            q95=float(np.exp(d + _Z90 * sd)),
+            p_value=float(p),
         )
         for (name, own_unit, what, simulated, measured, d, sd), p in zip(rows, corrected, strict=True)
     ]

@@ -30,7 +30,7 @@ MINIMUM_PERSONS = 8
 _BATCH = 50
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Correlation:
     """Two elements.
 
@@ -57,7 +57,7 @@ class Correlation:
     p_corrected: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class CorrelationTest:
     """A diagonal against a full covariance.
 
@@ -136,16 +136,30 @@ def correlation_test(likelihoods: PersonLikelihoods, seed: int, count: int = REP
     estimate, low, high = _sizes(centred_fit(likelihoods, diagonal.covariance)[1], pairs)
     found = [
         Correlation(
-            likelihoods.elements[min(a, b)],
-            likelihoods.elements[max(a, b)],
-            *(float(v[k]) for v in (estimate, low, high, z, p_pair, p_holm)),
+            first=likelihoods.elements[min(a, b)],
+            second=likelihoods.elements[max(a, b)],
+            estimate=float(estimate[k]),
+            q05=float(low[k]),
+            q95=float(high[k]),
+            statistic=float(z[k]),
+            p_value=float(p_pair[k]),
+            p_corrected=float(p_holm[k]),
         )
         for k, (a, b) in enumerate(pairs)
     ]
     found.sort(key=lambda c: (c.p_value, -abs(c.statistic)))
     corrected = min(1.0, 2 * min(p_whole, float(p_holm.min())))
     return CorrelationTest(
-        float(whole[0]), len(pairs), p_whole, corrected, tuple(found), len(pairs) + 1, n, count, "", remarks
+        statistic=float(whole[0]),
+        degrees_of_freedom=len(pairs),
+        p_value=p_whole,
+        p_corrected=corrected,
+        pairs=tuple(found),
+        tried=len(pairs) + 1,
+        persons=n,
+        replicates=count,
+        reason="",
+        remarks=remarks,
     )
 
 
@@ -191,4 +205,15 @@ def _sizes(fit: Fit, pairs: list[tuple[int, int]]) -> tuple[np.ndarray, np.ndarr
 
 
 def _nothing(n: int, reason: str, remarks: tuple[str, ...] = ()) -> CorrelationTest:
-    return CorrelationTest(0.0, 0, 1.0, 1.0, (), 0, n, 0, reason, remarks)
+    return CorrelationTest(
+        statistic=0.0,
+        degrees_of_freedom=0,
+        p_value=1.0,
+        p_corrected=1.0,
+        pairs=(),
+        tried=0,
+        persons=n,
+        replicates=0,
+        reason=reason,
+        remarks=remarks,
+    )

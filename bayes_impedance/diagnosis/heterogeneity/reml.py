@@ -149,7 +149,7 @@ def diagonal_covariance(variances: np.ndarray) -> AdditiveCovariance:
     return AdditiveCovariance(np.zeros((p, p)), parts, variances)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Fit:
     """The population at its restricted maximum, and the white pulls and weights that every test is made of.
 
@@ -285,7 +285,17 @@ class Problem:
             + structure.penalty(factor)[0]
         )
         pull = at_anchor + way - y @ coefficients
-        return Fit(self, structure, factor, coefficients, variance, pull, weight, x, objective)
+        return Fit(
+            problem=self,
+            structure=structure,
+            factor=factor,
+            coefficients=coefficients,
+            variance=variance,
+            pull=pull,
+            weight=weight,
+            white_design=x,
+            objective=objective,
+        )
 
 
 def fit_normal_population(likelihoods: PersonLikelihoods, design: np.ndarray, start: Covariance) -> Fit:

@@ -48,7 +48,7 @@ _ROUNDS = 60
 _PRIOR_PERSONS = 2.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Subgroup:
     """The group that differs most from the others, and whether it is one.
 
@@ -151,23 +151,23 @@ def find_subgroup(
     if groups.share > 0.5:
         shift, share, membership = -shift, 1 - share[::-1], 1 - membership
     return Subgroup(
-        elements[element] if axis else "",
-        shift,
-        shift - 1.645 * sd,
-        shift + 1.645 * sd,
-        float(share[1]),
-        float(share[0]),
-        float(share[2]),
-        float(np.sqrt(shift @ np.linalg.solve(groups.covariance, shift))),
-        float(real[int(np.argmin(p))]),
-        min(p),
-        min(1.0, 2 * min(p)),
-        kept.size + 1,
-        n,
-        len(null),
-        membership,
-        "",
-        remarks,
+        element=elements[element] if axis else "",
+        shift=shift,
+        shift_q05=shift - 1.645 * sd,
+        shift_q95=shift + 1.645 * sd,
+        share=float(share[1]),
+        share_q05=float(share[0]),
+        share_q95=float(share[2]),
+        separation=float(np.sqrt(shift @ np.linalg.solve(groups.covariance, shift))),
+        statistic=float(real[int(np.argmin(p))]),
+        p_value=min(p),
+        p_corrected=min(1.0, 2 * min(p)),
+        tried=kept.size + 1,
+        persons=n,
+        replicates=len(null),
+        membership=membership,
+        reason="",
+        remarks=remarks,
     )
 
 
@@ -272,5 +272,22 @@ class _Groups:
 
 def _nothing(n: int, p: int, reason: str, remarks: tuple[str, ...] = ()) -> Subgroup:
     none = np.zeros(p)
-    numbers = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0)
-    return Subgroup("", none, none, none, *numbers, 0, n, 0, np.zeros(n), reason, remarks)
+    return Subgroup(
+        element="",
+        shift=none,
+        shift_q05=none,
+        shift_q95=none,
+        share=0.0,
+        share_q05=0.0,
+        share_q95=0.0,
+        separation=0.0,
+        statistic=0.0,
+        p_value=1.0,
+        p_corrected=1.0,
+        tried=0,
+        persons=n,
+        replicates=0,
+        membership=np.zeros(n),
+        reason=reason,
+        remarks=remarks,
+    )

@@ -19,7 +19,7 @@ The spread within the groups is common to both; the likelihood would be unbounde
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -34,7 +34,7 @@ _SMALLEST_SPREAD = 0.02  # of the variance along v that one group has
 _RIDGE = 1e-3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Mixture:
     """Maximum-likelihood mixtures along S directions in each of R populations.
 
@@ -69,13 +69,13 @@ class Mixture:
             return np.asarray(np.take_along_axis(values, index, axis=1))
 
         return Mixture(
-            pick(self.direction),
-            pick(self.statistic),
-            pick(self.share),
-            pick(self.middle),
-            pick(self.shift),
-            pick(self.spread),
-            pick(self.membership),
+            direction=pick(self.direction),
+            statistic=pick(self.statistic),
+            share=pick(self.share),
+            middle=pick(self.middle),
+            shift=pick(self.shift),
+            spread=pick(self.spread),
+            membership=pick(self.membership),
         )
 
 
@@ -145,7 +145,15 @@ def along(residuals: Residuals, direction: np.ndarray, more: int = _MORE, belong
         spread = np.take_along_axis(state[1], best, axis=2)[..., 0]
     middle, spread, shift, share, belongs = _maximise(x, information, belongs, spread, smallest, more)
     value = _log_likelihood(x, information, middle, spread, shift, share)
-    return Mixture(direction, 2 * (value - reference), share, middle, shift, spread, belongs)
+    return Mixture(
+        direction=direction,
+        statistic=2 * (value - reference),
+        share=share,
+        middle=middle,
+        shift=shift,
+        spread=spread,
+        membership=belongs,
+    )
 
 
 def _one_group(x: np.ndarray, information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -209,5 +217,5 @@ def _unit(direction: np.ndarray) -> np.ndarray:
 
 
 def _joined(one: Mixture, other: Mixture) -> Mixture:
-    names = ("direction", "statistic", "share", "middle", "shift", "spread", "membership")
-    return Mixture(*(np.concatenate([getattr(one, k), getattr(other, k)], axis=1) for k in names))
+    names = (field.name for field in fields(Mixture))
+    return Mixture(**{k: np.concatenate([getattr(one, k), getattr(other, k)], axis=1) for k in names})

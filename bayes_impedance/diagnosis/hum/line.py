@@ -39,7 +39,7 @@ _COMBINED = (2, 3, 5, 10)
 _AFFECTED_P = 0.01
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Hum:
     """Hum that was found.
 

@@ -33,7 +33,7 @@ _FLANK, _FLANK_P, _FLANK_RATIO = 2, 0.01, 30.0
 _SAME_P = 0.01
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Neighbourhood:
     """R recordings, or contrasts of them, at K columns; the point nearest to the frequency is in the middle.
 
@@ -165,7 +165,13 @@ def around(
         neighbour = away & (np.abs(np.log2(frequency_hz / frequency)) <= octaves)
         if neighbour.sum(axis=1).min() >= _FEWEST_NEIGHBOURS:
             return Neighbourhood(
-                frequency_hz, stacked["value"], stacked["left"], stacked["sd"], stacked["magnitude"], neighbour, owner
+                frequency_hz=frequency_hz,
+                value=stacked["value"],
+                left=stacked["left"],
+                sd=stacked["sd"],
+                magnitude=stacked["magnitude"],
+                neighbour=neighbour,
+                owner=owner,
             )
     return None
 

@@ -15,7 +15,7 @@ _POINTS_PER_DECADE = 20.0  # of a recording with a single frequency
 _KNOWN = "known mass"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Recording:
     """A recording that could be made.
 
@@ -67,7 +67,16 @@ def present_recordings(fit: Refit) -> list[Recording]:
         sd = 1 / np.sqrt(scale * d.weight.sum(axis=0))
         magnitude = np.abs(fit.model.kernel.impedance(fit.u[row], frequency))
         change = np.zeros(fit.model.n_elements)
-        result.append(Recording(i, row, d.z.shape[0], frequency, sd / magnitude, change))
+        result.append(
+            Recording(
+                person=i,
+                row=row,
+                copies=d.z.shape[0],
+                frequency_hz=frequency,
+                relative_sd=sd / magnitude,
+                change=change,
+            )
+        )
         row += d.z.shape[0]
     return result
 

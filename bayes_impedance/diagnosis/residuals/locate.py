@@ -64,7 +64,7 @@ _EXCESS = {"repetitions": 1.02, "assumed": 1.3}
 noise without repetitions."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class MismatchBand:
     """A band of frequencies with structure in it.
 
@@ -89,7 +89,7 @@ class MismatchBand:
     p_value: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Location:
     """Where structure is left.
 
@@ -130,7 +130,7 @@ class Location:
     noise: Noise
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Found:
     """One window: nodes low <= k < high of a part, what it explains, and its template unless it is about energy."""
 
@@ -253,7 +253,18 @@ def _coherent(
             break
         p_value, statistic = kinds * null.p_value(float(c[best])), float(np.sign(z[best]) * c[best])
         part = best // scan.window.size
-        found.append(_Found(low, high, part, "coherent", statistic, p_value, gain, template))
+        found.append(
+            _Found(
+                low=low,
+                high=high,
+                part=part,
+                kind="coherent",
+                statistic=statistic,
+                p_value=p_value,
+                gain=gain,
+                template=template,
+            )
+        )
         direction = left @ template
         direction /= np.sqrt(template @ direction)
         sums = sums - direction * (template @ sums) / np.sqrt(template @ left @ template)
@@ -302,8 +313,9 @@ def _incoherent(
             break
         p_value = 2 * null.p_value(float(score[best]))
         found.append(
-            _Found(low, high, int(part[best]), "incoherent", float(score[best]), p_value, gain, shape,
-                   float(ratios.noise[best]))
+            _Found(low=low, high=high, part=int(part[best]), kind="incoherent", statistic=float(score[best]),
+            p_value=p_value, gain=gain, template=shape,
+                   noise=float(ratios.noise[best]))
         )  # fmt: skip
         if shape is None:
             masked |= (part == part[best]) & (scan.low[window] < high) & (scan.high[window] > low)
@@ -343,8 +355,9 @@ def _bands(found: list[_Found], frequency_hz: np.ndarray) -> tuple[MismatchBand,
         best = max(group, key=lambda f: abs(f.statistic))
         low, high = min(f.low for f in group), max(f.high for f in group)
         bands.append(
-            MismatchBand(float(frequency_hz[low]), float(frequency_hz[high - 1]), _PARTS[best.part], best.kind,
-                 best.statistic, min(f.p_value for f in group))
+            MismatchBand(low_hz=float(frequency_hz[low]), high_hz=float(frequency_hz[high - 1]), part=_PARTS[best.part],
+            kind=best.kind,
+                 statistic=best.statistic, p_value=min(f.p_value for f in group))
         )  # fmt: skip
     return tuple(sorted(bands, key=lambda band: -abs(band.statistic)))
 

@@ -44,7 +44,7 @@ _INDISTINCT, _ALIKE = 2.0, 6.0
 what distinguishes a constant from a slope over a wider window."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Windows:
     """Windows of log frequency and the templates in them.
 
@@ -100,7 +100,14 @@ def windows(frequency_hz: np.ndarray) -> Windows:
             window.append(b)
             form.append(number)
     all_low, all_high = np.array(ends).T
-    return Windows(all_low, all_high, inside, np.array(window), np.array(form), np.array(shapes).T)
+    return Windows(
+        low=all_low,
+        high=all_high,
+        inside=inside,
+        window=np.array(window),
+        form=np.array(form),
+        shape=np.array(shapes).T,
+    )
 
 
 def shape_of(x: np.ndarray, low: int, high: int, form: int) -> np.ndarray:

@@ -49,7 +49,7 @@ _INVISIBLE = 1e-3
 """A signature of which less than this part is left outside of the elements says nothing: it is rounding."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Screening:
     """Scores of C candidates.
 
@@ -211,7 +211,18 @@ def _pooled(
         log_p = _log_chi_square_tail(around * own.sum(axis=0) / squares, freedom)
     effective = _effective(cosine[np.ix_(seen, seen)], seed)
     log_p_spread = np.minimum(np.nan_to_num(log_p) + np.log(effective), 0.0)
-    return Screening(candidates, shares, own, z, size, spread, log_p_spread, cosine, visible, effective)
+    return Screening(
+        candidates=candidates,
+        score=shares,
+        information=own,
+        z=z,
+        size=size,
+        spread=spread,
+        log_p_spread=log_p_spread,
+        cosine=cosine,
+        visible=visible,
+        effective=effective,
+    )
 
 
 def _log_chi_square_tail(x: np.ndarray, freedom: np.ndarray) -> np.ndarray:

@@ -69,17 +69,17 @@ def snapshot(
     inside = [coverage(np.abs(observed), magnitude[0], magnitude[2]), coverage(measured, phase[0], phase[2])]
     maps = residual_maps(residuals, frequency)
     return Snapshot(
-        label,
-        fit.model.notation,
-        frequency,
-        magnitude,
-        phase,
-        maps[0],
-        maps[1],
-        errors.magnitude,
-        errors.phase_deg,
-        own_errors(recordings, residuals),
-        np.array(inside),
+        label=label,
+        network=fit.model.notation,
+        frequency_hz=frequency,
+        magnitude=magnitude,
+        phase_deg=phase,
+        residual_magnitude=maps[0],
+        residual_phase=maps[1],
+        delta_magnitude=errors.magnitude,
+        delta_phase_deg=errors.phase_deg,
+        subject_rms_relative=own_errors(recordings, residuals),
+        coverage90=np.array(inside),
     )
 
 

@@ -92,16 +92,16 @@ def ranking(step: Step) -> tuple[Ranked, ...]:
         note = notes.get(key, "" if s.physical[k] else "unphysical sign")
         rows.append(
             Ranked(
-                c.effect.id,
-                c.place,
-                c.effect.pooling,
-                shape,
-                float(s.z[k] ** 2),
-                float(np.exp(s.log_p(s.z[k]))),
-                _size_text(step.before.model, first, float(s.size[k])),
-                bool(s.physical[k]),
-                float(abs(np.nan_to_num(s.cosine[k, order[0]]))),
-                note,
+                id=c.effect.id,
+                place=c.place,
+                pooling=c.effect.pooling,
+                shape=shape,
+                score=float(s.z[k] ** 2),
+                p_value=float(np.exp(s.log_p(s.z[k]))),
+                size=_size_text(step.before.model, first, float(s.size[k])),
+                physical=bool(s.physical[k]),
+                likeness=float(abs(np.nan_to_num(s.cosine[k, order[0]]))),
+                note=note,
             )
         )
     return tuple(rows)

@@ -126,7 +126,7 @@ def improvement(before: Snapshot, after: Snapshot, gain: HeldOut | None) -> dict
     }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Evidence:
     """Everything that a verdict is made of.
 

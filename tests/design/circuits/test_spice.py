@@ -235,7 +235,13 @@ def test_ngspice_runs_every_user_and_draws_its_own(tmp_path: Path) -> None:
     network = parse("(n1|r1)-m1")
     mu = np.log([1e-3, 2.0, 1e-3])
     factor = np.array([[0.3, 0, 0], [-0.24, 0.18, 0], [0, 0, 0.2]])  # correlation of n1 and r1: -0.8
-    population = UserPopulation(network, "N s/m", np.tile(mu, (4, 1)), np.tile(factor, (4, 1, 1)), np.zeros((4, 3)))
+    population = UserPopulation(
+        network=network,
+        unit="N s/m",
+        mu=np.tile(mu, (4, 1)),
+        factor=np.tile(factor, (4, 1, 1)),
+        between_repetitions=np.zeros((4, 3)),
+    )
     users = population.draw(6, seed=3)
     (tmp_path / "users.lib").write_text(spice.library(users), encoding="utf-8")
     frequency, z = ngspice(spice.sweep(users, "users.lib", BAND, "out.txt", points=5), tmp_path)

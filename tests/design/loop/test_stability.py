@@ -36,7 +36,9 @@ def population(draws: int = 60, spread: float = 0.05, seed: int = 1) -> UserPopu
     mu = np.log(FINGERTIP.vector(FINGERTIP.central)) + spread * rng.normal(size=(draws, tau.size))
     scale = tau * np.exp(spread * rng.normal(size=(draws, tau.size)))
     factor = scale[:, :, None] * np.linalg.cholesky(FINGERTIP.correlation_matrix())
-    return UserPopulation(network, "N s/m", mu, factor, 0.05 * np.ones_like(mu))
+    return UserPopulation(
+        network=network, unit="N s/m", mu=mu, factor=factor, between_repetitions=0.05 * np.ones_like(mu)
+    )
 
 
 # -------------------------------------------------------------------- exact poles against time
@@ -167,7 +169,13 @@ def test_share_of_one_population_is_that_of_its_own_users() -> None:
     estimated = weights @ stable(loop_of(PHANTOM, users), k, b)
     direct = np.empty_like(estimated)
     for i, row in enumerate(rows):
-        alone = UserPopulation(p.network, p.unit, p.mu[[row]], p.factor[[row]], p.between_repetitions[[row]])
+        alone = UserPopulation(
+            network=p.network,
+            unit=p.unit,
+            mu=p.mu[[row]],
+            factor=p.factor[[row]],
+            between_repetitions=p.between_repetitions[[row]],
+        )
         direct[i] = stable(loop_of(PHANTOM, alone.draw(300, seed=i)), k, b).mean(axis=0)
     middle = np.clip(0.5 * (estimated + direct), 0.01, 0.99)
     error = np.sqrt(middle * (1 - middle) * (1 / 300 + np.sum(weights**2, axis=1)[:, None]))
@@ -185,7 +193,13 @@ def test_ignoring_the_population_promises_too_much() -> None:
     assert limit.low <= limit.stiffness <= limit.high < limit.mean_user
     assert np.mean(limit.each >= limit.mean_user) < 0.7  # the promise is broken for many
     assert limit.classical < limit.stiffness
-    certain = UserPopulation(p.network, p.unit, p.centre[None], p.factor[:1] * 1e-6, p.between_repetitions[:1])
+    certain = UserPopulation(
+        network=p.network,
+        unit=p.unit,
+        mu=p.centre[None],
+        factor=p.factor[:1] * 1e-6,
+        between_repetitions=p.between_repetitions[:1],
+    )
     nobody_differs = limit_of(certain, certain.draw(50, seed=1), PHANTOM, 0.0)
     assert nobody_differs.stiffness == pytest.approx(limit.mean_user, rel=1e-4)
 

@@ -50,7 +50,9 @@ THETA = CENTRE + 0.3 * np.random.default_rng(1).normal(size=(3, 8))
 """Three recordings."""
 
 _SIZES = np.abs(Kernel(NETWORK).impedance(CENTRE, FREQUENCY))[[0, 15, 30]]
-SCALES = Scales(*OMEGA[[0, 15, 30]].tolist(), *_SIZES.tolist(), "N s/m")
+SCALES = Scales(
+    low=OMEGA[0], middle=OMEGA[15], high=OMEGA[30], z_low=_SIZES[0], z_middle=_SIZES[1], z_high=_SIZES[2], unit="N s/m"
+)
 
 IDS = (
     "rig.mass",
@@ -365,7 +367,7 @@ def assert_direction(effect: Effect, place: str, shape: dict[str, float], before
     u = np.column_stack([THETA, *(np.full(3, p.start + 0.1 * p.is_coefficient) for p in small.parameters)])
     local = local_impedances(small, u, OMEGA)[INSIDE if effect.side == "body" and place == "port" else place]
     change = direction(effect, shape, SCALES, OMEGA, local.z)
-    model = build(NETWORK, [*before, Addition(effect, place, "shared")], SCALES, [*starts, shape])
+    model = build(NETWORK, [*before, Addition(effect=effect, place=place, pooling="shared")], SCALES, [*starts, shape])
     columns = model.columns(len(before))
     own = np.column_stack([THETA, *(np.full(3, p.start + 0.1 * p.is_coefficient) for p in model.parameters)])
     units = [c.scale(SCALES) for c in effect.coefficients]
@@ -393,9 +395,9 @@ def test_directions_are_the_derivatives_of_the_model(effect: Effect) -> None:
 
 
 BEFORE = (
-    Addition(entry("body.relaxation"), "tissue", "varying"),
-    Addition(entry("body.hysteresis"), "n1", "varying"),
-    Addition(entry("rig.delay"), "port", "shared"),
+    Addition(effect=entry("body.relaxation"), place="tissue", pooling="varying"),
+    Addition(effect=entry("body.hysteresis"), place="n1", pooling="varying"),
+    Addition(effect=entry("rig.delay"), place="port", pooling="shared"),
 )
 
 
@@ -436,7 +438,7 @@ def test_directions_of_branches(effect: Effect) -> None:
     local = local_impedances(plain, THETA, OMEGA)
     for place in effect.sites(NETWORK):
         for shape in list(shape_grid(effect, SCALES))[::5]:
-            model = build(NETWORK, [Addition(effect, place.name, "shared")], SCALES, [shape])
+            model = build(NETWORK, [Addition(effect=effect, place=place.name, pooling="shared")], SCALES, [shape])
             names = model.kernel.elements[8:]
             assert [name[0] for name in names] == [e[0] for e in parse(effect.branch).elements]
 
@@ -473,12 +475,20 @@ MODELS: dict[str, Sequence[Addition]] = {
     "nothing": (),
     "operations": (
         *BEFORE,
-        Addition(entry("body.line"), "n2|r2", "varying"),
-        Addition(entry("rig.series_compliance"), "port", "shared"),
-        Addition(entry("body.subgroup"), "port", "varying"),
+        Addition(effect=entry("body.line"), place="n2|r2", pooling="varying"),
+        Addition(effect=entry("rig.series_compliance"), place="port", pooling="shared"),
+        Addition(effect=entry("body.subgroup"), place="port", pooling="varying"),
     ),
-    "branches": (Addition(NAIL, "n3", "varying"), Addition(PAD, "limb", "varying"), Addition(FOOT, "port", "shared")),
-    "both": (Addition(NAIL, "tissue", "varying"), *BEFORE, Addition(PAD, "r3", "shared")),
+    "branches": (
+        Addition(effect=NAIL, place="n3", pooling="varying"),
+        Addition(effect=PAD, place="limb", pooling="varying"),
+        Addition(effect=FOOT, place="port", pooling="shared"),
+    ),
+    "both": (
+        Addition(effect=NAIL, place="tissue", pooling="varying"),
+        *BEFORE,
+        Addition(effect=PAD, place="r3", pooling="shared"),
+    ),
 }
 
 
@@ -532,7 +542,7 @@ def test_the_networks_own_labels_are_respected() -> None:
     """Also one that looks like ours."""
     network = parse("place1:(n3|r3)-(m2|r1)")
     theta = np.log([1e-3, 2.0, 1e-4, 3.0])
-    model = build(network, [Addition(entry("body.mass"), "place1", "shared")], SCALES, [{}])
+    model = build(network, [Addition(effect=entry("body.mass"), place="place1", pooling="shared")], SCALES, [{}])
     z = model.kernel.impedance([*theta, 0.5], FREQUENCY)
     mass = 0.5 * SCALES.z_high / SCALES.high
     values = dict(zip(network.elements, np.exp(theta), strict=True))
@@ -541,8 +551,11 @@ def test_the_networks_own_labels_are_respected() -> None:
 
 def test_the_networks_elements_come_first_wherever_branches_are() -> None:
     """Two branches in the middle: their elements come after the network's own, in every array."""
-    additions = [Addition(NAIL, "n3", "varying"), Addition(entry("rig.delay"), "port", "shared")]
-    model = build(NETWORK, [*additions, Addition(PAD, "limb", "shared")], SCALES, [{}, {}, {}])
+    additions = [
+        Addition(effect=NAIL, place="n3", pooling="varying"),
+        Addition(effect=entry("rig.delay"), place="port", pooling="shared"),
+    ]
+    model = build(NETWORK, [*additions, Addition(effect=PAD, place="limb", pooling="shared")], SCALES, [{}, {}, {}])
     grown = NETWORK.beside("n3", parse("m3-(n4|r4)")).in_series("limb", parse("r5|m4"))
     assert model.kernel.elements[:8] == NETWORK.elements
     assert set(model.kernel.elements) == {*grown.elements, "rig.delay.delay.1"}
@@ -585,7 +598,7 @@ ELEMENTS = dict(zip(NETWORK.elements, np.exp(CENTRE), strict=True))
 
 def with_additions(*items: tuple[Effect, str, Sequence[float]]) -> tuple[Model, np.ndarray]:
     """A model, and the impedance of the average fingertip with these additions."""
-    additions = [Addition(effect, place, "shared") for effect, place, _ in items]
+    additions = [Addition(effect=effect, place=place, pooling="shared") for effect, place, _ in items]
     starts = [{c.name: v for c, v in zip(e.coefficients, own, strict=False)} for e, _, own in items]
     model = build(NETWORK, additions, SCALES, starts)
     return model, model.kernel.impedance(coefficients(model, [own for *_, own in items]), FREQUENCY)
@@ -652,26 +665,31 @@ def test_rig_effects_are_outermost() -> None:
 def test_pooling_says_what_is_shared() -> None:
     shape = {"frequency": 900.0, "damping_ratio": 0.2, "ratio": 100.0}
     for pooling, expected in (("shared", [True] * 3), ("varying", [False, True, True]), ("free", [False] * 3)):
-        model = build(NETWORK, [Addition(entry("body.resonator"), "skin", pooling, 0.5)], SCALES, [shape])
+        model = build(
+            NETWORK,
+            [Addition(effect=entry("body.resonator"), place="skin", pooling=pooling, dispersion=0.5)],
+            SCALES,
+            [shape],
+        )
         assert model.shared[8:].tolist() == expected
         assert [p.is_coefficient for p in model.parameters] == [True, False, False]
         assert model.parameters[0].dispersion == 0.5
-    both = build(NETWORK, [Addition(entry("body.bypass"), "port", "varying")], SCALES, [shape])
+    both = build(NETWORK, [Addition(effect=entry("body.bypass"), place="port", pooling="varying")], SCALES, [shape])
     assert both.shared[8:].tolist() == [False, False]  # two coefficients, no shape
-    own = build(NETWORK, [Addition(NAIL, "port", "varying")], SCALES, [{}])
+    own = build(NETWORK, [Addition(effect=NAIL, place="port", pooling="varying")], SCALES, [{}])
     assert own.shared[8:].tolist() == [False] * 3
     assert not any(p.is_coefficient for p in own.parameters)
 
 
 def test_shapes_are_centred_where_they_were_found() -> None:
     shape = {"frequency": 900.0, "damping_ratio": 0.2}
-    model = build(NETWORK, [Addition(entry("body.resonator"), "skin", "varying")], SCALES, [shape])
+    model = build(NETWORK, [Addition(effect=entry("body.resonator"), place="skin", pooling="varying")], SCALES, [shape])
     mass, frequency, ratio = model.parameters
     assert (mass.centre, mass.prior_sd) == (0.0, 30.0)
     assert (frequency.centre, ratio.centre) == pytest.approx((np.log(900), np.log(0.2)))
     assert (frequency.prior_sd, ratio.prior_sd) == (0.3, 1.0)
     # The prior of a branch's elements is that of any element: its impedance meets the data's in the middle of the band.
-    m, n, r = build(NETWORK, [Addition(NAIL, "port", "shared")], SCALES, [{"m": 1e-4}]).parameters
+    m, n, r = build(NETWORK, [Addition(effect=NAIL, place="port", pooling="shared")], SCALES, [{"m": 1e-4}]).parameters
     for p in (m, n, r):
         size = kind_of(p.name).impedance(1j * SCALES.middle, np.exp(p.centre))
         assert abs(size) == pytest.approx(SCALES.z_middle)
@@ -717,7 +735,11 @@ def test_notation_with_the_rig_outermost() -> None:
 
 
 def test_places_are_found_again_in_a_grown_network() -> None:
-    additions = [Addition(NAIL, "n3", "shared"), Addition(PAD, "limb", "shared"), Addition(NAIL, "port", "shared")]
+    additions = [
+        Addition(effect=NAIL, place="n3", pooling="shared"),
+        Addition(effect=PAD, place="limb", pooling="shared"),
+        Addition(effect=NAIL, place="port", pooling="shared"),
+    ]
     model = build(NETWORK, additions, SCALES, [{}, {}, {}])
     paths, grown = inner_places(model), model.kernel.network
     assert set(paths) == {place.name for place in NETWORK.places()}
@@ -738,9 +760,21 @@ def test_scales_are_those_of_the_recordings() -> None:
     """Three people whose curves are 1, 2 and 30 dampers; the median has two."""
     frequency = np.geomspace(2, 200, 21)
     subjects = tuple(
-        Subject(str(r), frequency, np.full((2, 21), r + 0j), ("1", "2"), None, {}) for r in (1.0, 2.0, 30.0)
+        Subject(
+            name=str(r),
+            frequency_hz=frequency,
+            z=np.full((2, 21), r + 0j),
+            repetitions=("1", "2"),
+            noise_sd=None,
+            covariates={},
+        )
+        for r in (1.0, 2.0, 30.0)
     )
-    scales = scales_of(Recordings("t", "ohm", "r1", "s", "l", subjects, "", ()))
+    scales = scales_of(
+        Recordings(
+            title="t", unit="ohm", network="r1", source="s", licence="l", subjects=subjects, sha256="", warnings=()
+        )
+    )
     assert (scales.low, scales.middle, scales.high) == pytest.approx(2 * np.pi * np.array([2, 20, 200]))
     assert (scales.z_low, scales.z_middle, scales.z_high, scales.unit) == (2.0, 2.0, 2.0, "ohm")
 

@@ -110,7 +110,8 @@ FREE = 1e6 * np.eye(3)
 def two_additions(experiment: Experiment) -> Model:
     """A varying mass and, outermost and therefore last among the parameters, a shared high-pass."""
     return experiment.grown(
-        Addition(entry("rig.highpass"), "port", "shared"), Addition(entry("body.mass"), "port", "varying")
+        Addition(effect=entry("rig.highpass"), place="port", pooling="shared"),
+        Addition(effect=entry("body.mass"), place="port", pooling="varying"),
     )
 
 
@@ -407,7 +408,7 @@ def test_settle_leaves_a_good_fit_alone(misled: tuple[Experiment, Refit, Refit])
 
 def test_the_start_does_not_matter() -> None:
     experiment = toy(*TOY, seed=9, n=10)
-    model = experiment.grown(Addition(entry("rig.delay"), "port", "shared"))
+    model = experiment.grown(Addition(effect=entry("rig.delay"), place="port", pooling="shared"))
     ends = []
     for seed in (0, 1):
         rng = np.random.default_rng(seed)
@@ -423,7 +424,7 @@ def test_the_start_does_not_matter() -> None:
 
 def test_subset_is_a_refit_of_these_people() -> None:
     experiment = toy(*TOY, seed=10, n=8)
-    model = experiment.grown(Addition(entry("rig.delay"), "port", "shared"))
+    model = experiment.grown(Addition(effect=entry("rig.delay"), place="port", pooling="shared"))
     some = np.array([6, 1, 3])
     rows = np.concatenate([np.flatnonzero(experiment.refitter.owner == i) for i in some])
     u = np.column_stack([experiment.u, np.zeros(len(experiment.u))])
@@ -507,13 +508,23 @@ def supplied(monkeypatch: pytest.MonkeyPatch, model: Model, h: np.ndarray, d: np
     m, p = u.shape
     population = Population(np.zeros(p), np.eye(p), np.full(p, 0.1))
     equations = Equations(np.zeros(m), np.zeros((m, p)), np.zeros((m, p, p)))
-    return Refit(model, (), u, u, population, equations, np.zeros(m), True)
+    return Refit(
+        model=model,
+        data=(),
+        u=u,
+        persons=u,
+        population=population,
+        equations=equations,
+        evidence=np.zeros(m),
+        settled=True,
+    )
 
 
 def test_posterior_of_shared_coefficients_in_closed_form(monkeypatch: pytest.MonkeyPatch) -> None:
     experiment = toy(*TOY, seed=1, n=1)
     model = experiment.grown(
-        Addition(entry("rig.delay"), "port", "shared"), Addition(entry("rig.damping"), "port", "shared")
+        Addition(effect=entry("rig.delay"), place="port", pooling="shared"),
+        Addition(effect=entry("rig.damping"), place="port", pooling="shared"),
     )
     rng = np.random.default_rng(2)
     root = rng.normal(size=(7, 2, 4))
@@ -536,7 +547,7 @@ def test_posterior_of_shared_coefficients_in_closed_form(monkeypatch: pytest.Mon
 def check_summation(monkeypatch: pytest.MonkeyPatch, dispersion: float, seed: int, levels: tuple[float, ...]) -> None:
     """y_i ~ N(mu, 1/d_i + tau^2) with half-normal tau: two dimensions, summed on a fine grid."""
     experiment = toy(*TOY, seed=1, n=1)
-    model = experiment.grown(Addition(entry("body.mass"), "port", "varying"))
+    model = experiment.grown(Addition(effect=entry("body.mass"), place="port", pooling="varying"))
     rng, n, draws = np.random.default_rng(seed), 12, 20_000
     d = rng.uniform(4, 30, size=n)
     y = 1.0 + dispersion * rng.normal(size=n) + rng.normal(size=n) / np.sqrt(d)
@@ -596,7 +607,12 @@ def report(
 ) -> dict[str, Any]:
     """What is said of an effect whose parameters have the values x in the operation's unit."""
     experiment = toy(*TOY, seed=1, n=1)
-    model = build(experiment.model.network, [Addition(effect, place, pooling)], experiment.model.scales, [shape])
+    model = build(
+        experiment.model.network,
+        [Addition(effect=effect, place=place, pooling=pooling)],
+        experiment.model.scales,
+        [shape],
+    )
     u = [c.unbounded(v, model.scales) for c, v in zip(effect.coefficients, x, strict=True)]
     said = reported(model, 0, posterior_at(u, dispersion), np.log([1e-3, 2.0]))
     return {r.name: r for r in said}

@@ -49,7 +49,7 @@ def test_relaxing_skin_is_not_said_to_be_known_better_than_it_is() -> None:
         experiment = concealing("body.relaxation", "skin", 0.3, seed, n=24, repetitions=2, points=61)
         true, alone = experiment.case.values, experiment.fit()
         seconds = true["damping"] * true["compliance"]
-        addition = Addition(entry("body.relaxation"), "skin", "shared")
+        addition = Addition(effect=entry("body.relaxation"), place="skin", pooling="shared")
         model = build(alone.model.network, [addition], alone.model.scales, [{"time_constant": seconds}])
         fit = experiment.refitter.fit(model, *extended_start(alone, model), rounds=60)
         _, evidence = both(fit, seed)
@@ -101,7 +101,7 @@ def test_coefficient_and_shape_that_go_together_are_weighed_so(correlation: floa
 
         experiment = toy(*TOY, seed=seed, n=24, hidden=hidden)
         alone = experiment.fit()
-        addition = Addition(entry("body.relaxation"), "port", "free")
+        addition = Addition(effect=entry("body.relaxation"), place="port", pooling="free")
         model = build(alone.model.network, [addition], alone.model.scales, [{"time_constant": seconds}])
         fit = experiment.refitter.fit(model, *extended_start(alone, model), rounds=60)
         of = profile_posterior._Surface.of(experiment.refitter, fit)
@@ -120,7 +120,14 @@ def test_coefficient_and_shape_that_go_together_are_weighed_so(correlation: floa
 
 def test_a_correlation_is_part_of_the_populations_covariance() -> None:
     fit = recovered(toy(*TOY, seed=1, n=16, hidden=with_mass(DISPERSION)), entry("body.mass"), "port", "varying")
-    addition = Addition(entry("body.relaxation"), "port", "free", 0.2, (0.1,), 0.6)
+    addition = Addition(
+        effect=entry("body.relaxation"),
+        place="port",
+        pooling="free",
+        dispersion=0.2,
+        shape_dispersions=(0.1,),
+        correlation=0.6,
+    )
     free, varying = (
         build(fit.model.network, [replace(addition, pooling=p)], fit.model.scales, [{"time_constant": 1e-3}])
         for p in ("free", "varying")

@@ -37,7 +37,7 @@ def people(seed: int, line: float = 0.0, size: float = 0.0, periods: float = 5.0
                 noise = noise + size / h * leakage(FREQUENCY, h * line, periods, rng.uniform(0, 2 * np.pi, z.shape))
         basis = np.linalg.qr(rng.normal(size=(3, 2 * FREQUENCY.size, 5)))[0]
         white = np.concatenate([noise.real / sd, noise.imag / sd], axis=1)
-        found.append(PersonResiduals(f"P{i}", FREQUENCY, z, sd, white, basis))
+        found.append(PersonResiduals(name=f"P{i}", frequency_hz=FREQUENCY, model=z, sd=sd, white=white, basis=basis))
     return found
 
 
@@ -69,7 +69,24 @@ def test_a_bump_of_noise_elsewhere_is_no_hum() -> None:
 
 def test_without_repetitions_or_on_different_frequencies_nothing_is_said() -> None:
     some = people(1, 50.0, 0.1)
-    one = [PersonResiduals(p.name, p.frequency_hz, p.model[:1], p.sd[:1], p.white[:1], p.basis[:1]) for p in some]
+    one = [
+        PersonResiduals(
+            name=p.name,
+            frequency_hz=p.frequency_hz,
+            model=p.model[:1],
+            sd=p.sd[:1],
+            white=p.white[:1],
+            basis=p.basis[:1],
+        )
+        for p in some
+    ]
     assert find_skirts(one) is None
-    moved = PersonResiduals("P", FREQUENCY * 1.01, some[0].model, some[0].sd, some[0].white, some[0].basis)
+    moved = PersonResiduals(
+        name="P",
+        frequency_hz=FREQUENCY * 1.01,
+        model=some[0].model,
+        sd=some[0].sd,
+        white=some[0].white,
+        basis=some[0].basis,
+    )
     assert find_skirts([*some[1:], moved]) is None

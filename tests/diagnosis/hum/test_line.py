@@ -57,8 +57,8 @@ def people(seed: int, rig: Rig, persons: int, repetitions: int, grid: np.ndarray
         g = np.exp(-0.5 * ((u[:, None] - centre) / 0.15) ** 2 + 1j * (np.arange(6) + 3 * u[:, None]))
         basis = np.array([np.linalg.qr(np.concatenate([(g.T * w).T.real, (g.T * w).T.imag]))[0] for w in 1 / sd])
         white = np.concatenate([raw.real, raw.imag], axis=1) / np.tile(sd, 2)
-        white = PersonResiduals("", grid, model, sd, white, basis).outside(white)
-        found.append(PersonResiduals(f"P{i}", grid, model, sd, white, basis))
+        white = PersonResiduals(name="", frequency_hz=grid, model=model, sd=sd, white=white, basis=basis).outside(white)
+        found.append(PersonResiduals(name=f"P{i}", frequency_hz=grid, model=model, sd=sd, white=white, basis=basis))
     return found
 
 
@@ -163,7 +163,17 @@ def test_grids_may_differ() -> None:
 
 
 def test_affected_points_are_as_near_as_those_where_hum_was_found() -> None:
-    hum = Hum(50.0, (1, 3), (49.5, 151.0), 0.01, 1.0, 0.9, 1.1, False, 1e-6)
+    hum = Hum(
+        line_hz=50.0,
+        harmonics=(1, 3),
+        frequencies_hz=(49.5, 151.0),
+        near=0.01,
+        amplitude=1.0,
+        q05=0.9,
+        q95=1.1,
+        coherent=False,
+        p_value=1e-6,
+    )
     grid = np.array([49.4, 49.5, 50.0, 50.6, 100.0, 148.6, 151.4, 152.0])
     assert affected_points(grid, hum).tolist() == [False, True, True, False, False, True, True, False]
 

@@ -25,7 +25,7 @@ MU = np.log(FINGERTIP.vector(FINGERTIP.central))
 TAU, RHO = FINGERTIP.vector(FINGERTIP.between_persons), FINGERTIP.vector(FINGERTIP.between_repetitions)
 E = MU.size
 LOW, HIGH = 2 * np.pi * 5, 2 * np.pi * 5000
-SCALES = Scales(LOW, np.sqrt(LOW * HIGH), HIGH, 25.0, 5.0, 28.0, "N s/m")
+SCALES = Scales(low=LOW, middle=np.sqrt(LOW * HIGH), high=HIGH, z_low=25.0, z_middle=5.0, z_high=28.0, unit="N s/m")
 DELAY, LOWPASS, MASS = rig.RIG_DELAY, rig.RIG_LOWPASS, rig.RIG_MASS
 MOUNT, HIGHPASS, STIFFNESS = rig.RIG_SERIES_COMPLIANCE, rig.RIG_HIGHPASS, rig.RIG_STIFFNESS
 SIZE = 0.15
@@ -37,7 +37,7 @@ GLUE = replace(MOUNT, id="rig.glue", operation="", coefficients=())
 
 
 def model(effect: Effect, pooling: str = "shared") -> Model:
-    return build(NETWORK, [Addition(effect, "port", pooling)], SCALES, [{}])
+    return build(NETWORK, [Addition(effect=effect, place="port", pooling=pooling)], SCALES, [{}])
 
 
 def value(effect: Effect, size: float) -> float:
@@ -279,7 +279,9 @@ def test_a_wider_band_goes_on_as_it_began():
 
 @pytest.mark.parametrize("effects", [(DELAY,), (MOUNT,), (GLUE,), (body.BODY_MASS, DELAY), (NAIL, GLUE, DELAY)])
 def test_a_known_mass_stands_between_the_finger_and_the_rig(effects):
-    m = build(NETWORK, [Addition(e, "port", "shared") for e in effects], SCALES, [{}] * len(effects))
+    m = build(
+        NETWORK, [Addition(effect=e, place="port", pooling="shared") for e in effects], SCALES, [{}] * len(effects)
+    )
     sizes = {p.name: value(effects[p.addition], 0.1 * (1 + p.addition)) for p in m.parameters}
     u = np.r_[MU, [sizes[p.name] for p in m.parameters]]
     f, known = np.geomspace(5, 15000, 40), 2e-3

@@ -33,7 +33,17 @@ def person(
         model[j] = np.exp(0.5j * np.pi * np.sin(3 * v)) * (1 + 50 * (v - 0.3) ** 2)
         g = np.exp(-0.5 * ((v[:, None] - centre) * columns / 0.8) ** 2 + 1j * (np.arange(columns) + 6 * v[:, None]))
         basis[j] = np.linalg.qr(np.concatenate([g.real, g.imag]))[0]
-    return noisy(PersonResiduals(name, frequency_hz, model, 0.01 * np.abs(model), basis[:, :, 0], basis), rng)
+    return noisy(
+        PersonResiduals(
+            name=name,
+            frequency_hz=frequency_hz,
+            model=model,
+            sd=0.01 * np.abs(model),
+            white=basis[:, :, 0],
+            basis=basis,
+        ),
+        rng,
+    )
 
 
 def noisy(

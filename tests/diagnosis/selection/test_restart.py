@@ -47,13 +47,30 @@ def test_an_effect_of_the_rig_is_taken_off_whatever_the_elements(effect) -> None
     alone = Kernel(fit.model.network).impedance(u[:, :2], FREQUENCY).reshape(6, 2, -1)
     assert np.abs(with_it / alone - 1).max() > 0.02
     sd = 1e-6 * np.abs(with_it)
-    subjects = tuple(Subject(str(i), FREQUENCY, z, ("1", "2"), sd[i], {}) for i, z in enumerate(with_it))
-    freed = without(Recordings("t", "N s/m", "n1|r1", "s", "l", subjects, "", ()), fit, candidate, size)
+    subjects = tuple(
+        Subject(name=str(i), frequency_hz=FREQUENCY, z=z, repetitions=("1", "2"), noise_sd=sd[i], covariates={})
+        for i, z in enumerate(with_it)
+    )
+    freed = without(
+        Recordings(
+            title="t", unit="N s/m", network="n1|r1", source="s", licence="l", subjects=subjects, sha256="", warnings=()
+        ),
+        fit,
+        candidate,
+        size,
+    )
     for subject, z in zip(freed.subjects, alone, strict=True):
         np.testing.assert_allclose(subject.z, z, rtol=1e-9)
     # A little noise comes through as it would by the derivative.
     noisy = tuple(replace(s, z=s.z + s.noise_sd) for s in subjects)
-    moved = without(Recordings("t", "N s/m", "n1|r1", "s", "l", noisy, "", ()), fit, candidate, size)
+    moved = without(
+        Recordings(
+            title="t", unit="N s/m", network="n1|r1", source="s", licence="l", subjects=noisy, sha256="", warnings=()
+        ),
+        fit,
+        candidate,
+        size,
+    )
     for one, other in zip(freed.subjects, moved.subjects, strict=True):
         assert one.noise_sd is not None
         np.testing.assert_allclose(np.abs(other.z - one.z), one.noise_sd, rtol=1e-3)
@@ -150,10 +167,26 @@ def strong_high_pass() -> tuple[Experiment, Recordings]:
     experiment = concealing("rig.highpass", "port", 1.0, seed=1, n=10)
     frequency = experiment.case.frequency_hz
     subjects = tuple(
-        Subject(f"p{i}", frequency, d.z[:, 0] + 1j * d.z[:, 1], ("1", "2"), experiment.sd[i], {})
+        Subject(
+            name=f"p{i}",
+            frequency_hz=frequency,
+            z=d.z[:, 0] + 1j * d.z[:, 1],
+            repetitions=("1", "2"),
+            noise_sd=experiment.sd[i],
+            covariates={},
+        )
         for i, d in enumerate(experiment.data)
     )
-    return experiment, Recordings("t", "N s/m", experiment.model.network, "s", "l", subjects, "", ())
+    return experiment, Recordings(
+        title="t",
+        unit="N s/m",
+        network=experiment.model.network,
+        source="s",
+        licence="l",
+        subjects=subjects,
+        sha256="",
+        warnings=(),
+    )
 
 
 def test_a_verdict_without_a_name_is_looked_at_again() -> None:

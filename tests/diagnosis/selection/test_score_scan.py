@@ -320,7 +320,7 @@ def test_what_was_added_is_taken_out_of_the_scores() -> None:
         return z * s / (s + 0.6), np.full(len(z), 0.6)
 
     experiment = toy(*TOY, seed=6, n=5, repetitions=1, hidden=hidden)
-    model = experiment.grown(Addition(entry("rig.highpass"), "port", "shared"))
+    model = experiment.grown(Addition(effect=entry("rig.highpass"), place="port", pooling="shared"))
     u = np.column_stack([experiment.u, np.zeros(5)])
     fit = experiment.refitter.fit(model, u, experiment.population, 80, hold_additions=True)
     assert fit.shared_value == 0
@@ -415,7 +415,7 @@ def test_what_was_added_is_not_a_candidate_any_more() -> None:
     experiment = toy(*TOY, seed=1, n=3)
     model = build(
         experiment.model.network,
-        [Addition(entry("body.mass"), "port", "shared")],
+        [Addition(effect=entry("body.mass"), place="port", pooling="shared")],
         experiment.model.scales,
         [{}],
     )
