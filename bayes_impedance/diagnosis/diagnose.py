@@ -9,13 +9,10 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from bayes_impedance.diagnosis import catalogue  # noqa: F401  (fills the register of effects)
 from bayes_impedance.diagnosis.catalogue.effect import Effect, registered
 from bayes_impedance.diagnosis.claimed_simulation import Claim, claim_of
 from bayes_impedance.diagnosis.fit.baseline import Fitted, fit_network
-from bayes_impedance.diagnosis.fit.extend import price
 from bayes_impedance.diagnosis.fit.fitter import Refit
 from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
 from bayes_impedance.diagnosis.fit.profile_posterior import from_evidence
@@ -25,6 +22,7 @@ from bayes_impedance.diagnosis.hum.leakage import find_skirts
 from bayes_impedance.diagnosis.hum.line import find_mains, without_hum
 from bayes_impedance.diagnosis.residuals.locate import Location, locate
 from bayes_impedance.diagnosis.residuals.missing_impedance import missing_one_ports
+from bayes_impedance.diagnosis.selection.compare import log_evidence
 from bayes_impedance.diagnosis.selection.cross_validation import held_out, people_gain
 from bayes_impedance.diagnosis.selection.identifiability import names_that_hold
 from bayes_impedance.diagnosis.selection.restart import another_beginning
@@ -147,7 +145,7 @@ def _diagnose(
     look = _look(fitted, base, begin, job, clock)
     if look.nameless:
         with clock.measure("search"):
-            known = look.evidence - float(np.sum(base.evidence))
+            known = look.evidence - log_evidence(base)
             begin = another_beginning(fitted, look.found.steps[0], known, seed, executor, progress)
         if begin is not None:
             look = max(look, _look(fitted, base, begin, job, clock), key=lambda k: k.evidence)
@@ -246,7 +244,7 @@ class _Look:
     def evidence(self) -> float:
         """Of everything found, less the price of its parameters; the network alone may have been fitted better, too."""
         final = self.found.final if self.unknown is None else self.unknown.trial.fit
-        return float(np.sum(final.evidence)) - price(final.model, final)
+        return log_evidence(final)
 
 
 def _look(fitted: Fitted, base: Refit, begin: Refit | None, job: _Job, clock: _Clock) -> _Look:

@@ -1,12 +1,4 @@
-r"""Models that grow and shrink: one addition more or less, refitted from where the other model has ended.
-
-The gain of a model with more additions is
-
-.. math:: E = \sum_i \ell_i - \tfrac{k}{2}\ln N_\text{rec},
-
-with :math:`\ell_i` everybody's evidence (:mod:`bayes_impedance.diagnosis.fit.fitter`), k the number of population
-parameters that were added and :math:`N_\text{rec}` the number of recordings, less the same of the model without it.
-"""
+"""Models that grow and shrink: one addition more or less, refitted from where the other model has ended."""
 
 from __future__ import annotations
 
@@ -22,9 +14,6 @@ from bayes_impedance.diagnosis.fit.model import Addition, Model, build
 from bayes_impedance.diagnosis.fit.normal_equations import Population
 from bayes_impedance.diagnosis.fit.spike_slab import members
 from bayes_impedance.network.notation import parse
-
-LEAST_GAIN = 3.0
-"""Smallest gain of evidence, in natural logarithms, for which something is kept."""
 
 
 def extended(model: Model, candidate: Candidate, pooling: str, size: float) -> Model:
@@ -80,17 +69,6 @@ def extended_start(fit: Refit, model: Model) -> tuple[np.ndarray, Population]:
             mu[i] = u[:, new.kernel.elements.index(name)].mean()
             covariance[i, i] = 1.0  # set from the mean when the fit begins
     return u, Population(mu, covariance, rho)
-
-
-def gain(grown: Refit, fit: Refit) -> float:
-    """Evidence gained, less the price of the population parameters that were added."""
-    return float(np.sum(grown.evidence) - np.sum(fit.evidence)) - price(grown.model, fit) + price(fit.model, fit)
-
-
-def price(model: Model, fit: Refit) -> float:
-    """Half the logarithm of the number of recordings for every parameter of the population that was added."""
-    count = sum(1 if p.shared else 2 for p in model.parameters)
-    return 0.5 * count * float(np.log(len(fit.u)))
 
 
 def is_physical(fit: Refit) -> bool:
@@ -174,3 +152,10 @@ def shrunk(refitter: Refitter, fit: Refit, model: Model, kept: Sequence[int]) ->
         rho=population.rho[positions],
     )
     return refitter.fit(model, u, smaller)
+
+
+def dispersion_of_shared(fit: Refit, addition: int, seed: int) -> np.ndarray:
+    """Draws of how much people differ in a coefficient that was fitted as the same for all, relative to it."""
+    model = with_pooling(fit.model, addition, "varying")
+    column = model.columns(addition)[0] - model.n_elements
+    return coefficient_posterior(replace(fit, model=model), seed).relative_dispersion[:, column]

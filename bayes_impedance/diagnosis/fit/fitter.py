@@ -53,9 +53,9 @@ _SMALLEST_RHO = 1e-3
 _LONGEST_STEP = 1.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Refit:
-    """A fitted model.
+    """A fitted model; two are equal only if they are the same object.
 
     Attributes
     ----------

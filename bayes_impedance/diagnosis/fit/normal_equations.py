@@ -239,19 +239,31 @@ def marginal(model: Model, h: np.ndarray, d: np.ndarray, tau: np.ndarray) -> Mar
     tau : ndarray, shape (A,)
         Standard deviations between people; ignored for shared parameters.
     """
+    log_density, mean, precision = _marginal(model, h, d, tau[None])
+    return MarginalDensity(float(log_density[0]), mean[0], 0.5 * (precision[0] + precision[0].T))
+
+
+def log_densities(model: Model, h: np.ndarray, d: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    """Log densities of :func:`marginal` for many dispersions, tau of shape (G, A); shape (G,)."""
+    return _marginal(model, h, d, tau)[0]
+
+
+def _marginal(model: Model, h: np.ndarray, d: np.ndarray, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Log densities (G,), means (G, A) and precisions (G, A, A) of a for dispersions of shape (G, A)."""
     varying = ~model.shared[model.n_elements :]
     prior_sd = np.array([p.prior_sd for p in model.parameters])
     centre = np.array([p.centre for p in model.parameters])
-    t = np.diag(tau[varying] ** 2)
-    dcc, dc = d[:, varying][:, :, varying], d[:, :, varying]
-    root = np.eye(t.shape[0]) + dcc @ t
-    w = np.linalg.solve(np.swapaxes(root, 1, 2), np.broadcast_to(t, dcc.shape))
-    precision = (d - dc @ w @ np.swapaxes(dc, 1, 2)).sum(axis=0) + np.diag(prior_sd**-2.0)
-    right = (h - np.einsum("nac,ncd,nd->na", dc, w, h[:, varying])).sum(axis=0) + centre / prior_sd**2
-    mean = np.linalg.solve(precision, right)
-    value = 0.5 * right @ mean - 0.5 * np.linalg.slogdet(precision)[1]
-    value += 0.5 * np.einsum("nc,ncd,nd->", h[:, varying], w, h[:, varying])
-    return MarginalDensity(float(value - 0.5 * np.linalg.slogdet(root)[1].sum()), mean, 0.5 * (precision + precision.T))
+    dcc, dc, hc = d[:, varying][:, :, varying], d[:, :, varying], h[:, varying]
+    t = tau[:, None, varying, None] ** 2 * np.eye(int(varying.sum()))
+    root = np.eye(t.shape[-1]) + dcc @ t
+    w = np.linalg.solve(np.swapaxes(root, -1, -2), np.broadcast_to(t, root.shape))
+    precision = (d - dc @ w @ np.swapaxes(dc, 1, 2)).sum(axis=1) + np.diag(prior_sd**-2.0)
+    pulled = (w @ hc[..., None])[..., 0]
+    right = (h - (dc @ pulled[..., None])[..., 0]).sum(axis=1) + centre / prior_sd**2
+    mean = np.linalg.solve(precision, right[..., None])[..., 0]
+    value = 0.5 * np.sum(right * mean, axis=1) - 0.5 * np.linalg.slogdet(precision)[1]
+    value += 0.5 * np.sum(hc * pulled, axis=(1, 2)) - 0.5 * np.linalg.slogdet(root)[1].sum(axis=1)
+    return value, mean, precision
 
 
 def sums(values: np.ndarray, owner: np.ndarray, n: int) -> np.ndarray:

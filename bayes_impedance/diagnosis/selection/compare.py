@@ -1,157 +1,165 @@
-"""The last round: the best explanations, each with the freedom that it needs, compared on equal terms.
+r"""The one criterion: whether explanation A of the recordings is better than explanation B.
 
-The first refits hold a coefficient's dispersion at a typical value, let shapes differ between people or not, and begin
-wherever the model without them has ended. That is enough to see which explanations are in question, but not to choose
-between them: the one that happens to have the right dispersion would win. Here
+The log evidence of a fitted model is that of everybody (:mod:`bayes_impedance.diagnosis.fit.fitter`), less half the
+logarithm of the number of recordings for each of the k values that the whole population shares (means and shared
+parameters), with the dispersions of what was added integrated over their prior:
 
-- shapes may differ between people where that is worth its parameters,
-- dispersions go to their posterior medians,
-- everybody is given the chance to leave a local optimum, at the same effect's other places too, and
-- a coefficient that is absent in some people is not punished for not being normal
-  (:mod:`bayes_impedance.diagnosis.fit.spike_slab`).
+.. math:: \ln E = \sum_i \ell_i(\tau_0) - \tfrac{k}{2}\ln N_\text{rec}
+          + \ln\int p(\tau)\,\frac{L(\tau)}{L(\tau_0)}\,d\tau .
 
-Whose the best one is, the rig's or the body's, is looked at last
-(:mod:`bayes_impedance.diagnosis.selection.rig_or_body`).
+:math:`\ell_i` is worked out with the dispersions held at :math:`\tau_0`; L is the likelihood of the dispersions with
+everybody's own coefficients integrated out (:mod:`bayes_impedance.diagnosis.fit.normal_equations`).
+
+**The same for all, or different in everybody**, is one question with one prior. What people differ by is
+
+.. math:: \ln\tau \sim N(\ln 0.35, (\ln 2)^2)
+
+relative to a coefficient's mean, or in the logarithm of a shape; devices differ by nothing, :math:`\tau = 0`. A
+coefficient that can be absent in some people may instead be zero in them
+(:mod:`bayes_impedance.diagnosis.fit.spike_slab`): the better of the two counts.
+
+A is better than B if the difference exceeds :data:`LEAST_GAIN` and :data:`SCATTERS` times its standard error over
+people: what one person gains is that person's local optimum and not physics. Both must have come to rest, which is the
+business of whoever calls (:mod:`bayes_impedance.diagnosis.selection.finalists`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
+from scipy.special import logsumexp
 
-from bayes_impedance.diagnosis.catalogue.effect import registered
-from bayes_impedance.diagnosis.fit.coefficient_posterior import coefficient_posterior
-from bayes_impedance.diagnosis.fit.extend import (
-    LEAST_GAIN,
-    extended_start,
-    gain,
-    is_physical,
-    with_measured_dispersions,
-    with_pooling,
-)
-from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter
+from bayes_impedance.diagnosis.fit.extend import with_pooling
+from bayes_impedance.diagnosis.fit.fitter import Refit
+from bayes_impedance.diagnosis.fit.model import TYPICAL_DISPERSION, Model
+from bayes_impedance.diagnosis.fit.normal_equations import log_densities, quadratic
 from bayes_impedance.diagnosis.fit.spike_slab import members
-from bayes_impedance.diagnosis.selection.shortlist import Trial
 
-MOST = 4
-_SHARE = 0.6
-_CLOSE = 1.0
-RIVAL = 10.0
-"""A rival that is further behind is not worth more refits."""
+LEAST_GAIN = 3.0
+"""Natural logarithms by which evidence must be larger: odds of 20 to 1."""
 
-_ROUNDS = 40
-FEWEST, _FEWEST_TO_VARY = 10, 3
+SCATTERS = 2.0
+"""Standard errors over people by which evidence must be larger: 2.3 % by chance."""
+
+FEWEST_TO_VARY = 3
+"""With fewer people, nothing can be said of a dispersion: coefficients are the same for all."""
+
+FEWEST_PEOPLE = 10
+"""With fewer people, neither a standard error over people nor who has an effect and who has not can be estimated."""
+
+_SPREAD_OF_DISPERSIONS = np.log(2.0)
+"""What people differ by is known within a factor of two."""
+
+_GRID = np.linspace(-4.0, 4.0, 65)
+"""Of the logarithm of a dispersion, in standard deviations of its prior. Steps of 9 % resolve what 100 people say of a
+dispersion, about 7 %; beyond four standard deviations lies 6e-5 of the prior."""
+
+_SWEEPS = 2
+"""Over the dispersions, each with the others at their maxima: a third changes the integral by less than 0.1."""
 
 
-def finalists(refitter: Refitter, fit: Refit, trials: Sequence[Trial], seed: int) -> list[Trial]:
-    """The best trials, refitted on equal terms, the best first.
+_known: WeakKeyDictionary[Refit, float] = WeakKeyDictionary()
+"""Log evidences that were worked out, as long as the fits are kept: one is compared with many."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """How much better one explanation is than another.
+
+    Attributes
+    ----------
+    difference : float
+        Of log evidence, in natural logarithms.
+    standard_error : float
+        Over people; 0 where they are too few.
+    """
+
+    difference: float
+    standard_error: float
+
+    @property
+    def decided(self) -> bool:
+        """Whether the first is better beyond doubt."""
+        return bool(self.difference > LEAST_GAIN and self.difference > SCATTERS * self.standard_error)
+
+
+def compare(one: Refit, other: Refit) -> Comparison:
+    """Compare two explanations of the same recordings.
 
     Parameters
     ----------
-    refitter : Refitter
-    fit : Refit
-        Without them.
-    trials : sequence of Trial
-    seed : int
+    one, other : Refit
+        Of the same people.
     """
-    best: dict[tuple[str, str, str], Trial] = {}
-    for trial in trials:
-        key = trial.fit.model.additions[-1].key
-        if trial.physical and np.isfinite(trial.gain) and (key not in best or best[key].gain < trial.gain):
-            best[key] = trial
-    order = sorted(best.values(), key=lambda t: -t.gain)
-    if not order or order[0].gain <= LEAST_GAIN:
-        return []
-    close = [t for t in order if t.gain > _SHARE * order[0].gain]
-    some = [t for t in order if t.effect.pooling == "some" and t not in close[:MOST]]
-    grown = [ripened(refitter, fit, t, seed) for t in (*close[:MOST], *some[:1])]
-    grown = [t for t in grown if t.gain > LEAST_GAIN]
-    return in_order(grown) if grown else []
+    own = one.evidence - other.evidence
+    n = own.size
+    error = float(np.sqrt(n) * own.std(ddof=1)) if n >= FEWEST_PEOPLE else 0.0
+    return Comparison(log_evidence(one) - log_evidence(other), error)
 
 
-def ripened(refitter: Refitter, fit: Refit, trial: Trial, seed: int) -> Trial:
-    """The trial with own shapes if they are worth it, and with its dispersions estimated."""
-    effect, last = trial.effect, len(trial.fit.model.additions) - 1
-    if effect.side == "rig" or len(refitter.data) < _FEWEST_TO_VARY:
-        return trial
-    best = trial
-    if trial.pooling != "shared":
-        best = better_of(trial, regrown(trial, _ripe(refitter, trial.fit, seed), fit))
-    if trial.pooling != "free" and any(c.link != "linear" for c in effect.coefficients[1:]):
-        model = with_pooling(trial.fit.model, last, "free")
-        grown = refitter.fit(model, *extended_start(trial.fit, model), 30)
-        free = regrown(trial, _ripe(refitter, grown, seed), fit)
-        if free.physical and free.gain > best.gain + LEAST_GAIN:
-            return free
-    return best
+def log_evidence(fit: Refit) -> float:
+    """Evidence of a fitted model with the dispersions of what was added integrated, as in the module's docstring."""
+    if fit not in _known:
+        model = fit.model
+        total = float(np.sum(fit.evidence)) - 0.5 * len(model.parameters) * float(np.log(len(fit.u)))
+        _known[fit] = total + sum(_of_distribution(fit, i) for i in range(len(model.additions)))
+    return _known[fit]
 
 
-def _ripe(refitter: Refitter, grown: Refit, seed: int) -> Refit:
-    return with_measured_dispersions(refitter, grown, coefficient_posterior(grown, seed))
+def differs(fit: Refit, addition: int) -> bool:
+    """Whether people may differ in an addition: in what is the body's they do."""
+    item = fit.model.additions[addition]
+    if len(fit.data) < FEWEST_TO_VARY:
+        return False
+    return item.pooling != "shared" or item.effect.side == "body"
 
 
-def at_rest(refitter: Refitter, fit: Refit, ranked: Sequence[Trial], seed: int) -> list[Trial]:
-    """The best of the finalists with everybody at rest, and its close rivals too: the best first.
-
-    A person in a local optimum costs as much as a wrong explanation does. The same effect at another place begins where
-    the best one has ended, other effects look for better optima on their own.
-    """
-    leader = regrown(ranked[0], refitter.settle(ranked[0].fit, seed), fit)
-    result = [leader]
-    for trial in ranked[1:]:
-        if trial.effect == leader.effect:
-            model = with_pooling(trial.fit.model, len(trial.fit.model.additions) - 1, leader.pooling)
-            again = regrown(trial, refitter.fit(model, leader.fit.u, leader.fit.population, _ROUNDS), fit)
-            result.append(better_of(trial, again))
-        elif trial.gain > ranked[0].gain - RIVAL:  # the leader's before it was at rest
-            result.append(better_of(trial, regrown(trial, refitter.settle(trial.fit, seed, tries=2, rounds=1), fit)))
-        else:
-            result.append(trial)
-    result = in_order(result)
-    if result[0] is not leader:
-        result[0] = better_of(
-            result[0], regrown(result[0], refitter.settle(result[0].fit, seed, tries=3, rounds=2), fit)
-        )
-    return result
+def _of_distribution(fit: Refit, addition: int) -> float:
+    """What is gained when an addition's distribution over people is not held as it was fitted."""
+    if not differs(fit, addition):
+        return 0.0
+    spread = _dispersions_integrated(fit, addition)
+    item = fit.model.additions[addition]
+    if item.pooling == "shared" or not item.effect.operation or len(fit.data) < FEWEST_PEOPLE:
+        return spread
+    who = members(fit, addition)
+    absent_in_some = who.gain - 0.5 * float(np.log(len(fit.u)))  # the price of the share of people who have it
+    return spread + max(absent_in_some, 0.0) * who.only_some
 
 
-def is_separated(leader: Trial, rival: Trial) -> bool:
-    """Whether the evidence of a rival is behind by more than three (20 to 1), and by twice its scatter over people."""
-    difference = leader.fit.evidence - rival.fit.evidence
-    se = np.sqrt(difference.size) * difference.std(ddof=1) if difference.size > 1 else 0.0
-    behind = leader.gain - rival.gain
-    return bool(behind > LEAST_GAIN and behind > 2 * se)
+def _dispersions_integrated(fit: Refit, addition: int) -> float:
+    """Logarithm of the integral of L(tau) / L(tau_0) over the prior of an addition's dispersions."""
+    pooling = fit.model.additions[addition].pooling
+    model = with_pooling(fit.model, addition, "varying") if pooling == "shared" else fit.model
+    h, d, _ = quadratic(model, fit.data, fit.u, fit.equations, fit.population.covariance)
+    unit = _units(fit, model)
+    columns = [c - model.n_elements for c in model.columns(addition)]
+    columns = [c for c in columns if not model.parameters[c].shared]
+    held = unit * [0.0 if p.shared else p.dispersion for p in model.parameters]
+    if pooling == "shared":
+        held[columns] = 0.0
+
+    start = float(log_densities(model, h, d, held[None])[0])
+    prior = -0.5 * _GRID**2 - logsumexp(-0.5 * _GRID**2)
+    nodes = TYPICAL_DISPERSION * np.exp(_SPREAD_OF_DISPERSIONS * _GRID)
+    tau, total = held.copy(), 0.0
+    tau[columns] = TYPICAL_DISPERSION * unit[columns]
+    for _ in range(_SWEEPS if len(columns) > 1 else 1):
+        total = 0.0
+        for c in columns:
+            grid = np.tile(tau, (nodes.size, 1))
+            grid[:, c] = nodes * unit[c]
+            values = log_densities(model, h, d, grid)
+            best = int(np.argmax(values + prior))
+            tau[c] = nodes[best] * unit[c]
+            total += float(logsumexp(values + prior)) - float(values[best])
+    return total + float(log_densities(model, h, d, tau[None])[0]) - start
 
 
-def in_order(trials: Sequence[Trial]) -> list[Trial]:
-    """Best first; of equally good ones the one that stands first in the catalogue: the simpler, and the rig's."""
-    rank = {effect: i for i, effect in enumerate(registered())}
-    top = max(t.gain for t in trials)
-    return sorted(
-        trials,
-        key=lambda t: (0, rank.get(t.effect, len(rank)), -t.gain) if t.gain > top - _CLOSE else (1, 0, -t.gain),
-    )
-
-
-def regrown(trial: Trial, grown: Refit, fit: Refit) -> Trial:
-    """A trial with another fit of it; `fit` is without it."""
-    pooling = grown.model.additions[-1].pooling
-    return replace(trial, pooling=pooling, fit=grown, gain=whole_gain(grown, fit), physical=is_physical(grown))
-
-
-def better_of(old: Trial, new: Trial) -> Trial:
-    """The new trial if it is physical and ahead, else the old one."""
-    return new if new.physical and new.gain > old.gain else old
-
-
-def whole_gain(grown: Refit, fit: Refit) -> float:
-    """Gain of evidence, with what it gains that some people have nothing of the last addition."""
-    total = gain(grown, fit)
-    last = len(grown.model.additions) - 1
-    addition = grown.model.additions[last]
-    if addition.pooling == "shared" or not addition.effect.operation or len(grown.data) < FEWEST:
-        return total
-    who = members(grown, last)
-    return total + max(who.gain - 0.5 * float(np.log(len(grown.u))), 0.0) * who.only_some
+def _units(fit: Refit, model: Model) -> np.ndarray:
+    """What dispersions are relative to: coefficients' means; shapes and elements are logarithms, shape (A,)."""
+    size = np.abs(fit.u[:, model.n_elements :].mean(axis=0))
+    pairs = zip(size, model.parameters, strict=True)
+    return np.array([max(s, 1e-12) if p.is_coefficient else 1.0 for s, p in pairs])

@@ -21,28 +21,21 @@ from itertools import combinations
 
 import numpy as np
 
-from bayes_impedance.diagnosis.fit.extend import gain
+from bayes_impedance.diagnosis.catalogue.effect import Effect
 from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter
 from bayes_impedance.diagnosis.fit.model import Addition
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
+from bayes_impedance.diagnosis.selection.compare import compare, log_evidence
 from bayes_impedance.diagnosis.selection.cross_validation import people_gain
 from bayes_impedance.diagnosis.selection.stepwise import Found, rivals
 from bayes_impedance.diagnosis.selection.unnamed import Realised, stand_in_network
 from bayes_impedance.diagnosis.types import OnePort
 
-SERIES_TERMS = ("rig.resonance", "body.relaxation", "body.resonator")
-"""Entries of which a sum can be any passive one-port."""
+SERIES_TERMS = ("relaxation", "resonator")
+"""Operations of which a sum can be any passive one-port (Foster, Prony), as branches of masses and springs can."""
 
-ONE_PORTS = (
-    "body.springpot",
-    "body.hysteresis",
-    "body.relaxation",
-    "body.resonator",
-    "body.mass",
-    "body.line",
-    "body.bypass",
-)
-"""Entries that say what the tissue at one place is made of."""
+ONE_PORTS = ("add", "beside_power", "bypass", "hysteresis", "line", "power", "relaxation", "resonator")
+"""Operations that say what the tissue at one place is made of: passive one-ports beside it or in its place."""
 
 _NAMED_SHARE = 0.9
 _SAME_BAND = 0.5
@@ -84,17 +77,19 @@ def names_that_hold(
         What has no name: all of it if no names hold.
     """
     own = found.final.model.additions[len(found.base.model.additions) :]
-    named = gain(found.final, found.base)
+    named = log_evidence(found.final) - log_evidence(found.base)
     if rest is not None and named < _NAMED_SHARE * (named + rest.trial.gain):
         alone = stand_in_network(refitter, found.base, found.steps[0].residuals, one_ports, seed, executor)
-        if alone is not None and alone.trial.gain > named:
+        if alone is not None and compare(alone.trial.fit, found.final).decided:
             return _without_names(found), alone
     doubtful = _of_one_thing(found, own, residuals, remains)
     if doubtful and len(refitter.data) >= _FEWEST:
         trial = rest.trial if rest is not None else next(s.chosen for s in reversed(found.steps) if s.chosen)
         whole = rest.trial.fit if rest is not None else found.final
         total, se = people_gain(refitter, found.base, whole, seed)
-        return _without_names(found), Realised(replace(trial, fit=whole, gain=gain(whole, found.base)), total, se)
+        return _without_names(found), Realised(
+            replace(trial, fit=whole, gain=log_evidence(whole) - log_evidence(found.base)), total, se
+        )
     return found, rest
 
 
@@ -106,12 +101,23 @@ def _of_one_thing(found: Found, own: Sequence[Addition], residuals: Sequence[Per
         one, other = own[i], own[k]
         if _overlap(power[i], power[k]) < _SAME_BAND:
             continue
-        if remains and one.effect.id in SERIES_TERMS and other.effect.id in SERIES_TERMS:
+        if remains and _is_series_term(one.effect) and _is_series_term(other.effect):
             return True
-        both = one.effect.id in ONE_PORTS and other.effect.id in ONE_PORTS and one.effect.id != other.effect.id
+        both = _is_one_port(one.effect) and _is_one_port(other.effect) and one.effect.id != other.effect.id
         if both and _possible_places(found, one) & _possible_places(found, other):
             return True
     return False
+
+
+def _is_series_term(effect: Effect) -> bool:
+    return effect.operation in SERIES_TERMS or not effect.operation
+
+
+def _is_one_port(effect: Effect) -> bool:
+    """Whether an effect says what everybody's tissue at one place is made of."""
+    return (
+        effect.side == "body" and effect.pooling != "some" and (effect.operation in ONE_PORTS or not effect.operation)
+    )
 
 
 def felt(fit: Refit, columns: Sequence[int], residuals: Sequence[PersonResiduals]) -> tuple[np.ndarray, np.ndarray]:

@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayes_impedance.diagnosis.catalogue.effect import Candidate, Effect, registered
-from bayes_impedance.diagnosis.fit.extend import extended, extended_start, gain, has_shapes, is_physical
+from bayes_impedance.diagnosis.catalogue.effect import Candidate, Effect
+from bayes_impedance.diagnosis.fit.extend import extended, extended_start, has_shapes, is_physical
 from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter
+from bayes_impedance.diagnosis.selection.compare import FEWEST_TO_VARY, log_evidence
 from bayes_impedance.diagnosis.selection.score_scan import Screening
 
 ALPHA = 0.01
@@ -39,7 +40,7 @@ class Trial:
     pooling : str
     fit : Refit
     gain : float
-        Of evidence over the model without it, less the price of its parameters.
+        Of log evidence over the model without it (:func:`.compare.log_evidence`).
     physical : bool
         Whether the fitted coefficient has a sign that the effect can have.
     """
@@ -134,12 +135,12 @@ def try_candidate(
     # The coefficient is linear: at zero the larger model is the smaller one, and the elements follow from there.
     model = extended(fit.model, candidate, "shared", size)
     grown = refitter.fit(model, *extended_start(begin or fit, model), rounds)
-    trials = [Trial(candidate, "shared", grown, gain(grown, fit), is_physical(grown))]
+    trials = [_trial(candidate, "shared", grown, fit)]
     for pooling in poolings:
         if pooling != "shared":
             model = extended(fit.model, candidate, pooling, size)
             grown = refitter.fit(model, *extended_start(trials[-1].fit, model), rounds)
-            trials.append(Trial(candidate, pooling, grown, gain(grown, fit), is_physical(grown)))
+            trials.append(_trial(candidate, pooling, grown, fit))
     return [t for t in trials if t.pooling in poolings]
 
 
@@ -175,7 +176,7 @@ def own_shapes(
         u[:, column] = values[fit.owner]
         mu[int(np.flatnonzero(varying == column)[0])] = values.mean()
     grown = refitter.fit(model, u, replace(population, mu=mu), rounds)
-    return Trial(chosen, "free", grown, gain(grown, fit), is_physical(grown))
+    return _trial(chosen, "free", grown, fit)
 
 
 def try_shortlist(refitter: Refitter, fit: Refit, screening: Screening, begin: Refit | None = None) -> list[Trial]:
@@ -186,7 +187,7 @@ def try_shortlist(refitter: Refitter, fit: Refit, screening: Screening, begin: R
     trials: list[Trial] = []
     for k in shortlist(screening):
         candidate = screening.candidates[k]
-        poolings = poolings_for(candidate, len(refitter.data))
+        poolings = poolings_for(candidate.effect, len(refitter.data))
         trials += try_candidate(refitter, fit, candidate, float(screening.size[k]), poolings, _FIRST_ROUNDS, begin)
         if "varying" in poolings and has_shapes(candidate.effect) and screening.log_p_spread[k] < _CLEARLY_VARIES:
             trials.append(own_shapes(refitter, fit, screening, k, _FIRST_ROUNDS, begin))
@@ -217,23 +218,16 @@ def _continued(refitter: Refitter, fit: Refit, trials: list[Trial]) -> list[Tria
     for trial in trials:
         if trial.gain > enough and not trial.fit.settled:
             grown = refitter.fit(trial.fit.model, trial.fit.u, trial.fit.population, _MORE_ROUNDS)
-            trial = replace(trial, fit=grown, gain=gain(grown, fit), physical=is_physical(grown))
+            trial = _trial(trial.candidate, trial.pooling, grown, fit)
         result.append(trial)
     return result
 
 
-def poolings_for(candidate: Candidate, n_people: int) -> tuple[str, ...]:
-    """How a coefficient may be spread over people: the rig's is the same for all, the body's may differ.
+def poolings_for(effect: Effect, n_people: int) -> tuple[str, ...]:
+    """How a coefficient is spread over people: the rig's is the same for all, the body's differs."""
+    return ("shared",) if effect.side == "rig" or n_people < FEWEST_TO_VARY else ("varying",)
 
-    Where rig and body have the same effect at the same place, being the same for all makes it the rig's.
-    """
-    effect = candidate.effect
-    if n_people < 3 or effect.side == "rig":
-        return ("shared",)
-    if effect.pooling == "some":
-        return ("varying",)
-    twin = candidate.place == "port" and any(
-        other.side == "rig" and other.operation == effect.operation and other.coefficients == effect.coefficients
-        for other in registered()
-    )
-    return ("varying",) if twin else ("shared", "varying")
+
+def _trial(candidate: Candidate, pooling: str, grown: Refit, fit: Refit) -> Trial:
+    """A refit of the model without it, `fit`, with a candidate."""
+    return Trial(candidate, pooling, grown, log_evidence(grown) - log_evidence(fit), is_physical(grown))

@@ -7,7 +7,7 @@ when none improves the evidence, or when the people are too few for more.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
@@ -15,26 +15,23 @@ import numpy as np
 
 from bayes_impedance.diagnosis.catalogue.effect import Effect
 from bayes_impedance.diagnosis.fit.coefficient_posterior import CoefficientPosterior
-from bayes_impedance.diagnosis.fit.extend import LEAST_GAIN, gain, measured, rebuilt, shrunk
+from bayes_impedance.diagnosis.fit.extend import measured, rebuilt, shrunk
 from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter
 from bayes_impedance.diagnosis.fit.model import Addition
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals
-from bayes_impedance.diagnosis.selection.compare import at_rest, finalists, is_separated, whole_gain
-from bayes_impedance.diagnosis.selection.rig_or_body import sided
+from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN, compare, log_evidence
+from bayes_impedance.diagnosis.selection.finalists import finalists
 from bayes_impedance.diagnosis.selection.score_scan import Screening, screen
 from bayes_impedance.diagnosis.selection.shortlist import ALPHA, Trial, try_shortlist
+from bayes_impedance.runtime.progress import Progress
 
 MOST_ADDITIONS = 4
 _PEOPLE_PER_ADDITION = 8
 _REPEATS = 3
-_FEWEST = 10
-_SURE = 3.0
 _SECOND_CHANCES = 3
 
 SPREAD_PENALTY = float(np.log(100.0))
 """The spread between people is held to a stricter level: noise of another shape in some people looks like it."""
-
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
@@ -136,18 +133,16 @@ def search(
         step = Step(fit, residuals, screening, (), None)
         if number < most and step.log_p < np.log(ALPHA):
             trials = try_shortlist(refitter, fit, screening, begin)
-            ranked = finalists(refitter, fit, trials, seed)
-            ranked = at_rest(refitter, fit, ranked, seed) if ranked else []
-            ranked = sided(refitter, fit, ranked, trials, seed) if ranked else []
+            ranked = finalists(refitter, fit, trials, effects, seed)
             chosen, better = None, None
             for trial in ranked[:_SECOND_CHANCES]:
                 grown, measure = measured(refitter, trial.fit, seed)
                 better = _without_last(refitter, fit, grown) if repeats < _REPEATS else None
                 if better is not None:
                     break
-                grown_gain = whole_gain(grown, fit)
-                if grown_gain > LEAST_GAIN and _sure(grown, measure) and _shared_by_many(grown, fit):
-                    chosen, posterior = replace(trial, fit=grown, gain=grown_gain), measure
+                better_than_without = compare(grown, fit)
+                if better_than_without.decided:
+                    chosen, posterior = replace(trial, fit=grown, gain=better_than_without.difference), measure
                     break
             if better is not None:  # it was not physics that was missing but convergence
                 repeats += 1
@@ -178,42 +173,19 @@ def _without_last(refitter: Refitter, fit: Refit, grown: Refit) -> Refit | None:
     return again if again.evidence.sum() > fit.evidence.sum() + LEAST_GAIN else None
 
 
-def _sure(fit: Refit, posterior: CoefficientPosterior) -> bool:
-    """Whether the coefficient of the last addition is surely not zero."""
-    last = len(fit.model.additions) - 1
-    columns = [
-        c - fit.model.n_elements
-        for c in fit.model.columns(last)
-        if fit.model.parameters[c - fit.model.n_elements].is_coefficient
-    ]
-    if not columns or fit.model.additions[last].effect.pooling == "some":
-        return True  # a branch has no zero; who has a layer and who has not was tested already
-    draws = posterior.central[:, columns]
-    return bool(np.any(np.abs(draws.mean(axis=0)) > _SURE * draws.std(axis=0)))
-
-
-def _shared_by_many(grown: Refit, fit: Refit) -> bool:
-    """Whether the gain exceeds its scatter over people: what one person gains is a local optimum and not physics."""
-    difference = grown.evidence - fit.evidence
-    if difference.size < _FEWEST or grown.model.additions[-1].effect.pooling == "some":
-        return True
-    return bool(difference.sum() > 2 * np.sqrt(difference.size) * difference.std(ddof=1))
-
-
 def _backward(refitter: Refitter, base: Refit, fit: Refit) -> Refit:
     """Take out what later additions have made superfluous."""
     first = len(base.model.additions)
     while len(fit.model.additions) > first + 1:
-        losses = []
+        smaller = []
         for k in range(first, len(fit.model.additions)):
             kept = [i for i in range(len(fit.model.additions)) if i != k]
             model = rebuilt(fit.model, [fit.model.additions[i] for i in kept], kept)
-            smaller = shrunk(refitter, fit, model, kept)
-            losses.append((gain(fit, smaller), smaller))
-        loss, smaller = min(losses, key=lambda pair: pair[0])
-        if loss > LEAST_GAIN:
+            smaller.append(shrunk(refitter, fit, model, kept))
+        best = max(smaller, key=log_evidence)
+        if compare(fit, best).decided:
             return fit
-        fit = smaller
+        fit = best
     return fit
 
 
@@ -235,5 +207,5 @@ def rivals(step: Step) -> list[tuple[Trial, float, bool]]:
             best[key] = trial
     result = []
     for trial in best.values():
-        result.append((trial, float(chosen.gain - trial.gain), is_separated(chosen, trial)))
+        result.append((trial, float(chosen.gain - trial.gain), compare(chosen.fit, trial.fit).decided))
     return sorted(result, key=lambda row: row[1])[:_MOST_ALIASES]

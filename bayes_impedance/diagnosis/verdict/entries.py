@@ -17,10 +17,10 @@ from bayes_impedance.diagnosis.fit.coefficient_posterior import (
     reported,
     verdict_on_side,
 )
+from bayes_impedance.diagnosis.fit.extend import dispersion_of_shared
 from bayes_impedance.diagnosis.fit.spike_slab import Members, members
 from bayes_impedance.diagnosis.hum.line import Hum
 from bayes_impedance.diagnosis.next_experiment.expected_separation import best_sentence, separation
-from bayes_impedance.diagnosis.selection.rig_or_body import dispersion_of_shared
 from bayes_impedance.diagnosis.selection.stepwise import Found, Step, rivals
 from bayes_impedance.diagnosis.selection.unnamed import Realised
 from bayes_impedance.diagnosis.verdict.sentence import number

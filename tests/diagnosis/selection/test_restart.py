@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bayes_impedance.diagnosis.selection.rig_or_body import log_odds_of_differing, same_for_all, sided
 from experiments import TOY, Experiment, concealing, entry, toy
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal, norm
@@ -19,7 +20,6 @@ from bayes_impedance.diagnosis.fit.fitter import Refit
 from bayes_impedance.diagnosis.fit.normal_equations import quadratic
 from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
 from bayes_impedance.diagnosis.selection.restart import another_beginning, without
-from bayes_impedance.diagnosis.selection.rig_or_body import log_odds_of_differing, same_for_all, sided
 from bayes_impedance.diagnosis.selection.score_scan import screen
 from bayes_impedance.diagnosis.selection.shortlist import Trial, try_candidate
 from bayes_impedance.diagnosis.selection.stepwise import Step
