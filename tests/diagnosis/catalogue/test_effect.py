@@ -31,7 +31,7 @@ from bayes_impedance.diagnosis.fit.coefficient_posterior import coefficient_post
 from bayes_impedance.diagnosis.fit.model import Addition, Model, build, inner_places, scales_of
 from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
 from bayes_impedance.diagnosis.residuals.sensitivity import INSIDE, local_impedances
-from bayes_impedance.diagnosis.selection.compare import finalists
+from bayes_impedance.diagnosis.selection.finalists import finalists
 from bayes_impedance.diagnosis.selection.score_scan import screen
 from bayes_impedance.diagnosis.selection.shortlist import try_shortlist
 from bayes_impedance.errors import InputError
@@ -815,7 +815,7 @@ def test_an_effect_of_ones_own_is_screened_and_refitted(
     assert screening.log_p(strength[mine].max()) < np.log(1e-9)
     only = screen(fit, residuals, [effect], 1, Serial())
     trials = try_shortlist(refitter, fit, only)
-    best = finalists(refitter, fit, trials, 1)[0]
+    best = finalists(refitter, fit, trials, registered(), 1)[0]
     assert best.effect is effect
     assert best.gain > 10
     grown = max((t.fit for t in trials), key=lambda f: float(f.evidence.sum()))

@@ -1,4 +1,4 @@
-"""Rig or body where they cannot be told apart, and a new beginning where the rig has driven the network far off."""
+"""A new beginning where the rig has driven the network far off."""
 
 from __future__ import annotations
 
@@ -7,21 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bayes_impedance.diagnosis.selection.rig_or_body import log_odds_of_differing, same_for_all, sided
 from experiments import TOY, Experiment, concealing, entry, toy
-from scipy.integrate import quad
-from scipy.stats import multivariate_normal, norm
 
 from bayes_impedance.diagnosis import diagnose
 from bayes_impedance.diagnosis.catalogue.effect import Candidate, registered, shape_grid
 from bayes_impedance.diagnosis.fit.baseline import fit_network
-from bayes_impedance.diagnosis.fit.extend import extended, extended_start, gain, is_physical
+from bayes_impedance.diagnosis.fit.extend import extended, extended_start
 from bayes_impedance.diagnosis.fit.fitter import Refit
-from bayes_impedance.diagnosis.fit.normal_equations import quadratic
 from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
 from bayes_impedance.diagnosis.selection.restart import another_beginning, without
 from bayes_impedance.diagnosis.selection.score_scan import screen
-from bayes_impedance.diagnosis.selection.shortlist import Trial, try_candidate
+from bayes_impedance.diagnosis.selection.shortlist import try_candidate
 from bayes_impedance.diagnosis.selection.stepwise import Step
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.recordings.files import Recordings, Subject
@@ -78,88 +74,6 @@ def test_an_effect_of_the_rig_is_taken_off_whatever_the_elements(effect) -> None
 
 def quiet(*_: object) -> None:
     pass
-
-
-def trial_of(experiment: Experiment, fit: Refit, effect_id: str, place: str) -> Trial:
-    """An effect that is the same for all, begun at the truth."""
-    effect, scales, values = entry(effect_id), fit.model.scales, experiment.case.values
-    mass = values["mass"]
-    if "compliance" in values:
-        omega, ratio = (
-            (mass * values["compliance"]) ** -0.5,
-            0.5 * values["damping"] * np.sqrt(values["compliance"] / mass),
-        )
-    else:
-        omega, ratio = 2 * np.pi * values["frequency"], values["ratio"]
-    shape = {"frequency": float(omega), "damping_ratio": float(ratio)}
-    candidate = Candidate(effect, place, shape)
-    model = extended(fit.model, candidate, "shared", values["mass"])
-    u, population = extended_start(fit, model)
-    u[:, model.columns(0)[0]] = effect.coefficients[0].unbounded(values["mass"], scales)
-    grown = experiment.refitter.fit(model, u, population, 60)
-    return Trial(candidate, "shared", grown, gain(grown, fit), is_physical(grown))
-
-
-@pytest.mark.parametrize(
-    ("hidden", "first"), [("rig.resonance", "rig.resonance"), ("body.resonator", "body.resonator")]
-)
-def test_what_is_the_same_for_all_is_the_rigs_if_the_recordings_allow_it(hidden: str, first: str) -> None:
-    experiment = concealing(hidden, "port", 0.3, seed=2, n=16)
-    fit = experiment.fit()
-    rig, body = (trial_of(experiment, fit, name, "port") for name in ("rig.resonance", "body.resonator"))
-    body = replace(body, gain=rig.gain + 1.0)  # the search prefers it by a hair
-    ranked = same_for_all(experiment.refitter, fit, [body, rig], [body, rig], 1)
-    assert ranked[0].effect.id == hidden
-    assert {t.effect.id for t in ranked} == {"rig.resonance", "body.resonator"}
-    # The rig's is not preferred where the recordings tell the two apart.
-    far = replace(body, gain=rig.gain + 100.0, fit=replace(body.fit, evidence=body.fit.evidence + 100 / 16))
-    assert same_for_all(experiment.refitter, fit, [far, rig], [far, rig], 1)[0] is far
-
-
-def test_an_explanation_by_the_rig_that_is_first_stays_first() -> None:
-    experiment = concealing("rig.resonance", "port", 0.3, seed=2, n=16)
-    fit = experiment.fit()
-    rig = trial_of(experiment, fit, "rig.resonance", "port")
-    assert same_for_all(experiment.refitter, fit, [rig], [rig], 1) == [rig]
-
-
-def masses(experiment: Experiment, fit: Refit) -> tuple[Trial, Trial]:
-    """A mass at the port as the rig's and as the body's."""
-    rig, body = (
-        try_candidate(experiment.refitter, fit, Candidate(entry(name), "port", {}), 1e-4, (pooling,))[0]
-        for name, pooling in (("rig.mass", "shared"), ("body.mass", "varying"))
-    )
-    return rig, body
-
-
-@pytest.mark.parametrize("hidden", ["rig.mass", "body.mass"])
-def test_of_one_formula_that_is_first_which_is_more_probable(hidden: str) -> None:
-    experiment = concealing(hidden, "port", 2.0, seed=2, n=16)
-    fit = experiment.fit()
-    rig, body = masses(experiment, fit)
-    assert (log_odds_of_differing(rig.fit, 0) > 0) == (hidden == "body.mass")
-    for ranked in ([rig, replace(body, gain=rig.gain - 1)], [replace(body, gain=rig.gain + 1), rig]):
-        assert sided(experiment.refitter, fit, ranked[:1], ranked, 1)[0].effect.id == hidden
-    other = replace(body, candidate=replace(body.candidate, place="n1"))  # not the same formula there
-    assert sided(experiment.refitter, fit, [rig, other], [rig, other], 1) == [rig, other]
-
-
-def test_odds_of_differing_are_those_of_normal_coefficients() -> None:
-    """With one coefficient alone everybody's estimate is normal, and so are all of them together."""
-    experiment = concealing("rig.mass", "port", 0.3, seed=3, n=12)
-    rig, _ = masses(experiment, experiment.fit())
-    fit = rig.fit
-    h, d, _ = quadratic(fit.model, fit.data, fit.u, fit.equations, fit.population.covariance)
-    estimates, variances = h[:, 0] / d[:, 0, 0], 1 / d[:, 0, 0]
-    mean, prior = abs(fit.u[0, -1]), fit.model.parameters[0].prior_sd
-
-    def density(relative: float) -> float:
-        covariance = np.diag(variances + (relative * mean) ** 2) + prior**2
-        return float(np.exp(multivariate_normal.logpdf(estimates, np.zeros(12), covariance) - offset))
-
-    offset = multivariate_normal.logpdf(estimates, np.zeros(12), np.diag(variances) + prior**2)
-    integral = quad(lambda x: norm.pdf(x) * density(0.35 * 2**x), -8, 8, epsabs=1e-10)[0]
-    assert log_odds_of_differing(fit, 0) == pytest.approx(np.log(integral), abs=1e-3)
 
 
 def strong_high_pass() -> tuple[Experiment, Recordings]:

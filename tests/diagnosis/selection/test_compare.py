@@ -1,0 +1,115 @@
+"""The one criterion: dispersions integrated, against quadrature; rig against body with known truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from experiments import TOY, Experiment, concealing, entry, toy, with_mass
+from scipy.integrate import quad
+from scipy.stats import multivariate_normal, norm
+
+from bayes_impedance.diagnosis.catalogue.effect import Candidate
+from bayes_impedance.diagnosis.fit.extend import with_pooling
+from bayes_impedance.diagnosis.fit.fitter import Refit
+from bayes_impedance.diagnosis.fit.normal_equations import log_densities, marginal, quadratic
+from bayes_impedance.diagnosis.selection.compare import compare, log_evidence
+from bayes_impedance.diagnosis.selection.finalists import in_order
+from bayes_impedance.diagnosis.selection.shortlist import Trial, poolings_for, try_candidate
+
+
+def masses(experiment: Experiment, fit: Refit) -> tuple[Trial, Trial]:
+    """A mass at the port as the rig's and as the body's."""
+    rig, body = (
+        try_candidate(experiment.refitter, fit, Candidate(entry(name), "port", {}), 1e-4, (pooling,))[0]
+        for name, pooling in (("rig.mass", "shared"), ("body.mass", "varying"))
+    )
+    return rig, body
+
+
+def normal_density(fit: Refit, relative: float, mean: float) -> float:
+    """Log density of everybody's own estimates of the only coefficient, if people differ by this part of its mean."""
+    model = with_pooling(fit.model, 0, "varying")
+    h, d, _ = quadratic(model, fit.data, fit.u, fit.equations, fit.population.covariance)
+    estimates, variances = h[:, 0] / d[:, 0, 0], 1 / d[:, 0, 0]
+    covariance = np.diag(variances + (relative * mean) ** 2) + model.parameters[0].prior_sd ** 2
+    return float(multivariate_normal.logpdf(estimates, np.zeros(len(estimates)), covariance))
+
+
+@pytest.mark.parametrize("which", [0, 1], ids=["fitted as the rig's", "fitted as the body's"])
+def test_the_dispersion_is_integrated_over_its_prior(which: int) -> None:
+    """With one coefficient everybody's estimate is normal, and so are all of them together."""
+    experiment = concealing("rig.mass", "port", 0.3, seed=3, n=12)
+    fit = masses(experiment, experiment.fit())[which].fit
+    if which == 0:  # the same fit, said to be the body's: people differ, then
+        item = replace(fit.model.additions[0], effect=entry("body.mass"))
+        fit = replace(fit, model=replace(fit.model, additions=(item,)))
+    mean = abs(float(fit.u[:, -1].mean()))
+    held = 0.0 if which == 0 else fit.model.parameters[0].dispersion
+    start = normal_density(fit, held, mean)
+    integral = quad(lambda x: norm.pdf(x) * np.exp(normal_density(fit, 0.35 * 2**x, mean) - start), -8, 8)[0]
+    price = 0.5 * np.log(len(fit.u))
+    assert log_evidence(fit) == pytest.approx(fit.evidence.sum() - price + np.log(integral), abs=0.02)
+
+
+def test_densities_of_many_dispersions_are_those_of_each() -> None:
+    experiment = concealing("rig.mass", "port", 0.3, seed=3, n=12)
+    fit = masses(experiment, experiment.fit())[1].fit
+    h, d, _ = quadratic(fit.model, fit.data, fit.u, fit.equations, fit.population.covariance)
+    tau = np.array([[0.0], [0.1], [0.4]])
+    each = [marginal(fit.model, h, d, row).log_density for row in tau]
+    np.testing.assert_allclose(log_densities(fit.model, h, d, tau), each, rtol=1e-12)
+
+
+@pytest.mark.parametrize("hidden", ["rig.mass", "body.mass"])
+def test_of_one_formula_the_better_is_whose_it_was(hidden: str) -> None:
+    """A mass that is the same for all is the rig's, one that differs by a quarter or more the body's."""
+    experiment = concealing(hidden, "port", 2.0, seed=2, n=16)
+    fit = experiment.fit()
+    rig, body = masses(experiment, fit)
+    assert (log_evidence(body.fit) > log_evidence(rig.fit)) == (hidden == "body.mass")
+    ranked = in_order([rig, body], [entry("rig.mass"), entry("body.mass")])
+    assert (ranked[0].effect.id == hidden) or abs(rig.gain - body.gain) < 1.0
+
+
+def test_what_is_missing_is_better_and_what_is_not_is_no_better() -> None:
+    concealed = concealing("rig.mass", "port", 1.0, seed=2, n=16)
+    fit = concealed.fit()
+    rig, _ = masses(concealed, fit)
+    there, back = compare(rig.fit, fit), compare(fit, rig.fit)
+    assert there.decided
+    assert not back.decided
+    assert back.difference == -there.difference
+    assert back.standard_error == there.standard_error > 0
+    nothing = toy(*TOY, seed=4)
+    fit = nothing.fit()
+    rig, body = masses(nothing, fit)
+    assert not compare(rig.fit, fit).decided
+    assert not compare(body.fit, fit).decided
+
+
+def test_what_one_person_gains_is_not_decided() -> None:
+    experiment = toy(*TOY, seed=4, hidden=with_mass(0.0))
+    fit = experiment.fit()
+    own = np.zeros(len(fit.data))
+    own[3] = 50.0
+    alone = compare(replace(fit, evidence=fit.evidence + own), fit)
+    assert alone.difference == pytest.approx(50.0)
+    assert not alone.decided
+    everybody = compare(replace(fit, evidence=fit.evidence + 50.0 / own.size), fit)
+    assert everybody.decided
+
+
+def test_few_people_have_no_scatter_and_no_dispersion() -> None:
+    experiment = toy(*TOY, seed=4, n=2, hidden=with_mass(0.0))
+    fit = experiment.fit()
+    rig, _ = masses(experiment, fit)
+    assert compare(rig.fit, fit).standard_error == 0.0
+    assert log_evidence(rig.fit) == pytest.approx(rig.fit.evidence.sum() - 0.5 * np.log(len(fit.u)))
+
+
+def test_what_is_the_rigs_is_the_same_for_all() -> None:
+    assert poolings_for(entry("rig.mass"), 71) == ("shared",)
+    assert poolings_for(entry("body.mass"), 71) == ("varying",)
+    assert poolings_for(entry("body.mass"), 2) == ("shared",)
