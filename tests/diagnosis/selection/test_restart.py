@@ -1,4 +1,4 @@
-"""Rig or body where they cannot be told apart, and a new beginning where the rig has driven the network far off."""
+"""Rig or body where both fit equally well, and the restart of a search from recordings corrected for the rig."""
 
 from __future__ import annotations
 
