@@ -20,6 +20,7 @@ from bayes_impedance.recordings.files import Recordings
 
 _PEOPLE, _POINTS, _REPETITIONS = (20, 40, 80), (101, 201, 401), 3
 _ROUNDS = 3
+"""Repeated timings, of which the median counts: one disturbance of the machine does not change it."""
 
 
 def measure() -> dict[str, Any]:

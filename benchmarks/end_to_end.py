@@ -1,6 +1,6 @@
 """The commands as a user starts them, on the shipped population: wall time, processor time, peak memory, cold and warm.
 
-*Cold* is with compiled functions thrown away, as after an installation; *warm* is every later time.
+*Cold* is without compiled functions on disk, as after an installation; *warm* is any later time.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ DATASET = ROOT / "data" / "fingertip_71"
 
 
 def measure(rounds: int) -> dict[str, Any]:
-    """Each command once cold and some times warm."""
+    """Each command once cold and `rounds` times warm."""
     results: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder:
         cache = Path(folder) / "cache"

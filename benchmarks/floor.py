@@ -1,7 +1,7 @@
-"""The arithmetic floor: what a network's arithmetic costs if this machine does nothing but arithmetic.
+"""The arithmetic floor: a lower bound of the time for a network's arithmetic on this machine.
 
-Multiplications, additions and divisions are counted for the tree, everything that does not depend on the frequency left
-out, and divided by what compiled loops over arrays in the first-level cache reach here.
+Multiplications, additions and divisions of the tree are counted, without those that do not depend on the frequency, and
+divided by the throughput of compiled loops over arrays in the first-level cache.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-r"""NUTS on the marginal likelihood: the same draws of everybody's elements, the same priors, another sampler.
+r"""NUTS on the marginal likelihood, with the same importance draws and the same priors.
 
 .. math:: \ln p(z\,|\,\mu,\tau,L,\rho) = \sum_i \ln \frac1K \sum_k \frac{L_i(\theta_{ik})}{q_i(\theta_{ik})}
           N(\theta_{ik};\, \mu,\, \operatorname{diag}\tau\, LL^T \operatorname{diag}\tau
           + \operatorname{diag}\rho^2/J) + \sum_g \ln p_g(\rho),
 
-written for JAX from the package's draws and contrasts; what is compared is the sampling alone.
+written for JAX from the package's draws and contrasts. Only the sampling is compared.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _PER_PERSON = 64
 
 
 def prepared(recordings: Recordings, network: str, seed: int) -> Posterior:
-    """Everything up to the sampling, as :func:`bayes_impedance.fit_population` does it."""
+    """All steps before the sampling, as in :func:`bayes_impedance.fit_population`."""
 
     def quiet(_stage: str, _done: int, _total: int) -> None: ...
 
@@ -48,7 +48,7 @@ def prepared(recordings: Recordings, network: str, seed: int) -> Posterior:
 
 
 def run_nuts_on(posterior: Posterior, centre: np.ndarray, seed: int) -> tuple[dict[str, np.ndarray], float, int]:
-    """Draws (4, draws, P) of mu, log tau and log rho, seconds with compiling, and divergences."""
+    """Draws (4, draws, P) of mu, log tau and log rho, seconds including compilation, and divergences."""
     import jax
     import jax.numpy as jnp
     import numpyro

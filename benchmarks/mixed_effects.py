@@ -1,8 +1,8 @@
-"""Point estimates of R's nlme on the recordings of the population benchmark: an older way to the same population.
+"""Point estimates by R's nlme (nonlinear mixed effects) on the recordings of the population benchmark.
 
 nlme maximises a restricted likelihood of the linearised model. It has one noise scale for all people where ours has one
-for each, no priors, and elements that vary independently of each other; so the two are close, not equal. Nothing is
-compared where R or its package is not installed.
+for each, no priors, and elements that vary independently of each other. So the two estimates are close, not equal.
+Nothing is compared where R or its package is not installed.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from bayes_impedance.population.fit import PopulationFit
 
 SCRIPT = Path(__file__).with_name("nlme.R")
 _LONGEST = 900.0
+"""Seconds after which nlme is stopped."""
 
 
 def compare_with_nlme(fit: PopulationFit) -> dict[str, Any] | None:

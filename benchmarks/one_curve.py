@@ -1,11 +1,11 @@
 """One person's curve fitted by three programs: how often the global optimum is found, and how long it takes.
 
-All get the mean curve of each person of `data/fingertip_71`, the same weights (1 % of the magnitude) and no hint: they
-begin where each element's impedance meets the data's magnitude in mid-band. lmfit (Levenberg-Marquardt on log elements)
-and ours may also begin at other places drawn around it, impedance.py is used as its documentation does, once and in
-elements themselves. The optimum counts as found if chi-square is within 1 % + 1 of the lowest that anybody found. A
-search that has not ended after twenty seconds is stopped, and counts as those seconds and as not found: one of
-impedance.py's was still walking after forty minutes.
+Each program gets the mean curve of each person of `data/fingertip_71`, the same weights (1 % of the magnitude) and the
+same start: each element's impedance equals the data's magnitude in mid-band. lmfit (Levenberg-Marquardt on log
+elements) and ours may also begin at random starts around it; impedance.py is used as in its documentation, with one
+start and not in logarithms. The optimum counts as found if chi-square is within 1 % + 1 of the lowest of all programs.
+A search that has not ended after twenty seconds is stopped; it counts with these seconds and as not found (one of
+impedance.py's had not ended after forty minutes).
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ Fit = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 
 def measure(people_of_slow: int) -> dict[str, Any]:
-    """Success and seconds of each program; those that take seconds for a curve on some people only."""
+    """Success and seconds of each program; programs that take seconds per curve are run on `slow_people` only."""
     recordings = read_recordings(DATASET)
     kernel = Kernel(parse(NETWORK))
     order = [kernel.elements.index(name) for name in ELEMENTS]

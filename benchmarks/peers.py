@@ -1,12 +1,12 @@
-r"""The fingertip's network evaluated by others: numpy written by hand, impedance.py, JAX.
+r"""The fingertip's network evaluated by peers: numpy written by hand, impedance.py, JAX.
 
 All of them compute what one likelihood needs: the impedance at every frequency and
 
 .. math:: \chi^2 = \sum_k |z_k - Z_k(\theta)|^2 / \sigma_k^2,
 
 numpy and JAX also its gradient by the log elements. In the force-voltage analogy a mass is an inductance, a compliance
-a capacitance and a damper a resistance; forces that add are voltages that add, so what stands *beside* each other
-is in series in the circuit.
+a capacitance and a damper a resistance. Forces that add are voltages that add, so parallel elements of the mechanical
+network are in series in the circuit.
 """
 
 from __future__ import annotations

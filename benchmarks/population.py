@@ -1,11 +1,11 @@
 """Population posterior against NUTS, on the full joint posterior and on the marginal one: same data, same priors.
 
-The joint rival and its data are those of the tests (`tests/nuts_model.py`): 16 people, three repetitions, five
-elements, 30 frequencies; and 71 people, as many as the paper has. The marginal one is in `marginal_nuts.py`. What
-counts is effective samples per second of the worst population parameter. Against the joint posterior the seconds are
-those that a user waits for, compiling and adaptation included on both sides, and all that ours does before it
-samples; against the marginal one they are those of the sampling alone. NUTS is given the draws that it takes to know
-a spread to a few percent. Point estimates are compared with those of R's nlme, where it is installed
+The joint posterior and its data are those of the tests (`tests/nuts_model.py`): 16 people, three repetitions, five
+elements, 30 frequencies; and 71 people, as many as the paper has. The marginal one is in `marginal_nuts.py`. The
+measure is effective samples per second of the worst population parameter. Against the joint posterior these are
+seconds of wall time, with compilation and adaptation on both sides and all steps before the sampling on ours; against
+the marginal one they are seconds of sampling alone. NUTS gets as many draws as determine a dispersion to a few
+percent. Point estimates are compared with those of R's nlme, where it is installed
 (`mixed_effects.py`).
 """
 
@@ -29,7 +29,7 @@ _MANY, _SHORTER = 71, {"warmup": 400, "draws": 800}
 
 
 def measure(seed: int) -> dict[str, Any]:
-    """Effective samples per second of all, and how far their moments differ."""
+    """Effective samples per second of all samplers, and the differences of their moments."""
     from nuts_model import POPULATION, virtual_recordings
 
     from bayes_impedance.population.fit import fit_population

@@ -10,7 +10,7 @@ Results = Mapping[str, Any]
 
 
 def table(results: Results) -> str:
-    """Markdown: what was measured, the number with its spread, what was asked for."""
+    """Markdown: quantity, number with its spread, goal."""
     machine = results["machine"]
     packages = ", ".join(f"{name} {number}" for name, number in machine["packages"].items())
     lines = [

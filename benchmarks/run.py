@@ -25,10 +25,12 @@ HERE = Path(__file__).resolve().parent
 PARTS = ("kernel", "one_curve", "population", "diagnosis", "end_to_end")
 _PACKAGES = ("bayes_impedance", "numpy", "scipy", "numba", "emcee", "jax", "numpyro", "impedance", "lmfit")
 _BUSY, _PATIENCE_S = 0.5, 180
+"""Load average from which another process competes for the cores, and the wait for it to fall below, in seconds: in
+three minutes the load of the part before has decayed by exp(-3)."""
 
 
 def machine() -> dict[str, Any]:
-    """What the numbers belong to."""
+    """Description of the machine and the versions that the numbers belong to."""
     names = [
         line.split(":")[1].strip()
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
@@ -104,7 +106,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _when_calm() -> float:
-    """The machine's load, once that of the part before is forgotten; a machine that is busy is waited for in vain."""
+    """Wait until the machine's load is low, or until the patience ends; returns the load average."""
     for _ in range(_PATIENCE_S // 10):
         if os.getloadavg()[0] <= _BUSY:
             break

@@ -1,11 +1,11 @@
-"""A population on a local Dask cluster: how time and memory grow with the number of people, and what workers bring.
+"""A population on a local Dask cluster: growth of time and memory with the number of people, and the gain by workers.
 
-Virtual fingertips with 101 frequencies and three repetitions. Everybody's fits and draws stay with the workers, who are
-asked for sums; this process keeps the recordings, the sampler's walkers and the result. With ``--kill`` a worker is
+Virtual fingertips with 101 frequencies and three repetitions. Everybody's fits and draws stay with the workers, which
+return sums; this process keeps the recordings, the sampler's walkers and the result. With ``--kill`` a worker is
 killed while the chains grow, and the result is compared with that of an undisturbed run.
 
 With ``--files csv`` or ``--files parquet`` the people are written as a dataset in a temporary folder, by a process of
-its own, and read from there; as Parquet parted by subject nobody's numbers stay in this process.
+its own, and read from there; with Parquet files partitioned by subject no impedances stay in this process.
 
 Run from the repository's root: ``python benchmarks/scale.py --people 100 1000 10000``; results go to ``scale.json``.
 """
@@ -92,7 +92,7 @@ def measured(
 
 
 def people(n: int) -> Recordings:
-    """The same first people whatever their number."""
+    """The first n people of one sequence, so that larger populations contain the smaller ones."""
     return simulate_recordings(FINGERTIP, n, _REPETITIONS, np.geomspace(5, 5000, _POINTS), 1).recordings
 
 
@@ -121,7 +121,7 @@ def write_people(n: int, folder: Path, files: str) -> None:
 
 @contextmanager
 def read_people(n: int, files: str | None) -> Iterator[tuple[Recordings, dict[str, Any]]]:
-    """The people, and what it took to read them."""
+    """The people, and time and memory of reading them."""
     if files is None:
         yield people(n), {}
         return
@@ -192,5 +192,5 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    warnings.simplefilter("ignore")  # a worker that is killed is told of at length
+    warnings.simplefilter("ignore")  # a killed worker causes many warnings
     main()

@@ -1,4 +1,4 @@
-"""Times of rivals in one run: taken in turns, so that whatever else the machine does falls on all of them."""
+"""Times of peers in one run: measured in turns, so that disturbances of the machine affect all of them."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 _LEAST_SECONDS = 0.05
+"""Shortest timing: long against the resolution of the clock and the switch to another process (milliseconds)."""
 
 
 def seconds_of(work: Mapping[str, Callable[[], Any]], rounds: int = 15) -> dict[str, np.ndarray]:
@@ -19,7 +20,7 @@ def seconds_of(work: Mapping[str, Callable[[], Any]], rounds: int = 15) -> dict[
     work : mapping of str to callable
         Each is called once before the clock starts, so that compiling does not count.
     rounds : int
-        In every round each takes its turn, as often in a row as fills a twentieth of a second.
+        In every round each is called in turn, as often in a row as fills a twentieth of a second.
     """
     calls = {}
     for name, function in work.items():

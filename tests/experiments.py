@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import Any
@@ -16,9 +16,9 @@ from conftest import DATA
 from bayes_impedance.diagnosis.catalogue.effect import Effect, Scales, registered
 from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter
 from bayes_impedance.diagnosis.fit.model import Addition, Model, build
-from bayes_impedance.diagnosis.fit.normal_equations import (
-    Population,
-)
+from bayes_impedance.diagnosis.fit.normal_equations import Population
+from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals
+from bayes_impedance.diagnosis.selection.score_scan import Screening, screen
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import PAPER_NETWORK, parse
 from bayes_impedance.person.likelihood import Likelihood
@@ -204,3 +204,19 @@ def enlarged(fit: Refit, model: Model) -> tuple[np.ndarray, Population]:
     mu, rho = np.append(fit.population.mu, start[varying]), np.append(fit.population.rho, np.zeros(varying.sum()))
     u = np.column_stack([fit.u, np.broadcast_to(start, (len(fit.u), start.size))])
     return u, Population(mu, covariance, rho)
+
+
+def two_additions(experiment: Experiment) -> Model:
+    """A varying mass and, outermost and therefore last among the parameters, a shared high-pass."""
+    return experiment.grown(
+        Addition(effect=entry("rig.highpass"), place="port", pooling="shared"),
+        Addition(effect=entry("body.mass"), place="port", pooling="varying"),
+    )
+
+
+def residuals_of(fit: Refit) -> list[PersonResiduals]:
+    return person_residuals(fit, [str(i) for i in range(len(fit.data))])
+
+
+def screened(fit: Refit, effects: Sequence[Effect] | None = None, seed: int = 1) -> Screening:
+    return screen(fit, residuals_of(fit), registered() if effects is None else effects, seed, Serial())

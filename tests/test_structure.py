@@ -1,5 +1,7 @@
 """The package's shape: short files, nothing heavy imported early, public names (contracts: pyproject.toml)."""
 
+import ast
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -8,19 +10,32 @@ import pytest
 
 import bayes_impedance
 
-PACKAGE = Path(bayes_impedance.__file__).parent
+ROOT = Path(bayes_impedance.__file__).parents[1]
+FOLDERS = ("bayes_impedance", "analyses", "benchmarks", "tests")
 LONGEST = 400
-"""Lines of a file."""
+"""Lines of a file: what one reading takes in; the packages that this one learns from stay below it."""
 
 
 def test_files_stay_short() -> None:
-    files = [
-        p
-        for folder in (PACKAGE, PACKAGE.parent / "analyses", PACKAGE.parent / "benchmarks")
-        for p in folder.rglob("*.py")
-    ]
-    lengths = {str(p): len(p.read_text(encoding="utf-8").splitlines()) for p in files}
-    assert not {p: n for p, n in lengths.items() if n > LONGEST}
+    files = [file for folder in FOLDERS for file in (ROOT / folder).rglob("*.py")]
+    lengths = {str(file.relative_to(ROOT)): len(file.read_text(encoding="utf-8").splitlines()) for file in files}
+    assert {file.split(os.sep)[0] for file in lengths} == set(FOLDERS)
+    assert not {file: n for file, n in lengths.items() if n > LONGEST}
+
+
+def test_names_of_test_files_are_unique() -> None:
+    """Pytest imports test files by their base names, so two of one name would hide each other."""
+    names = [file.name for file in (ROOT / "tests").rglob("*.py")]
+    assert sorted(names) == sorted(set(names))
+
+
+def test_no_test_file_imports_another() -> None:
+    """Shared helpers live in files without tests: an imported test file would be run twice, or bring its fixtures."""
+    for file in (ROOT / "tests").rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            modules = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            modules += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            assert not [module for module in modules if module.startswith("test_")], file.name
 
 
 def test_importing_the_command_line_loads_nothing_heavy() -> None:

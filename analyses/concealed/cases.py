@@ -9,18 +9,18 @@ between persons at that frequency,
 with means over 400 persons of the same population, without noise and without repositioning, on the recordings' own
 frequencies; z' is with the effect, z without. The size of the effect that has the strength is found by bisection. With
 S = 0.3 a curve moves by about a tenth of its magnitude at the worst frequency: ten times the noise of one recording
-there, and three times less than what people differ by.
+there, and a third of the standard deviation between persons.
 
-Some effects do not move the mean curve, or not everybody's:
+Some effects do not change the mean curve, or change the curves of some people only. Their strength is:
 
 - ``rig.mains`` has a random phase. S is its amplitude over the spread between persons, at the harmonic where that is
   largest.
 - ``body.subgroup``: S as above, of the people who have the layer (as if all 400 had it).
 - ``body.covariate``: S is the part of the standard deviation between persons of the log element that the covariate
-  explains, on average over the elements that follow it; their total dispersion stays what it is.
+  explains, on average over the elements that follow it; their total dispersion is unchanged.
 - ``body.drift``: S is the change of the log element from the first to the last repetition over its standard deviation
   between persons.
-- ``none`` and ``body.correlation`` conceal nothing and ignore it.
+- ``none`` and ``body.correlation`` conceal nothing; their strength is ignored.
 """
 
 from __future__ import annotations
@@ -44,8 +44,11 @@ from people import (
 )
 
 CALIBRATION_PEOPLE = 400
+"""Persons over whom a strength is averaged: a standard deviation is known to 1/sqrt(2 * 400) = 3.5 %."""
+
 COVARIATE = "contact_force_n"
 STRONG_COMMUNALITY = 0.95
+"""Just below 1, where the correlation matrix would be singular."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,13 +65,13 @@ class Case:
     population : Population
     people : People
     values : dict of str to float
-        The effect's parameters of somebody average, by the names that forms.py uses.
+        The effect's parameters for an average person, by the names that ``forms.py`` uses.
     members : ndarray of bool, shape (N,)
-        Who is concerned.
+        Persons who have the effect.
     log_elements : ndarray, shape (N, J, P)
-        Elements of each recording, with what a drift or a covariate does to them.
+        Elements of each recording, including the change by a drift or a covariate.
     without, concealed : ndarray, complex, shape (N, J, F)
-        Curves of the network, and with the effect.
+        Curves of the network without and with the effect.
     """
 
     id: str
@@ -97,7 +100,7 @@ def prepare(
     band: tuple[float, float] = (5.0, 5000.0),
     conditions: Conditions | None = None,
 ) -> Case:
-    """Everything of ``effects.concealed`` but the noise; the same arguments."""
+    """Make the case of ``effects.concealed`` before noise is added; the arguments are the same."""
     if effect_id not in EFFECTS:
         raise ValueError(f"no effect is called {effect_id!r}: there are {', '.join(EFFECTS)}")
     if effect_id not in NOTHING and not strength > 0:
@@ -142,7 +145,7 @@ def prepare(
 
 
 def calibration_curves(case: Case, values: Mapping[str, float] | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Curves (400, F) of the people by whom a case's strength is defined, without and with its effect."""
+    """Curves (400, F) of the calibration people, who define the strength, without and with the effect."""
     people = _calibration_people(case.population, case.seed)
     everybody = np.ones(CALIBRATION_PEOPLE, dtype=bool)
     changes = _changes(EFFECTS[case.id], case.place, values or case.values, people, everybody)
@@ -184,7 +187,7 @@ def hums(frequency_hz: np.ndarray) -> np.ndarray:
 def _log_elements(
     effect_id: str, place: str, values: Mapping[str, float], population: Population, people: People
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Log elements (N, J, P) without and with what a drift or a covariate does to them; the same for other effects."""
+    """Log elements (N, J, P) without and with the change by a drift or covariate; equal for other effects."""
     person, added = people.deviation, np.zeros_like(people.repositioning)
     if effect_id == "body.covariate":
         median, sd = COVARIATES[COVARIATE]
@@ -193,7 +196,7 @@ def _log_elements(
         for name, sign in followers(place).items():
             i = ELEMENTS.index(name)
             added[:, :, i] = sign * values["slope"] * x[:, None]
-            # What is not explained shrinks, so that the total dispersion stays.
+            # The unexplained part is reduced, so that the total dispersion is unchanged.
             rest[i] = np.sqrt(1 - (values["slope"] * sd / population.between_persons[i]) ** 2)
         person = person * rest
     elif effect_id == "body.drift":
@@ -205,7 +208,7 @@ def _log_elements(
 def _changes(
     effect: Effect, place: str, values: Mapping[str, float], people: People, members: np.ndarray
 ) -> dict[str, Change]:
-    """The hook at a place: everybody's own parameters in the effect's form."""
+    """The change of the impedance at a place: the effect's formula with each person's own parameters."""
     form = effect.form
     if form is None:
         return {}

@@ -1,12 +1,12 @@
-"""Is what was concealed found, named and measured? Every effect of the catalogue, many seeds, one table.
+"""How often each effect of the catalogue is found, named and measured when it is concealed, over many seeds.
 
 Run from the repository's root::
 
     python analyses/concealed/catalogue_table.py --seeds 10 --strength 0.3 --jobs 2 -o analyses/concealed/results
 
-Each case is a line of ``catalogue.jsonl`` with truth and verdict; done cases are skipped, so it may be interrupted.
-``--only rig.delay body.line`` does some of them, ``--score`` only scores anew what is on file. The table goes to
-``table.csv`` and, between its markers, into the README beside this script.
+Each case is a line of ``catalogue.jsonl`` with truth and verdict. Cases on file are skipped, so
+a run may be interrupted. ``--only rig.delay body.line`` runs some effects, ``--score`` only scores the cases on file.
+The table goes to ``table.csv`` and, between its markers, into the README beside this script.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ HERE = Path(__file__).parent
 FILE = "catalogue.jsonl"
 
 STRENGTH_FACTOR = {"body.covariate": 2.5, "body.drift": 2.5}
-"""Times --strength. Explaining 30 % of a standard deviation is a correlation of 0.3, which 40 people can hardly show,
-and a drift of 30 % of a standard deviation hides among 120 fingers that are put down with a scatter of 5 to 8 %."""
+"""Factors of --strength. Explaining 30 % of a standard deviation is a correlation of 0.3, hardly significant with 40
+people. A drift of 30 % of a standard deviation hides among 120 fingers that are put down with a scatter of 5 to 8 %."""
 
 HEADERS = {
     "detected": "detected",
@@ -83,7 +83,7 @@ def scored(records: Sequence[Record]) -> list[Record]:
 
 
 def write_csv(rows: Sequence[Record], path: Path) -> None:
-    """One row for each effect, for all, and for all that can be seen: counts, and the ends of their 95 % intervals."""
+    """One row for each effect, for all, and for all detectable ones: counts with the limits of their 95 % intervals."""
     lines = []
     for name, group in _groups(rows).items():
         counts = tally(group)
@@ -103,7 +103,7 @@ def write_csv(rows: Sequence[Record], path: Path) -> None:
 
 
 def markdown(rows: Sequence[Record], failed: int) -> str:
-    """The table of a reader: counts with 95 % intervals, what was said instead, and the false claims."""
+    """The table as Markdown: counts with 95 % intervals, wrong names, and false claims."""
     head = ["effect", "at", "visible", *HEADERS.values(), "intervals that cover", "elpd gain", "s"]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     for name, group in _groups(rows).items():
@@ -122,7 +122,7 @@ def markdown(rows: Sequence[Record], failed: int) -> str:
 
 
 def _groups(rows: Sequence[Record]) -> dict[str, list[Record]]:
-    """Rows of each effect that has some, then all, then all that can be seen."""
+    """Rows of each effect that has any, then of all effects, then of all detectable ones."""
     concealing = [r for r in rows if r["id"] not in NOTHING]
     groups = {name: [r for r in concealing if r["id"] == name] for name in EFFECTS}
     groups["all"] = concealing
@@ -139,7 +139,7 @@ def rate(hits: int, n: int, interval: bool) -> str:
 
 
 def _people(rows: Sequence[Record]) -> list[str]:
-    """Who was named where some only are concerned, and whether the covariate was."""
+    """Which members of subgroups were named, and whether covariates were named correctly."""
     lines = []
     people = [r["people"] for r in rows if r["people"] is not None]
     if people:
@@ -152,7 +152,7 @@ def _people(rows: Sequence[Record]) -> list[str]:
 
 
 def _instead(rows: Sequence[Record]) -> list[str]:
-    """What was said where the right effect neither came first nor was left undecided."""
+    """Wrong names: the right effect came neither first nor undecided."""
     wrong = Counter((r["id"], r["said"] or "nothing") for r in rows if not r["first_or_undecided"])
     if not wrong:
         return []
@@ -190,7 +190,7 @@ def main() -> None:
     asked = cases(options)
     if not options.score:
         run_cases(asked, one_case, path, options.jobs)
-    # All seeds on file count, but a file may hold other strengths and sizes too, and a table is of one.
+    # All seeds on file count. A file may also hold other strengths and sizes; a table is of one of each.
     same = ("id", "strength", "subjects", "points", "through_command")
     kinds = {tuple(case[key] for key in same) for case in asked}
     kept = [record for record in read_lines(path) if tuple(record["case"][key] for key in same) in kinds]

@@ -1,9 +1,9 @@
-"""A sealed challenge: datasets drawn at random, answers locked away before anybody looks, a score afterwards.
+"""A blind challenge: datasets drawn at random, answers fixed by a hash before any diagnosis, then a score.
 
-``sealed.json`` holds for every case what was at work and the digest of its dataset. Its SHA-256 is printed and written
+``sealed.json`` holds for every case the true effects and the digest of its dataset. Its SHA-256 is printed and written
 to ``seal.txt`` before the first diagnosis. A diagnosis gets the folder of a dataset and nothing else; its verdict
-holds the digest of the data it has seen. The score is computed only if seal, datasets and verdicts still belong
-together.
+holds the digest of the data it has read. The score is computed only if seal, datasets and verdicts are still
+consistent.
 """
 
 from __future__ import annotations
@@ -26,18 +26,20 @@ from bayes_impedance.recordings.dataset import Recordings, Subject
 from bayes_impedance.recordings.files import read_recordings, write_recordings
 
 SHARES = {"catalogue": 0.45, "pair": 0.10, "outside": 0.15, "trap": 0.12, "nothing": 0.18}
-"""Of the cases. Kinds within a group are dealt like cards: none comes twice before all have come once."""
+"""Shares of the cases. Kinds within a group are drawn without replacement until all have been drawn once."""
 
 STRENGTHS = (0.1, 0.5)
+"""A strength of 0.3 is a change by about a tenth of the magnitude (``cases.py``): here from a thirtieth to a sixth."""
+
 STRUCTURE_STRENGTHS = (0.4, 0.85)
-"""A covariate or a creep over the session below 0.4 of a standard deviation is in sight of hundreds of people only."""
+"""A covariate or a creep below 0.4 of a standard deviation can be detected with hundreds of people only."""
 
 SEALED, SEAL = "sealed.json", "seal.txt"
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """What datasets may look like: each case draws from these."""
+    """Possible sizes of a dataset; each case draws one of each."""
 
     subjects: tuple[int, ...] = (20, 30, 40, 60)
     points: tuple[int, ...] = (101, 201)
@@ -85,7 +87,7 @@ def _plan(kinds: tuple[str, ...], rng: np.random.Generator, sizes: Sizes) -> Pla
 
 
 def recordings_of(experiment: Experiment, title: str) -> Recordings:
-    """The experiment as the package gets it: readings, covariates, and not a word of what is at work."""
+    """The experiment as the package gets it: readings and covariates, without any information on the true effects."""
     plan = experiment.plan
     subjects = tuple(
         Subject(
@@ -108,7 +110,7 @@ def recordings_of(experiment: Experiment, title: str) -> Recordings:
 
 
 def reachable(plan: Plan) -> tuple[Plan, Experiment]:
-    """The experiment; with less strength where an effect cannot be as strong as was asked for."""
+    """Conduct the experiment; an effect that cannot reach the requested strength gets less."""
     for _ in range(20):
         try:
             return plan, conduct(plan)
@@ -155,7 +157,7 @@ def plan_from(content: Mapping[str, Any]) -> Plan:
 
 
 def sealed_answers(out: Path) -> list[dict[str, Any]]:
-    """The answers, if the seal is unbroken.
+    """The answers, if they match the seal.
 
     Raises
     ------
@@ -173,7 +175,7 @@ def sealed_answers(out: Path) -> list[dict[str, Any]]:
 
 
 def blind(case: Mapping[str, Any]) -> Record:
-    """Diagnose a dataset of which nothing but its folder is known; run in a process of its own."""
+    """Diagnose a dataset given by its folder alone, in a process of its own."""
     from bayes_impedance.diagnosis.diagnose import diagnose
 
     recordings = read_recordings(Path(case["folder"]))
@@ -181,7 +183,7 @@ def blind(case: Mapping[str, Any]) -> Record:
 
 
 def to_diagnose(out: Path, n_cases: int) -> list[Record]:
-    """Cases for :func:`blind`, from the folders alone; the digest keeps an old verdict from a new dataset."""
+    """Cases for :func:`blind`, from the folders alone; the digest prevents that an old verdict counts for new data."""
     folders = [out / "datasets" / f"case_{i + 1:03d}" for i in range(n_cases)]
     return [
         {"folder": str(folder), "data_sha256": read_recordings(folder).sha256, "seed": i + 1}

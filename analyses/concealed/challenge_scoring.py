@@ -5,8 +5,8 @@ What counts as right:
 - **catalogue**: as in ``scoring.py``; *named* is the right id first or among the aliases stated as not separated, and
   *named or the same* also admits claims that leave nothing visible of the true change (``equivalence.py``).
 - **pair**: named if one of the two comes first (or undecided); *both* if both are listed or undecided.
-- **outside**: the verdict says ``unknown``, or what it claims is truly the same in the band; and it predicts better
-  what was held out.
+- **outside**: the verdict says ``unknown``, or its claim is equivalent to the truth in the band; and it predicts
+  held-out data better.
 - **trap, nothing**: nothing is claimed. Naming a residual stiffness where there is one is no false claim.
 
 A case is *detectable* if an effect could stand out by :data:`~scoring.VISIBLE` standard errors or more.
@@ -41,7 +41,7 @@ def score_case(verdict: Mapping[str, Any], truth: Mapping[str, Any], experiment:
     truth : mapping
         Of ``visible_in_world.truth_of``.
     experiment : Experiment, optional
-        What was at work, conducted again, to compute equivalence; without it names alone count.
+        The true experiment, conducted again, to compute equivalence; without it names alone count.
     """
     physics = list(verdict.get("physics") or [])
     first = physics[0] if physics else {}
@@ -68,7 +68,7 @@ def score_case(verdict: Mapping[str, Any], truth: Mapping[str, Any], experiment:
     lead = max(scores, key=lambda s: (s["first"], s["first_or_undecided"]))
     row |= {key: lead[key] for key in ("first", "first_or_undecided", "side", "place", "people", "covariate")}
     row |= {"band": lead["band"], "visible_band": lead["visible_band"]}
-    # The size of one of two effects is claimed whichever of them comes first.
+    # With two effects, the claimed size of either counts, whichever comes first.
     row["parameters"] = [covers for s in scores for covers in s["parameters"].values()] if len(scores) == 1 else []
     row["both"] = all(listed) if len(listed) > 1 else None
     known = [(p["id"], p["place"]) for p in physics if p["id"] != "unknown" and p.get("place")]
@@ -81,7 +81,7 @@ def score_case(verdict: Mapping[str, Any], truth: Mapping[str, Any], experiment:
         says_unknown = any(p["id"] == "unknown" for p in physics)
         gain = row["elpd_gain"] if row["elpd_gain"] is not None else -np.inf
         row["right"] = row["detected"] and (says_unknown or row["same"]) and gain > 0
-        # Its side is not known to an unknown.
+        # An unknown has no side.
         row["side"] = None if first.get("side") is None else row["side"]
     else:
         row["right"] = bool(row["first_or_undecided"])
@@ -90,7 +90,7 @@ def score_case(verdict: Mapping[str, Any], truth: Mapping[str, Any], experiment:
 
 
 def best_of(verdict: Mapping[str, Any], effect: Mapping[str, Any]) -> Row:
-    """Score by the answer that fits best, where an effect has several true names."""
+    """Score by the best matching answer, where an effect has several right names."""
     scores = [score(verdict, {**effect, "id": answer}) for answer in effect["answers"]]
     return max(scores, key=lambda s: (s["first"], s["first_or_undecided"]))
 
@@ -115,7 +115,7 @@ def rate(hits: int, n: int) -> str:
 
 
 def summary(rows: Sequence[Row]) -> dict[str, tuple[int, int]]:
-    """What the whole is judged by: name of a rate to (hits, cases)."""
+    """Overall rates: name to (hits, cases)."""
 
     def count(chosen: Sequence[Row], hit: Callable[[Row], bool]) -> tuple[int, int]:
         return sum(hit(r) for r in chosen), len(chosen)
@@ -157,7 +157,7 @@ def summary(rows: Sequence[Row]) -> dict[str, tuple[int, int]]:
 
 
 def markdown(rows: Sequence[Row], failed: int, missing: int) -> str:
-    """Rates, what was said of each case, and how the errors changed."""
+    """Markdown of the rates, of the verdict on each case, and of the change of the errors."""
     lines = ["| what | count, with 95 % interval |", "|---|---|"]
     lines += [f"| {name} | {rate(*counts)} |" for name, counts in summary(rows).items()]
     lines += ["", *_improvements(rows), *_people(rows)]
@@ -209,7 +209,7 @@ def _people(rows: Sequence[Row]) -> list[str]:
 
 
 def confusion(rows: Sequence[Row]) -> tuple[list[str], list[str], np.ndarray]:
-    """What was at work against what was said first: names of rows and columns, counts."""
+    """True effects against effects named first: names of rows and columns, counts."""
     counts = Counter((r["kind"], r["said"] or "nothing") for r in rows)
     order = {kind: i for i, kind in enumerate(dict.fromkeys(r["kind"] for r in sorted(rows, key=_by_group)))}
     said = sorted({name for _, name in counts}, key=lambda n: (n == "nothing", n == "unknown", n))

@@ -1,6 +1,6 @@
-"""Virtual recordings with one concealed effect, and the truth: what a diagnosis is tested on.
+"""Virtual recordings with one concealed effect, and the truth to compare a diagnosis with.
 
-How strong an effect is, is defined in ``cases.py``; how far it can stand out of the recordings, in ``visibility.py``.
+``cases.py`` defines the strength of an effect, ``visibility.py`` its largest possible evidence.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def concealed(
 
 
 def _truth(case: Case, sd: np.ndarray, names: tuple[str, ...]) -> dict[str, Any]:
-    """What a perfect diagnosis would say; sd (N, J, F) is the noise."""
+    """The verdict of a perfect diagnosis; sd (N, J, F) is the noise."""
     effect, missing = EFFECTS[case.id], case.id not in NOTHING
     parameters: dict[str, dict[str, Any]] = {
         name: {"value": case.values[own], "unit": unit, "dispersion": effect.spread.get(own, 0.0)}

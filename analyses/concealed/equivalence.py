@@ -1,18 +1,17 @@
-r"""Whether entries of the catalogue are truly the same as what was at work, in this band and for these people.
+r"""Whether entries of the catalogue are equivalent to the true effect, in this band and for these people.
 
-The network is fitted to every recording's true curve (``visible_in_world.py``). What is left, d, is projected on the
-directions g of the claimed entries, written out by hand in ``forms.py`` (first order in their coefficient, the shape
-scanned) and without what the elements can imitate,
+The network is fitted to every recording's true curve (``visible_in_world.py``). The residual d is projected on the
+directions g of the claimed entries. These are written out by hand in ``forms.py`` (first order in their coefficient,
+the shape scanned), orthogonal to the directions of the elements. Of :math:`\lambda = \sum|d|^2` the part
 
 .. math:: \text{shared: } \frac{(\sum_{ij} g\cdot d)^2}{\sum_{ij} g\cdot g}, \qquad
           \text{varying: } \sum_{ij} \frac{(g\cdot d)^2}{g\cdot g}
 
-of :math:`\lambda = \sum|d|^2` is explained. Where the claimed entries may differ between people, they are then fitted
-to every recording's curve together with the elements, shapes and all: to first order a strong relaxation whose corner
-differs from person to person would not be the same as itself. What is left counts as nothing if it stands out by less
-than six standard errors, which nobody could see, and is less than what is explained; or if it is below 3 % of
-:math:`\lambda`, which a projection to first order cannot resolve: of strong effects it leaves as much under their own
-name.
+is explained. Entries that may differ between people are then fitted to every recording's curve together with the
+elements, their shapes included: a strong relaxation whose corner differs between persons is not equivalent to itself to
+first order. The rest counts as nothing in two cases: it stands out by less than six standard errors, which no test
+could detect, and is less than the explained part; or it is below 3 % of :math:`\lambda`, because a projection to first
+order leaves as much of a strong effect projected on itself.
 """
 
 from __future__ import annotations
@@ -29,8 +28,11 @@ from visible_in_world import imitated
 from world.experiment import Experiment
 
 SAME_SHARE = 0.97
+"""Explained share from which the rest is the error of the first order (module docstring)."""
 LEAST_SHARE = 0.5
+"""Explained share that is required where the rest is below detection: more than half."""
 _SMALL = 1e-3
+"""Size of a small entry, in units of its start, at which its change is proportional to it."""
 _SHAPES: Mapping[str, Mapping[str, Sequence[float]]] = {
     "body.springpot": {"exponent": (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)},
     "body.reflex": {"latency": (0.025, 0.029, 0.034, 0.04, 0.051, 0.06)},
@@ -43,7 +45,7 @@ _CORNERS = tuple(np.geomspace(2, 20000, 25))
 def directions(
     experiment: Experiment, x: np.ndarray, effect_id: str, place: str
 ) -> Iterator[tuple[Mapping[str, float], np.ndarray]]:
-    """A little of an entry, and its complex change (N, J, F) of a finger x (N, J, P), for each of its shapes."""
+    """Change (N, J, F) of the curves of fingers x (N, J, P) by a small amount of an entry, for each of its shapes."""
     f = experiment.plan.frequency_hz
     names = {"body.drift": "body.drift.sweep"}
     effect = EFFECTS.get(names.get(effect_id, effect_id))
@@ -85,7 +87,7 @@ def _values(effect: Effect, effect_id: str, place: str) -> Iterator[dict[str, fl
 
 
 def left_over(experiment: Experiment, claimed: Sequence[tuple[str, str]]) -> tuple[float, float]:
-    """What claimed entries leave of the true change.
+    """Share of the true change that claimed entries explain, and the rest.
 
     Parameters
     ----------
@@ -95,9 +97,9 @@ def left_over(experiment: Experiment, claimed: Sequence[tuple[str, str]]) -> tup
     Returns
     -------
     share : float
-        Of the visible change, explained.
+        Explained share of the visible change.
     left : float
-        Standard errors by which the rest could stand out at most.
+        Largest evidence of the rest, in standard errors.
     """
     x, rest = imitated(experiment, experiment.clean)
     basis, _ = tangent_basis(x, experiment.plan.frequency_hz, experiment.sd)
@@ -131,7 +133,7 @@ def left_over(experiment: Experiment, claimed: Sequence[tuple[str, str]]) -> tup
 
 @dataclass(frozen=True)
 class _Size:
-    """A claimed entry with its best shape, and how many times its small size the change is, to first order."""
+    """A claimed entry with its best shape, and the multiple of its small size that fits best to first order."""
 
     effect_id: str
     place: str
@@ -140,12 +142,12 @@ class _Size:
 
     @property
     def may_vary(self) -> bool:
-        """Whether it is an entry whose parameters differ between people, all of them positive numbers."""
+        """Whether an entry's parameters differ between people and are all positive."""
         return self.effect_id in _FITTED and self.times > 0
 
 
 def _fitted_together(experiment: Experiment, x: np.ndarray, found: Sequence[_Size]) -> np.ndarray:
-    """What is left (N, J, 2 F) if elements and parameters of the claimed entries are free for every recording."""
+    """Residual (N, J, 2 F) with elements and the entries' parameters free in every recording."""
     f, p = experiment.plan.frequency_hz, x.shape[-1]
     effects = [EFFECTS[s.effect_id] for s in found]
     starts = [e.values(s.values, s.times) for e, s in zip(effects, found, strict=True)]
@@ -175,6 +177,6 @@ def _chained(first: Change | None, effect: Effect, values: Mapping[str, np.ndarr
 
 
 def same(experiment: Experiment, claimed: Sequence[tuple[str, str]]) -> bool:
-    """Whether nobody could tell the claimed entries from what was at work."""
+    """Whether the claimed entries cannot be distinguished from the true effects."""
     share, left = left_over(experiment, claimed)
     return bool(claimed) and share > LEAST_SHARE and (share >= SAME_SHARE or left < VISIBLE)

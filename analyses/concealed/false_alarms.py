@@ -1,13 +1,13 @@
-"""How often is something claimed to be missing where nothing is? Virtual populations of the network itself.
+"""Rate of false alarms: how often something is claimed to be missing in populations of the network itself.
 
 Run from the repository's root::
 
     python analyses/concealed/false_alarms.py --populations 200 --jobs 2 -o analyses/concealed/results
 
-Each population has all that makes recordings unpleasant, of sizes drawn at random: repositioning, noise that grows
+Each population has the complications of real recordings, of sizes drawn at random: repositioning, noise that grows
 below 12 Hz and differs between persons, a gain error, correlated elements, a centre of its own, and covariates that
-nothing follows. Each is a line of ``false_alarms.jsonl``; done ones are skipped. The rate with its interval and what
-was claimed go to ``false_alarms.csv`` and, between its markers, into the README beside this script.
+nothing follows. Each is a line of ``false_alarms.jsonl``; those on file are skipped. The rate with its interval and the
+claims go to ``false_alarms.csv`` and, between its markers, into the README beside this script.
 """
 
 from __future__ import annotations

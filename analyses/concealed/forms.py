@@ -1,8 +1,8 @@
 r"""The concealed effects, one formula each: what was left out, where, and for whom.
 
-An effect changes what stands at one place, z_p -> form(s, z_p, p). Its parameters p are those of somebody average,
-``start`` times ``size ** power``: one number, the size, makes the effect weaker or stronger and keeps its shape (its
-corner, its resonance). Where an effect varies, each parameter is log-normal between persons with the log sd ``spread``,
+An effect changes the impedance at one place, z_p -> form(s, z_p, p). For an average person the parameters p are
+``start`` times ``size ** power``. One number, the size, scales the effect and keeps its shape (its corner, its
+resonance). Where an effect varies, each parameter is log-normal between persons with the log sd ``spread``,
 independently of the others and of the elements.
 
 =====================  ==============================================================================================
@@ -74,12 +74,15 @@ PARAMETERS: dict[str, dict[str, tuple[str, str]]] = {
     "body.correlation": {},
     "none": {},
 }
-"""For each effect: name used here -> (name in a verdict, unit). The only place to change when a verdict's names do,
-besides :func:`equivalents`."""
+"""For each effect: name used here -> (name in a verdict, unit). If a verdict's names change, change this and
+:func:`equivalents`."""
 
 HARMONICS_HZ = 50.0 * np.arange(1, 11)
+"""The first ten harmonics of European mains."""
 REFLEX_CORNER_HZ = 8.0
+"""Activation of a muscle as a low-pass of first order."""
 FRACTION = 0.3
+"""Share of people in a subgroup: 6 of 20, so that even small datasets have some."""
 
 Values = dict[str, float]
 Form = Callable[[np.ndarray, np.ndarray, Mapping[str, np.ndarray]], np.ndarray]
@@ -99,11 +102,11 @@ class Effect:
     start : callable (rng, place) -> dict
         Parameters at size 1: their shape is drawn at random.
     power : mapping of str to float
-        Parameter = start * size ** power; 0 where it is not named.
+        Parameter = start * size ** power; the power is 0 where it is not named.
     spread : mapping of str to float
         Log sd between persons; 0 where it is not named.
     form : callable or None
-        None for what does not act on the curve of a place.
+        None for effects that do not act on the curve of one place.
     """
 
     places: tuple[str, ...]
@@ -160,7 +163,7 @@ def _start_springpot(rng: np.random.Generator, _place: str) -> Values:
 
 
 def _start_relaxation(rng: np.random.Generator, place: str) -> Values:
-    # The corner lies where the place matters for the port: tissue below, skin above some hundred hertz.
+    # The corner lies where the place dominates the port's impedance: tissue below, skin above some hundred hertz.
     low, high, damping = (20.0, 80.0, 0.3) if place == "tissue" else (500.0, 2000.0, 5.0)
     return {"damping": damping, "compliance": 1 / (2 * np.pi * _log_uniform(rng, low, high) * damping)}
 
@@ -292,14 +295,14 @@ EFFECTS: dict[str, Effect] = {
 }
 
 VERDICT_ID = {"body.drift.sweep": "body.drift"}
-"""What a verdict calls an effect, where it is one of several forms of it."""
+"""Id in a verdict, where an effect has several forms here."""
 
 NOTHING = ("none", "body.correlation")
 """Effects that conceal nothing: the right answer is "nothing missing"."""
 
 
 def equivalents(effect_id: str, v: Mapping[str, float]) -> dict[str, tuple[float, str]]:
-    """Other numbers that say the same as an effect's parameters: name in a verdict to (value, unit).
+    """Equivalent numbers of an effect's parameters: name in a verdict to (value, unit).
 
     Medians of products of log-normal numbers are products of their medians, so these are medians too.
     """
@@ -332,11 +335,11 @@ _BESIDE = ("body.springpot", "body.relaxation", "body.resonator", "body.reflex")
 
 
 def same_places(effect_id: str, place: str) -> tuple[str, ...]:
-    """Places at which the effect is the same network, written differently, the asked one first.
+    """Places at which the effect gives an equivalent network; the given place is the first.
 
-    What stands beside one part of a parallel group stands beside all of them, and a layer in series with the port is
-    in series with skin and tissue. What happens *to* an element (hysteresis, drift) happens nowhere else. A covariate
-    at a group may be named by any of the elements that follow it.
+    An addition beside one part of a parallel group is beside all of them, and a layer in series with the port is in
+    series with skin and tissue. A change *of* an element (hysteresis, drift) has no equivalent place. A covariate at a
+    group may be named by any of the elements that follow it.
     """
     groups: tuple[tuple[str, ...], ...] = ()
     if effect_id in _BESIDE:

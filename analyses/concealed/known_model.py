@@ -1,8 +1,8 @@
-"""How much of a known effect is in recordings of which a model is known already: measured before and after it is added.
+"""Size of a known effect in recordings with a known model, estimated before and after the effect is added.
 
-The physics found in the recordings as they were stays in the model, the effect is put beside it at the port, and all
-is refitted to the recordings without and with the addition. What is still not described biases both estimates alike
-and leaves their difference.
+The physics that was found in the original recordings stays in the model. The effect is put at the port, and the model
+is refitted to the recordings without and with the addition. Structure that the model does not describe biases both
+estimates equally, so it cancels in their difference.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from bayes_impedance.recordings.files import Recordings
 
 Estimate = tuple[float, float, float]
 _FRESH = 60
+"""Most rounds of a refit: twice those of a search, because the start may be far from the optimum."""
 
 
 def without_and_with(before: Recordings, after: Recordings, effect_id: str, seed: int = 1) -> tuple[Estimate, Estimate]:

@@ -1,4 +1,4 @@
-r"""The curves of the network that come nearest to given ones: what the elements cannot imitate is left over.
+r"""The network's curves nearest to given ones, and the residual that the elements cannot reproduce.
 
 For curves z' of recordings with noise sigma and their best elements,
 
@@ -6,8 +6,8 @@ For curves z' of recordings with noise sigma and their best elements,
 
 the sum of the squares of d is the noncentrality of the best chi-square test there is when the elements x of each
 recording are free and the shape of the effect is known; its root is the number of standard errors by which it stands
-out. The first order alone, a projection on the tangent, sees far too much of a strong effect at the skin, which moves
-its elements by half of their size.
+out. A projection on the tangent space (first order) overestimates it for a strong effect at the skin, which changes the
+elements by half of their size.
 """
 
 from __future__ import annotations
@@ -21,7 +21,9 @@ Curve = Callable[[np.ndarray], np.ndarray]
 """Unknowns (N, J, Q) to curves (N, J, F)."""
 
 _STEP = 1e-5
+"""Of log unknowns: truncation and rounding of central differences are both below 1e-9 of a curve."""
 _ROUNDS = 25
+"""Most iterations of a search, which begins near the optimum."""
 
 
 def white(values: np.ndarray, sd: np.ndarray) -> np.ndarray:
@@ -36,7 +38,7 @@ def tangent(curve: Curve, x: np.ndarray, sd: np.ndarray) -> np.ndarray:
 
 
 def tangent_basis(log_elements: np.ndarray, frequency_hz: np.ndarray, sd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What the elements can do to the white curves, as an orthonormal basis, and the error of each element.
+    """Orthonormal basis of the changes of white curves by the elements, and the variance of each element.
 
     Returns
     -------
@@ -49,7 +51,7 @@ def tangent_basis(log_elements: np.ndarray, frequency_hz: np.ndarray, sd: np.nda
 
 
 def outside(values: np.ndarray, basis: np.ndarray) -> np.ndarray:
-    """What the elements cannot absorb of white curves (N, J, 2 F), to first order."""
+    """Part of white curves (N, J, 2 F) orthogonal to the tangent space of the elements."""
     return np.asarray(values - np.einsum("ijfp,ijp->ijf", basis, np.einsum("ijfp,ijf->ijp", basis, values)))
 
 
@@ -70,13 +72,13 @@ def nearest(
     sd : ndarray, shape (N, J, F)
         Noise of real and of imaginary part.
     changes : mapping of str to Change, optional
-        What else happens at the network's places.
+        Further changes at the network's places.
 
     Returns
     -------
     log_elements : ndarray, shape (N, J, P)
     rest : ndarray, shape (N, J, 2 F)
-        What is left over the noise, real parts first.
+        Residual over the noise, real parts first.
     """
     return fitted(lambda x: impedance(x, frequency_hz, changes), log_elements, z, sd)
 
@@ -89,7 +91,7 @@ def fitted(curve: Curve, start: np.ndarray, z: np.ndarray, sd: np.ndarray) -> tu
         a = tangent(curve, x, sd)
         normal, right = np.swapaxes(a, -1, -2) @ a, np.einsum("ijfp,ijf->ijp", a, rest)
         own = np.einsum("ijpp->ijp", normal)
-        own = np.maximum(own, 1e-12 * own.max(axis=-1, keepdims=True))  # an unknown may be without any effect here
+        own = np.maximum(own, 1e-12 * own.max(axis=-1, keepdims=True))  # an unknown may have no effect here
         diagonal = own[..., None, :] * np.eye(x.shape[-1])
         step = np.linalg.solve(normal + damping[..., None, None] * diagonal, right[..., None])[..., 0]
         trial = x + np.clip(step, -1.0, 1.0)

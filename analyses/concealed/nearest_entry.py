@@ -1,13 +1,13 @@
-r"""What is true of an entry of the catalogue where the world's physics is richer than its formula.
+r"""True parameters of an entry of the catalogue where the world's physics is richer than its formula.
 
-The difference of two high-passes is no high-pass, adhesive under a cap no compliance alone, a muscle that activates in
-two steps no single one, and creep that slows down follows no power of the period. Of such an entry those values are
-true with which it comes nearest to the curves as they are without noise,
+The difference of two high-passes is not a high-pass, adhesive under a cap is not a compliance alone, activation of a
+muscle in two steps is not one low-pass, and creep that slows down is not a power of the period. The true values of such
+an entry are those with which it is nearest to the curves without noise,
 
 .. math:: \hat v = \arg\min_v \sum_{ij} \min_x \left|\frac{z'_{ij} - Z_v(x)}{\sigma_{ij}}\right|^2,
 
-everybody's elements x being free and differences between people those that were drawn. And a gain of the rig, which
-nothing can show, is part of every number that has an impedance's unit.
+with everybody's elements x free and with the drawn differences between people. A gain of the rig cannot be identified,
+so it is part of every number with a unit of impedance.
 """
 
 from __future__ import annotations
@@ -23,7 +23,9 @@ from world.experiment import Experiment
 from world.kind import Kind
 
 _PEOPLE = 12
+"""People over whom an entry is fitted, evenly spaced among all, which bounds the time of the search."""
 _GAIN_POWER = {"kg": 1, "N s/m": 1, "N/m": 1, "N s^a/m": 1, "m/N": -1}
+"""Power of the rig's gain in a parameter, by its unit."""
 
 _START = {
     "rig.highpass": lambda v: {"corner": v["size"]},

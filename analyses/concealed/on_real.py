@@ -1,4 +1,4 @@
-"""Known physics concealed in real recordings, on top of everything that they contain anyway, and recovered.
+"""Known physics added to real recordings, and whether a diagnosis recovers it.
 
 Run from the repository's root::
 
@@ -6,16 +6,16 @@ Run from the repository's root::
 
 An effect is added by its formula to every single recording: a mass (for spectra of a battery an inductance, s L), a
 delay, or a high-pass. The recordings with it are diagnosed *alone*, and *against* the recordings as they were, which
-then stand for what is known already (``diagnose(..., simulation=...)``). *Measured* puts no question of what it is:
-the model found without the addition is fitted to both with the effect at the port (``known_model.py``), and the
+then stand for what is known already (``diagnose(..., simulation=...)``). *Measured* does not ask for the name: the
+model found without the addition is fitted to both with the effect at the port (``known_model.py``), and the
 difference of the estimates is compared with what was added. What was added counts as recovered if
 
 - its id is listed and the 90 % interval, widened to 10 % of the value, holds what was added; where it was listed
   without the addition too, the difference of both estimates counts; or
-- the entries listed at the port do to the recordings what was added, to 10 % of the sum of squares (a small delay of a
-  resistance is a negative inductance).
+- the entries listed at the port change the recordings as the addition does, to 10 % of the sum of squares (a small
+  delay of a resistance is a negative inductance).
 
-Sizes are chosen by what they do: the largest change of any recording is the given share of its magnitude. Curves of the
+Sizes are chosen by their effect: the largest relative change of the median recording is the given share. Curves of the
 appendix are one recording each, so that rig and body cannot be told apart. The battery spectra are found through the
 environment variable BAYES_IMPEDANCE_REAL_DATA; every fifth of them is taken by default.
 """
@@ -44,12 +44,14 @@ EFFECTS: Mapping[str, tuple[str, ...]] = {
     "delay": ("rig.delay",),
     "highpass": ("rig.highpass",),
 }
-"""What is added, and the ids that name it: what all spectra have alike may be said of the rig or of the body."""
+"""Additions, and the ids that count as right: an effect that is equal in all spectra may be of the rig or the body."""
 
 PARAMETER = {"mass": ("mass",), "delay": ("delay",), "highpass": ("corner", "corner_hz")}
 MODES = ("alone", "against", "measured")
 SHARE = 0.1
+"""Largest relative change by an addition: ten times a noise of 1 %."""
 _TOLERANCE = 0.1
+"""Of the size and of the sum of squares, in the criteria of the module's docstring."""
 
 
 def change(effect: str, size: float, s: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -112,7 +114,7 @@ def one_case(case: Mapping[str, Any]) -> Record:
 
 
 def explained(verdict: Mapping[str, Any], recordings: Recordings, effect: str, size: float) -> float:
-    """Part of the relative change by an addition (sum of squares) that the entries listed at the port make as well."""
+    """Share (sum of squares) of the relative change by an addition that the entries listed at the port reproduce."""
     left = total = 0.0
     for subject in recordings.subjects:
         s = 2j * np.pi * subject.frequency_hz
@@ -127,7 +129,7 @@ def explained(verdict: Mapping[str, Any], recordings: Recordings, effect: str, s
 
 
 def claimed_change(entry: Mapping[str, Any], s: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """What an entry of a verdict does at the port, by its formula; nothing if its formula is not known here."""
+    """Change at the port by an entry of a verdict; None if its formula is not known here."""
     p = {name: row["median"] for name, row in entry["parameters"].items()}
     match entry["id"]:
         case "rig.mass" | "body.mass":

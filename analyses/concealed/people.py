@@ -9,7 +9,7 @@ parallel and mobilities add in series,
     z_\text{tissue} = s m_2 + r_1 + \frac1{s n_1} + z_\text{limb}, \quad
     \frac1z = \frac1{z_\text{skin}} + \frac1{z_\text{tissue}} .
 
-A change may be hooked in at every place: it is given what stands there and returns what shall stand there.
+A change can be applied at every place: a function of the impedance there that returns the changed impedance.
 
 People are log-normal with a random, full correlation matrix. With three random factors, unit vectors l_e and a
 communality h the correlation of two elements is h l_a . l_b, which is positive definite for 0 <= h < 1. Repetitions
@@ -48,12 +48,12 @@ COVARIATES = {"contact_force_n": (1.0, 0.25), "temperature_c": (32.0, 0.06), "ag
 """Median and sd of the natural logarithm. All are in every dataset; as a rule nothing follows them."""
 
 Change = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""What stands at a place, changed: (s (F,), z (..., F)) -> z (..., F)."""
+"""Changed impedance at a place: (s (F,), z (..., F)) -> z (..., F)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Conditions:
-    """What is unpleasant about the recordings without anything missing in the network.
+    """Complications of the recordings that are not missing physics.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class Conditions:
     repositioning : (float, float)
         Each element's log sd between repetitions is drawn between these.
     communality : float
-        h, from 0 (independent elements) to below 1; 0.5 gives correlations of 0.3 as a rule, 0.95 strong ones.
+        h, from 0 (independent elements) to below 1; 0.5 gives correlations of about 0.3, 0.95 strong ones.
     centre_sd : float
         Log sd by which the population's centre differs from that of the shipped population.
     """
@@ -84,7 +84,7 @@ class Conditions:
     centre_sd: float = 0.0
 
     def relative_noise(self, frequency_hz: np.ndarray) -> np.ndarray:
-        """Noise over |z| of somebody average, shape (F,)."""
+        """Relative noise of an average person, shape (F,)."""
         rise = (self.noise_rise - 1) / (1 + (frequency_hz / self.rise_below_hz) ** 6)
         return np.asarray(self.noise * (1 + rise))
 
@@ -131,7 +131,7 @@ class People:
 
 
 def draw_population(rng: np.random.Generator, conditions: Conditions) -> Population:
-    """Draw what differs between populations: correlation, repositioning and, if asked for, the centre."""
+    """Draw a population: correlation, repositioning and, if requested, the centre."""
     p = len(ELEMENTS)
     loading = rng.normal(size=(p, 3))
     loading /= np.linalg.norm(loading, axis=1, keepdims=True)

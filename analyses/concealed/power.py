@@ -6,8 +6,8 @@ Run from the repository's root::
 
 The fast part of the diagnosis only: the network is fitted and all candidates are screened once, with the correction
 for many. *Detected* is a corrected p below the diagnosis' own level; *named* says that the candidate with the largest
-score has a right id. The full diagnosis refits the best candidates and asks for more, so it claims a little less. Each
-case is a line of ``power.jsonl``, done ones are skipped. Curves with 95 % intervals (Clopper-Pearson) go to
+score has a right id. The full diagnosis refits the best candidates and requires more, so it claims slightly less. Each
+case is a line of ``power.jsonl``; cases on file are skipped. Curves with 95 % intervals (Clopper-Pearson) go to
 ``power.png``, the table to ``power.md`` and between its markers into CHALLENGE.md.
 """
 
@@ -73,7 +73,7 @@ def one_case(case: Mapping[str, Any]) -> Record:
 
 
 def cases(repeats: int, points: int, kinds: Sequence[str]) -> list[Record]:
-    """One line of cases for each quantity, the others at :data:`BASE`; repeat by repeat, so that all curves grow."""
+    """Cases along each quantity, the others at :data:`BASE`; ordered by repeat, so that curves grow together."""
     asked: list[Record] = []
     for repeat in range(repeats):
         for name, grid in VARIED.items():

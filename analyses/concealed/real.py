@@ -1,9 +1,9 @@
-"""What the diagnosis says of the paper's published curves, and of real battery spectra with the two-arc network.
+"""Diagnoses of the paper's published curves, and of real battery spectra with the two-arc network.
 
     python analyses/concealed/real.py [-o analyses/concealed/results]
 
-For the battery the explanation found on all spectra is tested on spectra that had no part in it: parameters that all
-spectra share are estimated without a fold, and the spectra in the fold are fitted with those held. Written to
+For the battery the explanation found on all spectra is cross-validated: parameters that all spectra share are estimated
+without a fold, and the spectra in the fold are fitted with these parameters held. Written to
 ``real.json`` and printed. The real recordings are found through the environment variable BAYES_IMPEDANCE_REAL_DATA.
 """
 
@@ -59,7 +59,7 @@ def said(recordings: Recordings) -> dict[str, Any]:
 
 
 def held_out_spectra(recordings: Recordings, seed: int = 1) -> dict[str, Any]:
-    """Relative errors of spectra whose fold had no part in choosing or sizing what was added."""
+    """Relative errors of held-out spectra: their fold was used neither to choose the additions nor to estimate them."""
     n = len(recordings.subjects)
     fold = np.random.default_rng(seed).permutation(n) % FOLDS
     before, after = np.empty(n), np.empty(n)
@@ -84,7 +84,7 @@ def held_out_spectra(recordings: Recordings, seed: int = 1) -> dict[str, Any]:
 
 
 def _under(refitter: Refitter, trained: Refit, own: Refit, seed: int) -> Refit:
-    """Held-out spectra under a population and shared parameters that others have determined."""
+    """Fit held-out spectra with a population and shared parameters that were estimated from the others."""
     model = trained.model
     start = np.tile(trained.u.mean(axis=0), (len(own.u), 1))
     start[:, : model.n_elements] = own.u

@@ -1,12 +1,12 @@
-r"""What simpler looks see on the same cases: the mean curve, eq. 5, single people, and a plain model search.
+r"""Simpler methods on the same cases: the mean curve, eq. 5, single people, and a plain model search.
 
 Run from the repository's root, after ``run.py``::
 
     python analyses/concealed/rivals.py --nulls 100 --jobs 2 -o analyses/concealed/results/challenge
 
-Each look is one number, larger when more is wrong, and a threshold that 5 % of simulated cases without anything
-missing exceed (``--nulls`` of them, of the challenge's own sizes and conditions): so all have the same rate of false
-alarms.
+Each method is a test statistic that grows with the misfit. Its threshold is exceeded by 5 % of simulated cases in which
+nothing is missing (``--nulls`` of them, with the sizes and conditions of the challenge), so that all methods have the
+same rate of false alarms.
 
 - **mean curve**: the network is fitted to the mean over people; rms of the relative residual.
 - **eq. 5**: the network with everybody's geometric mean elements against the look-up table of the mean: ratio of their
@@ -45,8 +45,11 @@ HERE = Path(__file__).resolve().parent
 FILE = "rivals.jsonl"
 LOOKS = ("mean curve", "eq. 5", "single people", "model search")
 LEVEL = 0.05
+"""Rate of false alarms of each method."""
 _SHAPES_TRIED = 4
+"""Shapes of an entry that the model search begins from, evenly spaced over its grid; the fit moves them."""
 _POINTS = 61
+"""Frequencies of the model search, 20 per decade of the challenge's band: its cost is proportional to them."""
 
 
 def least_squares(
@@ -112,7 +115,7 @@ def best_of_starts(kernel: Kernel, frequency_hz: np.ndarray, z: np.ndarray, seed
 
 
 def looks(recordings: Recordings, seed: int) -> dict[str, Any]:
-    """The number of each look, and what the model search names."""
+    """The statistic of each method, and the name that the model search gives."""
     kernel = Kernel(parse(NETWORK))
     frequency_hz = recordings.subjects[0].frequency_hz
     people = np.array([s.mean for s in recordings.subjects])
@@ -177,7 +180,7 @@ def model_search(recordings: Recordings, u: np.ndarray, mean: np.ndarray) -> tup
 
 
 def one_case(case: Mapping[str, Any]) -> Record:
-    """Look at a dataset, or at a simulated one in which nothing is missing."""
+    """Apply all methods to a dataset, or to a simulated one in which nothing is missing."""
     if "folder" in case:
         return looks(read_recordings(Path(case["folder"])), 1)
     plan = draw(case["seed"], 1, Sizes((case["subjects"],), (case["points"],)))[0]
@@ -199,7 +202,7 @@ def table(
     seen: Mapping[str, Record],
     nulls: Sequence[Record],
 ) -> str:
-    """Detections of each look and of the population method; the margin, with a sign test on the cases that differ."""
+    """Detections of each method and of the population method; the margin, with a sign test on the cases that differ."""
     from scipy.stats import binomtest
 
     thresholds = {look: float(np.quantile([r[look] for r in nulls], 1 - LEVEL)) for look in LOOKS}

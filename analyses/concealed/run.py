@@ -4,8 +4,8 @@ Run from the repository's root::
 
     python analyses/concealed/run.py --cases 60 --seed 1 --jobs 2 -o analyses/concealed/results/challenge
 
-Each diagnosis appends a line to ``verdicts.jsonl`` as it ends and is not done again, so the run may be interrupted.
-``--score`` scores what is on file; ``--with`` counts the rows of other challenges' folders too. The table goes to
+Each diagnosis appends a line to ``verdicts.jsonl`` when it ends. Cases on file are skipped: a run may be interrupted.
+``--score`` scores the cases on file; ``--with`` also counts the rows of other challenges' folders. The table goes to
 ``challenge.md`` and, for 60 cases or more, between its markers into CHALLENGE.md; the picture to ``confusion.png``.
 ``--small`` is for a trial: 10 people, 61 frequencies.
 """

@@ -1,4 +1,4 @@
-"""Many diagnoses in processes of their own, one JSON line for each as it ends; what is done is not done again."""
+"""Many diagnoses in separate processes, each appended as one JSON line when it ends; cases on file are skipped."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def diagnose(recordings: Recordings, seed: int, through_command: bool = False) -
 
 
 def read_lines(path: Path) -> list[Record]:
-    """Records of a file, the last one of each case; a line torn by a kill is left out."""
+    """Records of a file, the last one of each case; a line that was cut off by a kill is skipped."""
     if not path.is_file():
         return []
     latest: dict[str, Record] = {}
@@ -62,7 +62,7 @@ def run_cases(
     Parameters
     ----------
     cases : iterable of mapping
-        What JSON can hold; equal cases are one.
+        Serialisable as JSON; equal cases count as one.
     work : callable
         Case to record, which gets ``case`` and ``seconds`` added, or ``error`` if it raises. A function of a module.
     path : Path
@@ -70,7 +70,7 @@ def run_cases(
     jobs : int
         Processes; 0 works in this one.
     say : callable
-        Told of each that ends.
+        Called with a line of text for each case that ends.
     """
     done = {_key(record["case"]) for record in read_lines(path) if "error" not in record}
     waiting = {_key(case): dict(case) for case in cases}
@@ -102,7 +102,7 @@ def _records(cases: Sequence[Record], work: Work, jobs: int) -> Iterable[Record]
     if jobs == 0:
         yield from (_one(work, case) for case in cases)
         return
-    # Children start afresh and read these before they import numpy or numba.
+    # Child processes read these variables before they import numpy or numba.
     os.environ.update({"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"})
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
         waiting = [pool.submit(_one, work, case) for case in cases]
@@ -114,7 +114,7 @@ def _one(work: Work, case: Record) -> Record:
     started = time.perf_counter()
     try:
         record = work(case)
-    except Exception:  # one failure must not end a night's run; it is on file and is tried again
+    except Exception:  # one failure must not end a long run: it is recorded, and the next run tries again
         record = {"error": traceback.format_exc(limit=-3)}
     return {"case": case, **record, "seconds": time.perf_counter() - started}
 

@@ -1,8 +1,8 @@
-"""A verdict against the truth: what was detected, named, placed and measured, and how sure such counts are.
+"""Comparison of a verdict with the truth: detection, name, place and size, and intervals of such rates.
 
-A verdict is the content of ``verdict.json``. "Right or undecided" is the honest measure: the concealed effect comes
-first, or stands among the aliases that the first explanation admits it cannot be told from (``separated`` false).
-Places are compared as networks and not as words: beside one part of a parallel group is beside all of them.
+A verdict is the content of ``verdict.json``. "First or undecided" is the main measure: the concealed effect comes
+first, or is among the aliases from which the first explanation is not separated (``separated`` false). Places are
+compared as networks and not as words: an addition beside one part of a parallel group is beside all of them.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ YES_NO = ("detected", "first", "first_or_undecided", "side", "band", "visible_ba
 """What is counted for every concealed effect, in the order of the table."""
 
 VISIBLE = 6.0
-"""Standard errors from which an effect can be expected to be seen: p = 2e-9, which a thousand looks leave small."""
+"""Standard errors from which an effect should be detected: p = 2e-9, which stays small after a thousand tests."""
 
 
 def score(verdict: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, Any]:
@@ -78,9 +78,9 @@ def overlap(bands: Iterable[Sequence[float]], others: Iterable[Sequence[float]])
 
 
 def _same_place(account: Mapping[str, Any], truth: Mapping[str, Any]) -> bool:
-    """Whether an explanation names the place, or another word for the same network.
+    """Whether an explanation names the place or an equivalent one.
 
-    What may be interchanged depends on what is said to be there: the truth's list holds for the right id only.
+    Equivalent places depend on the effect: the truth's list holds for the right id only.
     """
     place = account.get("place")
     if account.get("id") == truth["id"]:
@@ -94,7 +94,7 @@ def _covered(first: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, bo
     known = truth["also"] | truth["parameters"]
     replaced = "coefficient" not in reported or "becomes" in str(first.get("formula"))
     if truth["id"] == "body.springpot" and replaced:
-        return {}  # a spring that has turned into a springpot: its exponent is not that of one beside the spring
+        return {}  # a springpot in place of a spring: its exponent is not that of one beside the spring
     covered = {}
     for name in (n for n in reported if n in known):
         low, high = reported[name].get("q05"), reported[name].get("q95")
@@ -104,14 +104,14 @@ def _covered(first: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, bo
 
 
 def _expected(true: Mapping[str, Any], found: Mapping[str, Any], place: str | None) -> float:
-    """True value in the terms of the verdict: a slope may be per standard deviation, and a compliance's is negative."""
+    """True value as the verdict defines it: a slope may be per standard deviation, and is negative for a compliance."""
     per_sd = "per_sd" in true and any(word in str(found.get("unit")) for word in ("sd", "standard deviation"))
     sign = true.get("signs", {}).get(place, 1)
     return float(sign * (true["per_sd"] if per_sd else true["value"]))
 
 
 def _people(said: Any, true: Any) -> dict[str, int] | None:
-    """Of the people concerned, how many were named, and how many others; None where it concerns everybody."""
+    """Numbers of named people in and outside of the subgroup; None where the effect concerns everybody."""
     if true == "all":
         return None
     named = set() if said in (None, "all") else set(said)
@@ -119,7 +119,7 @@ def _people(said: Any, true: Any) -> dict[str, int] | None:
 
 
 def clopper_pearson(hits: int, n: int, level: float = 0.95) -> tuple[float, float]:
-    """Interval of a rate from `hits` among n: covers at least as often as it says, also near 0 and 1."""
+    """Clopper-Pearson interval of a rate from `hits` of n: coverage is at least nominal, also near 0 and 1."""
     from scipy.stats import beta
 
     if n == 0:

@@ -1,13 +1,13 @@
-r"""By how much an effect can stand out at most: a strong effect is invisible if the elements can imitate it.
+r"""Largest possible evidence of an effect: a strong effect is invisible if the elements can reproduce it.
 
-The curves of the recordings without their noise are compared with the network's curves that come nearest to them
-(``nearest.py``). A search for an unknown effect that leaves the elements free can do no better, so what lies below
-about six standard errors is not to be expected, however strong it is on the curve.
+The curves without noise are compared with the network's nearest curves (``nearest.py``). No search with free elements
+can exceed this evidence, so detection of an effect below about six standard errors is not expected, however strongly it
+changes the curve.
 
-Three effects show otherwise. Mains hum has a random phase: its power stands out from that of 2n numbers of noise by
-lambda / sqrt(4 n), n harmonic points in all recordings. A drift and a covariate are changes of the elements: they stand
-out of the elements' scatter between repetitions, rho, and between persons, tau, with the error v_i of one estimate from
-the Fisher information, people weighted by their precision,
+Three effects are detected in other ways. Mains hum has a random phase: its power stands out from that of 2n numbers of
+noise by lambda / sqrt(4 n), n harmonic points in all recordings. A drift and a covariate are changes of the elements:
+they stand out of the elements' scatter between repetitions, rho, and between persons, tau, with the error v_i of one
+estimate from the Fisher information, people weighted by their precision,
 
 .. math:: \text{drift: } b\sqrt{\sum_j (j - \bar\jmath)^2 \sum_i \frac1{\rho^2 + v_i}}, \qquad
           \text{covariate: } b\,s_x \sqrt{\sum_i \frac1{\tau^2 - b^2 s_x^2 + (\rho^2 + v_i)/J}},
@@ -37,8 +37,8 @@ def visibility(case: Case, sd: np.ndarray) -> tuple[float, np.ndarray]:
     total : float
         Standard errors.
     outside : ndarray, shape (F,)
-        What no values of the elements can imitate, over the noise, rms over the recordings of those concerned; for a
-        drift or a covariate the whole change, because there it is the elements that change.
+        Part of the change that no elements can reproduce, over the noise, rms over the recordings of people with the
+        effect; for a drift or a covariate the whole change, because there the elements themselves change.
     """
     n_subjects, n_repetitions, _ = sd.shape
     if case.id in ("body.drift", "body.covariate"):

@@ -1,8 +1,8 @@
-r"""The truth of an experiment in the virtual world, as a score needs it, and by how much each effect can stand out.
+r"""The truth of an experiment in the virtual world, as scoring needs it, with the largest evidence of each effect.
 
-The network is fitted to every recording's true curve with the effect, without noise but weighted by it; the rest is
-what no elements can imitate (``nearest.py``). Force and creep over the session change the elements themselves and stand
-out of their scatter; hum adds power.
+The network is fitted to every recording's true curve with the effect (no noise, but weights by the noise); the residual
+is the part that no elements can reproduce (``nearest.py``). Force and creep over the session change
+the elements themselves and are compared with their scatter; hum adds power.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from world.tissue import hertz_exponents
 
 
 def imitated(experiment: Experiment, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Elements (N, J, P) of the network's curves nearest to curves z (N, J, F), and what is left (N, J, 2 F)."""
+    """Elements (N, J, P) of the network's curves nearest to curves z (N, J, F), and the residual (N, J, 2 F)."""
     f, x = experiment.plan.frequency_hz, experiment.fingers.log_elements
-    # The rig's own reading of the lumped finger differs from the finger by what the stiff sensor does.
+    # The rig's reading of the lumped finger differs from the finger by the compliance of the sensor.
     return nearest(x, z - experiment.without + impedance(x, f), f, experiment.sd)
 
 
 def truth_of(experiment: Experiment) -> dict[str, Any]:
-    """What a perfect diagnosis would say; ready for JSON.
+    """The verdict of a perfect diagnosis; serialisable as JSON.
 
     Returns
     -------

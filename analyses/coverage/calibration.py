@@ -1,4 +1,4 @@
-"""Do 90 % intervals contain the truth in 90 % of populations? Many virtual populations, each fitted, truth compared.
+"""Coverage of the intervals: how often the truth lies in them, over many virtual populations.
 
 Run from the repository's root: python analyses/coverage/calibration.py [populations]. Writes calibration.csv beside it.
 """
@@ -18,7 +18,7 @@ KINDS = ("central", "dispersion_between_persons", "dispersion_between_repetition
 
 
 def one_population(seed: int, n_subjects: int, n_points: int, settings: FitSettings) -> list[dict[str, object]]:
-    """Fit one population; for each parameter, where the truth lies in its posterior (0 to 1)."""
+    """Fit one population; for each parameter the quantile of the truth in its posterior (0 to 1)."""
     grid = np.geomspace(5, 5000, n_points)
     simulation: Simulation = simulate_recordings(FINGERTIP, n_subjects, 3, grid, seed)
     fit = fit_population(simulation.recordings, settings=settings, seed=seed)

@@ -3,7 +3,7 @@
     python analyses/design_inputs/design_answer.py out/demo out/design
 
 draws 1000 virtual users, couples each to a PHANTOM 1.0 (the sources of its numbers: `PHANTOM.source`), and prints the
-answer, also with virtual damping and with delay, each time beside what the mean user alone would have promised.
+answer, also with virtual damping and with delay, each time beside the limit for the mean user alone.
 """
 
 import sys

@@ -1,4 +1,4 @@
-"""Where the virtual fingertips' centre comes from: what both published curves say of the network's elements.
+"""Derivation of the virtual fingertips' centre from the two published curves.
 
 Each curve is fitted with the paper's network. Where both determine an element the geometric mean is taken, otherwise
 the value of the one that does. Run from the repository's root: python analyses/fingertip_71/centre.py

@@ -32,7 +32,7 @@ S = 2j * np.pi * FREQUENCY_HZ
 
 
 def published() -> dict[str, TransferFunction]:
-    """The printed functions with the sign turned, imaginary dirt left out."""
+    """The printed functions with the sign turned, without the imaginary parts that are rounding errors."""
     text = (ROOT / "data" / "appendix_a" / "coefficients.toml").read_text(encoding="utf-8")
     entries = tomllib.loads(text).items()
     return {k: TransferFunction.from_coefficients([-c for c in e["numerator"]], e["denominator"]) for k, e in entries}

@@ -1,4 +1,4 @@
-"""What the misprints of eq. 4 would do to a fit: the printed and the corrected form on the same recordings.
+"""Effect of the misprints of eq. 4 on a fit: the printed and the corrected form on the same recordings.
 
 Run from the repository's root: python analyses/paper/printed_eq4.py
 As printed, r2 stands for r3 in the skin's term and the mass m2 has the wrong sign. Each form is fitted to the median
@@ -18,7 +18,7 @@ Form = Callable[[np.ndarray, np.ndarray], np.ndarray]
 RECORDINGS = read_recordings(Path(__file__).parents[2] / "data" / "fingertip_71")
 FREQUENCY_HZ = common_grid(RECORDINGS)
 PEOPLE = on_grid(RECORDINGS, FREQUENCY_HZ)
-# Where fingertips' elements lie, in the order n3, r2, m2, r1, n1, m1, n2, r3; starts are spread around it.
+# Typical elements of a fingertip, in the order n3, r2, m2, r1, n1, m1, n2, r3; starts are spread around them.
 CENTRE = np.log([7e-7, 4.0, 8e-4, 1.5, 1.2e-3, 0.05, 5e-3, 60.0])
 
 

@@ -1,7 +1,7 @@
-"""Pictures of a finished run. They compute nothing: what they show is in the result.
+"""Pictures of a finished run. Nothing is computed here: pictures show the numbers of the result.
 
 Each picture is a function that draws into the matplotlib Figure or Axes it is given, and returns it. Draw inside
-:func:`style`, which gives all of them one look and leaves no trace in matplotlib's settings::
+:func:`style`, which sets their common style and restores matplotlib's settings afterwards::
 
     with style():
         figure = bands(new_figure(8, 8), result)
@@ -69,7 +69,7 @@ _METADATA: dict[str, dict[str, Any]] = {
     "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
     "png": {"Software": None},
 }
-"""What each kind of file says about its making: nothing that changes from run to run."""
+"""Metadata of each file format, without dates and versions: the same figure gives the same bytes."""
 _DPI = 130
 _WIDTH = 8.2
 """Inches: about the width of a page, so that letters on the screen are as large as its text."""
@@ -154,7 +154,7 @@ PICTURES: tuple[Picture, ...] = (
 
 
 _HERE = ("corner_central", "corner_dispersion", "curves", "bands", "noise")
-"""Pictures that a helper leaves to this process: half of the work, and what needs arviz, which is loaded here."""
+"""Pictures drawn in this process if there is a helper: half of the work, and those that need arviz, loaded here."""
 
 
 def write_pictures(result: Result, folder: Path, helper: Executor | None = None) -> dict[str, Path]:

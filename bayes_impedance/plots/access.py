@@ -1,4 +1,4 @@
-"""What the pictures and the page ask of a result: arrays without the chain axis, and the words for who was measured."""
+"""Access of pictures and pages to a result: arrays without the chain axis, and words for the subjects."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def is_electrical(result: Result) -> bool:
 
 
 def is_simulated(result: Result) -> bool:
-    """Whether the recordings' own description says that nobody was measured."""
+    """Whether the recordings' own description says that they are simulated."""
     return "simulat" in (str(result.attributes.get("source", "")) + str(result.attributes["title"])).lower()
 
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from bayes_impedance.classical.methods import MethodComparison
 
 BODE_METHODS = ("sit", "vector_fitting_mean", "vector_fitting_median", "population_network")
-"""What fig. 5 shows: the paper's models, and the network that it could not give."""
+"""Methods of fig. 5: the paper's models, and the population network that the paper could not determine."""
 
 
 def recordings_figure(comparison: MethodComparison) -> Figure:

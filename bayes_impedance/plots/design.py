@@ -1,4 +1,4 @@
-"""Pictures for a designer: the users' band, the stability map, the worst user, what is felt."""
+"""Pictures for a designer: the users' band, the stability map, the worst user, transparency."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Corner pictures: how the uncertainties of the elements hang together."""
+"""Corner plots: the joint posterior of the elements."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 Density = Callable[[np.ndarray], np.ndarray]
 
-# The scales of the default prior (see hierarchy.Prior): they are fixed, and no result carries them.
+# The scales of the default prior (population.parameters.Prior): they are fixed, and no result carries them.
 PRIOR_CENTRE_SD, PRIOR_DISPERSION_SD = 3.0, 1.0
 _WIDE = 8.0
 """A posterior whose 90 % interval spans more than this factor is shown by its logarithm."""
@@ -136,7 +136,7 @@ def _corner(
     )
     grid = np.array(figure.axes).reshape(number, number)
     for axes in grid[np.triu_indices(number, 1)]:
-        axes.set_visible(False)  # it is empty, and would take its time all the same
+        axes.set_visible(False)  # it is empty, but drawing it would take time
     for axes in grid[np.tril_indices(number)]:
         axes.grid(False)
         axes.tick_params(labelsize=8, length=2.5)

@@ -1,11 +1,10 @@
-r"""Pictures of a diagnosis: where model and recordings differ, and what is left when that has been modelled.
+r"""Pictures of a diagnosis: where model and recordings differ, before and after the missing physics is modelled.
 
-Whitened residuals :math:`r_{if}` of N people have unit variance if nothing is missing, and so has what the population
-says together,
+Whitened residuals :math:`r_{if}` of N people have unit variance if nothing is missing, and so has the pooled residual
 
 .. math:: R_f = \frac{1}{\sqrt{N_f}} \sum_i r_{if} ,
 
-which is their mean times the root of their number :math:`N_f`. An effect far below everybody's noise is visible in it.
+which is their mean times the root of their number :math:`N_f`. It shows effects far below one person's noise.
 
 Each function draws one picture of one diagnosis, and returns None where there is nothing to show. Call inside
 :func:`~bayes_impedance.plots.style`.
@@ -158,7 +157,7 @@ def bands(diagnosis: Diagnosis) -> Figure:
 
 
 def pooled_residual(diagnosis: Diagnosis) -> Figure:
-    """What the population says together over frequency, before and after.
+    """The residual pooled over people against frequency, before and after.
 
     Parameters
     ----------
@@ -212,7 +211,7 @@ def one_ports(diagnosis: Diagnosis) -> Figure | None:
             axes.plot(port.frequency_hz, values, color=BLUE, lw=1.4)
             frequency_axis(axes, f, label=i == len(shown) - 1)
         row[0].set_ylim(*_inner_limits(port.ratio, port.sd))
-        # A share of nothing says nothing.
+        # Without a mismatch its explained share has no meaning.
         known = bool(diagnosis.verdict.get("mismatch")) and np.isfinite(port.share)
         share = f": explains {100 * port.share:.0f} %" if known else ""
         row[0].set_title(f"at {_drawable(port.place, 60)}{share}", parse_math=False)

@@ -1,7 +1,7 @@
-"""The paper's figures 3, 4 and 5: everybody's curves, the errors of rival methods, and models over the data.
+"""The paper's figures 3, 4 and 5: everybody's curves, the errors of several methods, and models over the data.
 
-They take arrays, not a result, because most of what they compare is not made by a run. Each draws into one Axes; a
-magnitude and a phase side by side, or one above the other, are two calls::
+They take arrays, not a result, because most of the models that they compare do not come from a run. Each draws into one
+Axes; a magnitude and a phase side by side, or one above the other, are two calls::
 
     with style():
         figure = new_figure(8.2, 6)
@@ -155,7 +155,7 @@ def error_bars(
     unit: str = "N s/m",
     legend: bool = True,
 ) -> Axes:
-    """Mean errors of rival methods with their standard deviation over frequency, as in the paper's fig. 4.
+    """Mean errors of several methods with their standard deviation over frequency, as in the paper's fig. 4.
 
     The first method is on top, and its numbers stand to the right of the axes. A bar many times as long as most is cut
     and marked, because a logarithmic axis would hide what matters between the good methods; so is a deviation that

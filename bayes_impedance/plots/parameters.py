@@ -1,4 +1,4 @@
-"""Pictures of the elements: values, spreads, correlations, everybody's own values, and what the prior said."""
+"""Pictures of the elements: values, dispersions, correlations, everybody's own values, prior against posterior."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _MANY = 12
 
 
 def overview(figure: Figure, result: Result) -> Figure:
-    """How well each central value is known, and how far people and repetitions spread.
+    """Uncertainty of each central value, and dispersions between persons and between repetitions.
 
     Parameters
     ----------
@@ -217,7 +217,7 @@ def traces(figure: Figure, result: Result) -> Figure:
 
 
 def priors(figure: Figure, result: Result) -> Figure:
-    """Prior against posterior: what the recordings added to what was assumed.
+    """Prior against posterior: the information that the recordings add.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Numbers as an engineer writes them: with a prefix, and with no more digits than are known."""
+"""Formatting of numbers: SI prefixes, and as many digits as the uncertainty allows."""
 
 from __future__ import annotations
 

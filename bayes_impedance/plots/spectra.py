@@ -112,7 +112,7 @@ def bands(figure: Figure, result: Result) -> Figure:
 
 
 def errors(figure: Figure, result: Result) -> Figure:
-    """Eq. 5 over frequency: the population network, the look-up tables, and what replicated populations give.
+    """Eq. 5 over frequency: the population network, the look-up tables, and replicated populations.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def errors(figure: Figure, result: Result) -> Figure:
 
 
 def coverage(figure: Figure, result: Result) -> Figure:
-    """Share of people inside of the predicted bands, and where chance alone would put it.
+    """Share of people inside of the predicted bands, and its range by chance alone.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ def _noise_curves(axes: Axes, f: np.ndarray, relative: np.ndarray, name: str) ->
 
 
 def _legend_above(axes: Axes) -> None:
-    """Curves may be anywhere inside, so that no place there is free."""
+    """Put the legend outside of the axes: curves may be anywhere inside."""
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.2)
 
 

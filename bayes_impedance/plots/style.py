@@ -1,4 +1,4 @@
-"""How all pictures look: colours, sizes, and axes that can be read."""
+"""The common style of all pictures: colours, sizes, ticks of axes."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ _RC: Any = {
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Draw and save inside of this: sets the common style and puts back what was there."""
+    """Context manager for drawing and saving: sets the common style and restores the settings afterwards."""
     import matplotlib
 
     with matplotlib.rc_context():
@@ -63,7 +63,7 @@ def style() -> Iterator[None]:
 
 
 def new_figure(width: float, height: float, *, constrained: bool = True) -> Figure:
-    """A figure that no window and no global state knows of; sizes in inches."""
+    """A figure without a window and outside of pyplot's global state; sizes in inches."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained" if constrained else None)

@@ -1,4 +1,4 @@
-"""One page that a person can read from top to bottom: ``report.html``, with everything it shows inside of it."""
+"""The report of a run: one self-contained page, ``report.html``."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ __all__ = ["REPORT_FILE", "write_report"]
 REPORT_FILE = "report.html"
 _TEMPLATE = "page.html.j2"
 _OF_VALUES = frozenset({"bands", "corner_central", "corner_dispersion", "correlation", "errors", "forest", "overview"})
-"""Pictures of numbers: where those must not be used, they are left out."""
+"""Pictures of estimates: left out if the diagnostics say that the estimates must not be used."""
 
 
 class FindingLike(Protocol):
-    """What the check of the recordings returns."""
+    """A finding of :mod:`bayes_impedance.quality.checks`."""
 
     @property
     def severity(self) -> str:

@@ -1,8 +1,8 @@
-"""The page of a diagnosis: what the recordings show and the model leaves out, or how small it must be.
+"""The page of a diagnosis: the missing physics, or the detection limits if nothing is missing.
 
-All that is said here is in the :class:`~bayes_impedance.diagnosis.types.Diagnosis`; this package chooses units,
-digits and words. :mod:`bayes_impedance.report.findings` words the verdict; here are the drawings, the tables and the
-file.
+The content comes from the :class:`~bayes_impedance.diagnosis.types.Diagnosis`; this room chooses units, digits and
+words. :mod:`bayes_impedance.report.findings` formulates the verdict; this module makes the drawings, the tables and
+the file.
 """
 
 from __future__ import annotations
@@ -186,7 +186,7 @@ def _marks(notation: str, verdict: Mapping[str, Any]) -> dict[tuple[int, ...], s
             if network is not None and name:
                 marks.setdefault(network.place(str(name)).path, []).append(text)
         except InputError:
-            continue  # what acts on the whole population is at no place
+            continue  # effects on the whole population have no place
     return {path: ", ".join(texts) for path, texts in marks.items()}
 
 
@@ -273,7 +273,7 @@ def differences(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
 
 
 def limits(verdict: Mapping[str, Any]) -> list[tuple[str, str, list[tuple[str, str]]]]:
-    """What would have been seen: id, name, and at each place the smallest size."""
+    """Detection limits: id, name, and the smallest detectable size at each place."""
     grouped: dict[str, list[tuple[str, str]]] = {}
     names = {}
     for entry in verdict.get("detectable") or []:

@@ -1,4 +1,4 @@
-"""What a verdict says: its kind, where the mismatch is, and a card for each effect, as plain text for the template.
+"""A verdict as plain text for the template: its kind, where the mismatch is, and a card for each effect.
 
 Only the keys of the verdict's schema are expected, and each of them may be missing or None, because a page that cannot
 be written helps nobody to find out why a diagnosis failed.
@@ -229,7 +229,7 @@ def joint(verdict: Mapping[str, Any]) -> list[tuple[str, str, str]]:
 
 
 def p_text(value: float | None) -> str:
-    """A p-value; what is too small for a computer's numbers is said to be below them."""
+    """A p-value; values below the smallest floating-point numbers are given as an upper bound."""
     p = number_or_nan(value)
     if not math.isfinite(p):
         return ABSENT

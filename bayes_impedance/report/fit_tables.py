@@ -1,6 +1,6 @@
-"""What the page says: sentences and table rows made of a result, as plain text for the template.
+"""Sentences and table rows of a result's page, as plain text for the template.
 
-Nothing is computed here but units, prefixes and digits. Numbers that must not be used do not get into a sentence.
+Only units, prefixes and digits are computed here. Estimates that must not be used do not appear in a sentence.
 """
 
 from __future__ import annotations
@@ -263,7 +263,7 @@ def recording_rows(result: Result) -> list[tuple[str, str]]:
 
 
 def reading_warnings(result: Result) -> list[str]:
-    """What was told when the recordings were read."""
+    """Warnings from reading the recordings."""
     return [str(warning) for warning in json.loads(result.attributes.get("reading_warnings") or "[]")]
 
 
@@ -293,7 +293,7 @@ def error_table(result: Result) -> tuple[str, list[tuple[str, str, str]]]:
 
 
 def replication_sentence(result: Result) -> str:
-    """Whether populations drawn from the model are as far from its centre as the measured one."""
+    """Comparison of the measured population's eq. 5 with that of populations drawn from the model."""
     entry = result.summary["errors"]["population_network"]
     ranks = [entry["replicated_rank_magnitude"], entry["replicated_rank_phase"]]
     shares = f"{100 * ranks[0]:.0f} % of them for the magnitude and {100 * ranks[1]:.0f} % for the phase"
@@ -403,7 +403,7 @@ def provenance_rows(result: Result) -> list[tuple[str, str]]:
 
 
 def command(result: Result) -> str:
-    """What to type to get this result again."""
+    """The command that gives this result again."""
     summary: dict[str, Any] = result.summary
     parts = ["bayes-impedance run DATASET -o OUT", f"--network '{summary['network']}'", f"--seed {summary['seed']}"]
     if summary["covariance"] != "full":

@@ -1,12 +1,12 @@
-"""The network as a drawing: SVG text that stands in a page without anything else.
+"""The network as a drawing: self-contained SVG text for a page.
 
 A tree of series and parallel groups is drawn by two rules. A *chain* puts its parts one after the other on a line; a
 *stack* puts them one above the other between two nodes. In a mechanical drawing the parts that pass on one force
 (``-``) form a chain and those that share one velocity (``|``) a stack. In a circuit diagram of the same tree it is the
 other way round, because voltage takes the place of force: impedances that add are drawn in a row.
 
-Every part is measured first (its width, and its height above and below its own line) and painted afterwards, when it
-is known how much room it gets; wires fill what is left.
+Every part is measured first (its width, and its height above and below its own line) and painted when its place is
+known; wires fill the remaining width.
 """
 
 from __future__ import annotations
@@ -181,7 +181,7 @@ def _element(name: str, value: str, electrical: bool) -> _Block:
             "</g>",
         ]
 
-    # A long name or value needs more room than a symbol.
+    # A long name or value is wider than a symbol.
     width = max(_WIDTH, 9.5 * len(name) + 16, 7.6 * len(value) + 16)
     return _Block(width, _ABOVE + 6, _BELOW if value else 22.0, paint, open_right=to_frame)
 

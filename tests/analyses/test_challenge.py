@@ -1,4 +1,4 @@
-"""The seal holds, and score, rivals and power count what they say."""
+"""The challenge: cases cannot be changed after they are sealed, and scores, rivals and power are counted correctly."""
 
 import importlib
 import json

@@ -1,4 +1,4 @@
-"""Element-wise fits: recovery, what phases cannot say, and averages of elements that ran away."""
+"""Element-wise fits: recovery, elements that phases do not determine, and averages with diverged elements."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Mapping a rational impedance onto the network: exact, nearest, and what cannot be told."""
+"""Mapping a rational impedance onto the network: exact, nearest, and elements that are not identified."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Vector fitting against known poles, scikit-rf, the statistical limit, and an optimiser that knows no trick."""
+"""Vector fitting against known poles, scikit-rf, the statistical limit, and a general-purpose optimiser."""
 
 from __future__ import annotations
 

@@ -144,6 +144,7 @@ def test_only_the_lowest_panel_names_the_frequencies() -> None:
 
 
 def test_nobody_measured_is_drawn_empty() -> None:
+    """No curve, no value on any line, and axes that can still be read."""
     nobody = np.full((3, FREQUENCY.size), np.nan + 0j)
     for part in ("magnitude", "phase"):
         figure = new_figure(8, 6)
@@ -151,6 +152,14 @@ def test_nobody_measured_is_drawn_empty() -> None:
         all_curves(left, FREQUENCY, nobody, "N s/m", part)
         bode(right, FREQUENCY, {"none": nobody[0]}, nobody, "N s/m", part)
         figure.draw_without_rendering()
+        assert not [segment for curves in left.collections for segment in curves.get_segments() if len(segment)]
+        assert [line.get_label() for line in right.lines] == ["data, median", "none"]
+        assert all(np.isnan(line.get_ydata()).all() for line in right.lines)
+        for axes in (left, right):
+            assert axes.get_ylabel() == ("|z| (N s/m)" if part == "magnitude" else "phase (°)")
+            low, high = axes.get_ylim()
+            assert np.isfinite([low, high]).all()
+            assert low < high
 
 
 # ---------------------------------------------------------------- errors

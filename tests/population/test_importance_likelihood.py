@@ -1,4 +1,4 @@
-"""ImportanceLikelihood likelihood of a population against closed forms, with the error that it reports."""
+"""The importance-sampled likelihood of a population against closed forms, with the error that it reports."""
 
 from __future__ import annotations
 

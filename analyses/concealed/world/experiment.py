@@ -1,4 +1,4 @@
-r"""An experiment in the virtual world: people, fingers put down, what is at work, the rig's recordings, and the truth.
+r"""An experiment in the virtual world: people, their fingers, the effects, the rig's recordings, and the truth.
 
 The strength of an effect is that of ``cases.py``, by the rig's own noise-free readings of :data:`CALIBRATION_PEOPLE`:
 
@@ -6,7 +6,7 @@ The strength of an effect is that of ``cases.py``, by the rig's own noise-free r
 
 Hum has a random phase: its rms counts. A covariate: the part of the standard deviation of log skin elements that it
 explains on average. Creep over the session: the change of the log element from the first to the last sweep over its
-standard deviation between persons. Gain and centre have a size of their own, drawn at random.
+standard deviation between persons. Sizes of gain and centre are drawn at random.
 """
 
 from __future__ import annotations
@@ -35,9 +35,11 @@ from world.rig import Rig, measured_at, sweep_seconds
 from world.tissue import hertz_exponents, logarithmic_creep
 
 CALIBRATION_PEOPLE = 200
+"""Persons who define a strength: their standard deviation is known to 5 %."""
 FRICTION_PEOPLE = 40
+"""The same with friction, whose curves are found by iteration and take much longer."""
 FORCE_N, FORCE_SD, FORCE_WANDER = 1.0, 0.25, 0.05
-"""Contact force asked for; log sd of what people hold, and of what they hold from one repetition to the next."""
+"""Requested contact force; log sd of the held force between persons, and between repetitions of a person."""
 
 MEMBERS = 0.3
 CREEP_ONSET_S, CREEP_TIME_S = 2.0, 200.0
@@ -47,7 +49,7 @@ _TRANSVERSE = {"n3": 0.4, "r3": 1.6, "m2": 1.0, "r1": 2.0, "n1": 0.3, "m1": 0.7,
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What is to be recorded.
+    """Design of an experiment.
 
     Attributes
     ----------
@@ -86,7 +88,7 @@ class Fingers:
     ----------
     log_elements : ndarray, shape (N, J, P)
     force_n : ndarray, shape (N, J)
-        Contact force that was really held.
+        Contact force that was actually held.
     coefficients : ndarray, shape (K, N, 8)
         Standard normal: own values of each of K effects.
     members : ndarray of bool, shape (N,)
@@ -100,7 +102,7 @@ class Fingers:
 
 @dataclass(frozen=True)
 class Experiment:
-    """Everything that there is to know.
+    """An experiment with its complete truth.
 
     Attributes
     ----------
@@ -109,9 +111,9 @@ class Experiment:
     fingers : Fingers
         Before a covariate or creep acts on the elements.
     values : tuple of dict
-        Of each effect, of somebody average.
+        Of each effect, for an average person.
     without, alone, clean : ndarray, complex, (N, J, F), (K, N, J, F), (N, J, F)
-        Readings without noise: with nothing switched on, with each effect alone, and as they are.
+        Readings without noise: without effects, with each effect alone, and with all of them.
     recorded : ndarray, complex, shape (N, J, F)
     sd : ndarray, shape (N, J, F)
         Noise of real and imaginary part each.
@@ -172,7 +174,7 @@ def conduct(plan: Plan) -> Experiment:
 def readings(
     plan: Plan, fingers: Fingers, kinds: Sequence[Kind], values: Sequence[Values], which: Sequence[int] | None = None
 ) -> np.ndarray:
-    """What the rig shows without noise, complex, shape (N, J, F), with some effects at work.
+    """Readings of the rig without noise, complex, shape (N, J, F), with some effects.
 
     Parameters
     ----------
@@ -251,7 +253,7 @@ def _fingers(
 
 
 def _room_for_force(fingers: Fingers, population: Population, force_sd: float) -> Fingers:
-    """Less scatter of other reasons, so that the total dispersion of the skin's elements stays."""
+    """Reduce the other dispersion, so that the total dispersion of the skin's elements is unchanged."""
     person = fingers.log_elements.mean(axis=1, keepdims=True) - population.log_centre
     rest = np.ones(len(ELEMENTS))
     for name, exponent in hertz_exponents().items():
@@ -269,7 +271,7 @@ def _hertz(force_n: np.ndarray) -> np.ndarray:
 
 
 def _hook(changes: dict[str, Change], place: str, change: Change) -> None:
-    """Put a change at a place, after what is there already."""
+    """Apply a change at a place, after the changes that are there already."""
     first = changes.get(place)
     changes[place] = change if first is None else lambda s, z: change(s, first(s, z))
 
@@ -285,7 +287,7 @@ def _times(factor: np.ndarray, _s: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 
 def _creep(plan: Plan, special: str, own: Own) -> np.ndarray:
-    """By how much the logarithm of a spring's impedance has fallen when a frequency is measured, (N or 1, J, F)."""
+    """Decrease of a spring's log impedance at the time when a frequency is measured, (N or 1, J, F)."""
     now, whole = (
         measured_at(plan.frequency_hz, plan.rig.dead_time_s),
         sweep_seconds(plan.frequency_hz, plan.rig.dead_time_s),
@@ -302,7 +304,7 @@ def _creep(plan: Plan, special: str, own: Own) -> np.ndarray:
 def _friction(
     s: np.ndarray, z: np.ndarray, log_elements: np.ndarray, own: Own, rig: Rig, changes: Mapping[str, Change]
 ) -> np.ndarray:
-    """Something beside the tissue that sticks and slips."""
+    """Friction: a Jenkins element beside skin or tissue."""
     seen: list[np.ndarray] = []
 
     def note(s: np.ndarray, tissue: np.ndarray) -> np.ndarray:
@@ -318,7 +320,7 @@ def _friction(
 def _crosstalk(
     s: np.ndarray, z: np.ndarray, log_elements: np.ndarray, own: Own, _rig: Rig, _changes: Mapping[str, Change]
 ) -> np.ndarray:
-    """A tilt of the contactor leaks part of the finger's other axis, as a lossy rocking mode lets it."""
+    """Crosstalk: a tilt of the contactor adds part of the transverse impedance, through a damped rocking mode."""
     w0 = 2 * np.pi * np.asarray(own["frequency"])
     leak = own["leak"] / (1 + 2 * own["ratio"] * s / w0 + (s / w0) ** 2)
     other = impedance(log_elements + np.log([_TRANSVERSE[e] for e in ELEMENTS]), s.imag / (2 * np.pi))

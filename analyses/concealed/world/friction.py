@@ -1,4 +1,4 @@
-r"""Tissue that sticks and slips: a spring behind a Coulomb slider (Jenkins element), which depends on amplitude.
+r"""Stick-slip friction: a spring in series with a Coulomb slider (Jenkins element), which depends on amplitude.
 
 While the deflection x of amplitude X stays below x_c = F_c/k it is a spring k; beyond, it slides in each half cycle
 and the force follows a parallelogram. Its fundamental (describing function, harmonic balance) as a stiffness is, for X
@@ -9,7 +9,7 @@ and the force follows a parallelogram. Its fundamental (describing function, har
 
 the loss being the area 4 F_c (X - x_c) over pi X^2. The deflection follows from the whole finger and the shaker, and
 is found by iteration at every frequency of every recording. :func:`simulate` integrates the equations of motion in
-time and demodulates with the lock-in; a test holds the two together.
+time and demodulates with the lock-in; a test compares the two.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import numpy as np
 from world.rig import AVERAGED_PERIODS, SETTLING_PERIODS
 
 _ITERATIONS = 60
+"""Of the deflection's fixed point."""
 
 
 def describing_function(
@@ -71,7 +72,7 @@ def simulate(
     place: str,
     steps: int = 2000,
 ) -> np.ndarray:
-    """The same in time: stepped sine, 5 periods to settle and 5 through the lock-in; all frequencies side by side.
+    """The same in the time domain: stepped sine, 5 periods to settle and 5 for the lock-in; frequencies in parallel.
 
     Parameters
     ----------

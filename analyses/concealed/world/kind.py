@@ -1,9 +1,8 @@
-r"""What can be switched on in the world: how it acts, how strong, and which answer is right.
+r"""A kind of effect in the world: its action, its size, and the right answers.
 
-Parameters are those of somebody average, ``start`` times ``size ** power``; where an effect differs between people
-each is log-normal with the log sd ``spread``. ``answers`` are the ids that name it truly, the first being the name
-proper; where physics has no entry in the catalogue this is ``unknown``, and entries that are equivalent in the band
-are found by computation (``equivalence.py``) and not by opinion.
+For an average person parameters are ``start`` times ``size ** power``; where an effect differs between people each is
+log-normal with the log sd ``spread``. ``answers`` are the right ids, the proper name first. For physics without an
+entry in the catalogue this is ``unknown``; which entries are equivalent in the band is computed (``equivalence.py``).
 """
 
 from __future__ import annotations
@@ -28,28 +27,28 @@ SPECIAL = ("", "covariate", "creep.session", "creep.sweep", "hum", "friction", "
 
 @dataclass(frozen=True)
 class Kind:
-    """One thing that can be at work.
+    """A kind of effect.
 
     Attributes
     ----------
     name : str
     group : str
-        Of :data:`GROUPS`. Traps are what no such recording can show: the right answer is that nothing is missing.
+        Of :data:`GROUPS`. Traps cannot be identified from such recordings: the right answer is that nothing is missing.
     answers : tuple of str
         Ids that a verdict may truly give; empty for nothing and traps.
     place, side, pooling : str or None
-        Where it sits, to whom it belongs, and ``shared``, ``varying`` or ``some``.
+        Place in the network, rig or body, and ``shared``, ``varying`` or ``some``.
     start : callable (rng) -> dict
         Parameters at size 1.
     power, spread : mapping of str to float
         See the module's docstring.
     body : callable (s, z, own) -> z, or None
-        What stands at the place, changed; own parameters have shape (N, 1, 1) where they differ between people.
+        Changed impedance at the place; parameters have shape (N, 1, 1) where they differ between people.
     rig : callable (rig, values) -> Rig, or None
     special : str
-        Of :data:`SPECIAL`: what acts neither at one place nor on the rig alone, done by ``experiment.py``.
+        Of :data:`SPECIAL`: effects neither at one place nor of the rig alone, implemented in ``experiment.py``.
     reported : callable
-        Values to what a verdict calls them: name to (value, unit).
+        Values by their names in a verdict: name to (value, unit).
     """
 
     name: str

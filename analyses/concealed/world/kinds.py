@@ -1,4 +1,4 @@
-"""Everything that can be switched on in the world; what a kind is, is said in ``kind.py``."""
+"""All kinds of effects of the world; ``kind.py`` defines what a kind is."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ _ALL = [
         "rig.highpass",
         fixed(size=0.1),
         lambda rig, v: replace(rig, highpass_hz=(rig.highpass_hz[1] + v["size"], rig.highpass_hz[1])),
-        # Far above both corners only their difference is seen.
+        # Far above both corners only their difference has an effect.
         lambda v: {"corner_hz": (v["size"], "Hz")},
     ),
     _of_rig(
@@ -129,7 +129,7 @@ _ALL = [
     Kind(
         "body.hysteresis",
         "catalogue",
-        # A causal flat loss is k s^(2 eta/pi) to first order: a springpot by another name.
+        # A causal loss that is flat over frequency is k s^(2 eta/pi) to first order, which is a springpot.
         ("body.springpot", "body.hysteresis"),
         "n3",
         "body",
@@ -342,7 +342,7 @@ _ALL = [
         {"leak": 1},
         special="crosstalk",
     ),
-    # What no such recording can show.
+    # Effects that such recordings cannot show.
     Kind("trap.gain", "trap", (), None, None, None, lambda rng: {"gain": sign(rng) * float(rng.uniform(0.05, 0.15))}),
     Kind("trap.centre", "trap", (), None, None, None, fixed(shift=0.3), special="centre"),
     *(
@@ -389,4 +389,4 @@ PAIRS = (
     ("body.reflex", "rig.series_compliance"),
     ("rig.highpass", "body.line"),
 )
-"""Two effects at once, each of them at least in part in another band than the other."""
+"""Pairs of effects whose bands differ at least in part."""

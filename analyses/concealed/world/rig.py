@@ -1,4 +1,4 @@
-r"""The rig: what the chain adds, what the electronics do, how long a sweep takes, how the unloaded rig is subtracted.
+r"""The rig: mechanical chain, electronics, duration of a sweep, and subtraction of the unloaded rig.
 
 Between gauge and finger stand two-ports (``tissue.py``): the seismic mass of the sensor, its stiffness, the contactor,
 and if it gives way the adhesive with a light cap beyond it. With the finger, and without it (load 0), the gauge sees
@@ -6,7 +6,7 @@ and if it gives way the adhesive with a light cap beyond it. With the finger, an
 .. math:: z_g = \frac{A z + B}{C z + D}, \qquad z_u = \frac BD, \qquad
           z_g - z_u = \frac{z}{D\,(C z + D)} \quad\text{because } AD - BC = 1 .
 
-So subtracting the unloaded rig, as the paper does, is exact for a rigid chain (C = 0, D = 1) and only for that one.
+So subtracting the unloaded rig, as the paper does, is exact only for a rigid chain (C = 0, D = 1).
 Both are recorded through a force and an acceleration channel, whose ratio is multiplied by
 
 .. math:: H = e^{-s\tau}\,\frac{s + \omega_a}{s + \omega_f}\,\frac{1 + s/\Omega_a}{1 + s/\Omega_f}
@@ -18,7 +18,7 @@ periods,
 
 .. math:: X = \frac{2}{T}\int_0^T x(t)\,e^{-j\omega t}\,dt, \qquad T = 2\pi K/\omega,
 
-takes of a hum a cos(w_h t + phi)
+gives for a hum a cos(w_h t + phi)
 
 .. math:: a\,\bigl[e^{j\phi} g((\omega_h - \omega) T) + e^{-j\phi} g(-(\omega_h + \omega) T)\bigr],
           \qquad g(x) = (e^{jx} - 1)/(jx),
@@ -42,7 +42,7 @@ SAMPLE_RATE_HZ = 100e3
 
 @dataclass(frozen=True)
 class Rig:
-    """The measurement chain; what differs from the calibration has its own field.
+    """The measurement chain; deviations from the calibration have fields of their own.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Rig:
     added_mass, added_damping, added_stiffness : float
         Beside the contactor since the calibration (or away from it, if negative).
     adhesive_compliance, cap_mass : float
-        What gives way under the finger, m/N, and the light part beyond it, kg.
+        Compliance under the finger, m/N, and the light cap beyond it, kg.
     mode : (float, float, float)
         Mass in kg, frequency in Hz and damping ratio of a part that has come to hang on the contactor since.
     pad : (float, float, float)
@@ -120,7 +120,7 @@ class Rig:
             from world.tissue import shear_layer
 
             mass, compliance, loss = self.pad
-            # A hysteretic modulus, flat over the band; causality bends it by less than it matters here.
+            # A hysteretic modulus, constant over the band; the deviation that causality demands is negligible here.
             chain = chain @ shear_layer(s, mass, (1 + 1j * loss) / (s * compliance))
         return chain
 
@@ -130,7 +130,7 @@ class Rig:
         return np.asarray(np.exp(-s * self.skew_s) * (s + w_a) / (s + w_f) * (1 + s / o_a) / (1 + s / o_f))
 
     def raw(self, s: np.ndarray, z: np.ndarray | float, loaded: bool) -> np.ndarray:
-        """What the rig shows for a load z, before the unloaded rig is subtracted."""
+        """Reading of the rig for a load z, before the unloaded rig is subtracted."""
         return np.asarray(self.electronics(s) * self.chain(s, loaded).seen(np.asarray(z) + 0 * s))
 
     def measured(self, s: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -138,12 +138,12 @@ class Rig:
         return np.asarray(self.raw(s, z, True) - self.raw(s, 0.0, False))
 
     def drive_velocity(self, s: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """Amplitude of the contactor's velocity, in m/s: the shaker's force over all that it moves."""
+        """Amplitude of the contactor's velocity, in m/s: the shaker's force over the total impedance that it drives."""
         force, mass, damping, stiffness = self.shaker
         return np.asarray(force / np.abs(s * mass + damping + stiffness / s + self.chain(s, True).seen(z)))
 
     def calibration_error(self, s: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Error of the unloaded rig after averaging, shape (F,): everybody's recordings have the same one."""
+        """Error of the unloaded rig after averaging, shape (F,); it is common to all recordings."""
         size = np.abs(self.raw(s, 0.0, False)) * self.calibration_noise / np.sqrt(self.calibration_sweeps)
         return np.asarray(size * (rng.normal(size=s.shape) + 1j * rng.normal(size=s.shape)))
 
@@ -155,7 +155,7 @@ class Rig:
         return np.asarray(np.sqrt((self.quantum_n**2 + of_velocity**2) / (6 * samples)) / velocity)
 
     def hum(self, s: np.ndarray, z: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """What the hum of the mains adds to z (..., F): its phase is different whenever a frequency is begun."""
+        """Contribution of mains hum to z (..., F); its phase is random at each frequency of each recording."""
         total = np.zeros(z.shape, dtype=complex)
         for k in range(1, 11):
             phase = rng.uniform(0, 2 * np.pi, size=z.shape)
@@ -164,7 +164,7 @@ class Rig:
 
 
 def leakage(omega: np.ndarray, hum_rad_s: float, phase: np.ndarray) -> np.ndarray:
-    """What a lock-in at omega takes of cos(w_h t + phase), by the formula of the module's docstring."""
+    """Output of a lock-in at omega for cos(w_h t + phase), by the formula of the module's docstring."""
     time = 2 * np.pi * AVERAGED_PERIODS / omega
 
     def g(x: np.ndarray) -> np.ndarray:

@@ -48,13 +48,13 @@ class TwoPort:
 
 
 def common_velocity(z: np.ndarray) -> TwoPort:
-    """What moves along with the contactor, such as a mass (z = s m): its force adds."""
+    """Two-port of an impedance that moves with the contactor, such as a mass (z = s m): forces add."""
     one, zero = np.ones_like(z), np.zeros_like(z)
     return TwoPort(one, z, zero, one)
 
 
 def common_force(mobility: np.ndarray) -> TwoPort:
-    """What the force passes through, such as a spring (mobility s n): its velocity adds."""
+    """Two-port of a mobility that transmits the force, such as a spring (s n): velocities add."""
     one, zero = np.ones_like(mobility), np.zeros_like(mobility)
     return TwoPort(one, zero, mobility, one)
 
@@ -63,7 +63,7 @@ def shear_layer(s: np.ndarray, mass: np.ndarray | float, quasi_static: np.ndarra
     """The exact two-port of a layer with mass M (kg) and quasi-static impedance z_0 (N s/m)."""
     x = np.sqrt(s * mass / quasi_static)
     characteristic = np.sqrt(s * mass * quasi_static)
-    # Both roots have Re >= 0 for a passive layer; where rounding turned one, sinh and Z_c turn together with x.
+    # Both roots have Re >= 0 for a passive layer; if rounding flips the sign of one, sinh and Z_c flip with x.
     characteristic = np.where((characteristic * x / (s * mass)).real < 0, -characteristic, characteristic)
     return TwoPort(np.cosh(x), characteristic * np.sinh(x), np.sinh(x) / characteristic, np.cosh(x))
 
@@ -77,7 +77,7 @@ def layer_on_rigid_base(s: np.ndarray, mass: np.ndarray | float, quasi_static: n
 def relaxation_spectrum(
     s: np.ndarray, coefficient: np.ndarray | float, exponent: np.ndarray | float, per_decade: int = 2
 ) -> np.ndarray:
-    r"""Power-law tissue as what it is: many Maxwell branches, with a power-law spectrum of relaxation times.
+    r"""Power-law tissue as a sum of Maxwell branches with a power-law spectrum of relaxation times.
 
     From :math:`\int_0^\infty \frac{\tau^{-a}}{1 + s\tau} d\tau\,\frac{\sin\pi a}{\pi} = s^{a-1}`, with branches of
     dampers :math:`c\,\frac{\sin \pi a}{\pi}\tau^{1-a}\,\Delta\ln\tau` and relaxation times spaced evenly in
@@ -124,7 +124,7 @@ def fractional_zener(
 
 
 def causal_hysteresis(s: np.ndarray, loss: np.ndarray | float, low_rad_s: float) -> np.ndarray:
-    r"""Factor of a spring with a loss that hardly depends on frequency and yet is causal (Biot 1958).
+    r"""Factor of a spring with a causal loss that hardly depends on frequency (Biot 1958).
 
     A flat spectrum of relaxation times below 1/w_0 gives
     :math:`1 + \frac{2\eta}{\pi}\ln(1 + s/\omega_0)`: loss factor eta and a stiffness that grows with the logarithm of

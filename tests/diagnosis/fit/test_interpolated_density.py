@@ -1,4 +1,4 @@
-"""Draws from a density of which every value is dear: against densities whose draws are free."""
+"""The sampler for a density that is expensive to evaluate, against densities that can be drawn from directly."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Posterior of the body's additions from everybody's evidence, where the quadratic expansion says the wrong thing."""
+"""The posterior of an addition from profile evidence, in cases where the quadratic expansion is wrong."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A new beginning where the rig has driven the network far off."""
+"""The restart of a search from recordings corrected for an effect of the rig."""
 
 from __future__ import annotations
 

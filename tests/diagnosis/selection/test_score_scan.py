@@ -1,20 +1,18 @@
-"""The screening: calibrated when nothing is missing, as powerful as the Fisher information says, honest about many."""
+"""The score scan of all candidates: calibrated when nothing is missing, equal to the scores computed by hand."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
-from experiments import TOY, Experiment, Serial, concealing, entry, people, recovered, toy
+from experiments import TOY, Serial, concealing, entry, recovered, residuals_of, screened, toy
 
 from bayes_impedance.diagnosis.catalogue.effect import Coefficient, Effect, registered
 from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter
 from bayes_impedance.diagnosis.fit.model import Addition, build
 from bayes_impedance.diagnosis.fit.normal_equations import owners
-from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, orthonormal, person_residuals
 from bayes_impedance.diagnosis.selection.score_scan import Screening, _effective, candidates_for, screen
 from bayes_impedance.network.kernel import Kernel
 
@@ -30,14 +28,6 @@ HANDFUL = (
     ("body.reflex", "skin"),
 )
 """Visible, and not the same: their signatures are less than 90 % alike."""
-
-
-def residuals_of(fit: Refit) -> list[PersonResiduals]:
-    return person_residuals(fit, [str(i) for i in range(len(fit.data))])
-
-
-def screened(fit: Refit, effects: Sequence[Effect] | None = None, seed: int = 1) -> Screening:
-    return screen(fit, residuals_of(fit), registered() if effects is None else effects, seed, Serial())
 
 
 def columns(screening: Screening) -> list[int]:
@@ -160,124 +150,6 @@ def test_what_was_added_leaves_nothing_behind(effect: Effect, strength: float, p
         squares.append([screening.z[keys.index(key)] ** 2 for key in handful])
     for total, key in zip(np.sum(squares, axis=0), handful, strict=True):
         assert within_chance(float(total), n), key
-
-
-# When something is
-
-
-def fisher(experiment: Experiment, effect_id: str) -> tuple[float, float]:
-    """Size and information of a concealed effect, without the package.
-
-    From the true elements of every recording, by central differences of the formula of ``people.py``; elements are
-    free in every recording, and the noise is the true one.
-    """
-    case, sd = experiment.case, experiment.sd
-    forms: dict[str, tuple[str, Any]] = {
-        "rig.delay": ("delay", lambda s, z, x: z * np.exp(-s * x)),
-        "rig.mass": ("mass", lambda s, z, x: z + s * x),
-        "rig.highpass": ("corner", lambda s, z, x: z * (s / (s + 2 * np.pi * x))),
-        "rig.lowpass": ("corner", lambda s, z, x: z / (1 + s / (2 * np.pi * x))),
-        "rig.series_compliance": ("compliance", lambda s, z, x: 1 / (1 / z + s * x)),
-    }
-    own, form = forms[effect_id]
-    size = case.values[own]
-    if effect_id == "rig.lowpass":  # linear in 1/corner
-        size, form = 1 / size, lambda s, z, x: z / (1 + s * x / (2 * np.pi))
-
-    def curves(log_elements: np.ndarray, x: float) -> np.ndarray:
-        return people.impedance(log_elements, case.frequency_hz, {"port": lambda s, z: form(s, z, x)})
-
-    def white(change: np.ndarray) -> np.ndarray:
-        return np.concatenate([change.real / sd, change.imag / sd], axis=-1)
-
-    h, theta = 1e-4, case.log_elements
-    steps = h * np.eye(theta.shape[-1])
-    tangent = np.stack([white(curves(theta + e, 0) - curves(theta - e, 0)) / (2 * h) for e in steps], axis=-1)
-    signature = white(curves(theta, h * size) - curves(theta, -h * size)) / (2 * h * size)
-    information = 0.0
-    for g, t in zip(signature.reshape(-1, signature.shape[-1]), tangent.reshape(-1, *tangent.shape[2:]), strict=True):
-        coefficients = np.linalg.lstsq(t, g, rcond=None)[0]
-        information += float(np.sum((g - t @ coefficients) ** 2))
-    return size, information
-
-
-POWER = {
-    "rig.delay": (entry("rig.delay"), 0.3),
-    "rig.mass": (entry("rig.mass"), 1.2),
-    "rig.highpass": (entry("rig.highpass"), 0.2),
-    "rig.lowpass": (entry("rig.lowpass"), 0.3),
-    "rig.series_compliance": (entry("rig.series_compliance"), 0.2),
-}
-
-
-@pytest.mark.parametrize("name", POWER)
-def test_mean_score_is_the_noncentrality_of_the_fisher_information(name: str) -> None:
-    """Within 15 % over eight populations, whose standard error is about 3 %."""
-    effect, strength = POWER[name]
-    found, expected, sizes = [], [], []
-    for seed in range(20, 28):
-        experiment = concealing(name, "port", strength, seed)
-        size, information = fisher(experiment, name)
-        screening = screened(experiment.fit(), [effect])
-        sign = np.sign(size)
-        found.append(sign * screening.z[0])
-        expected.append(abs(size) * np.sqrt(information))
-        unit = 2 * np.pi if name == "rig.highpass" else 1 / (2 * np.pi) if name == "rig.lowpass" else 1.0
-        sizes.append((screening.size[0] / (unit * size) - 1) * expected[-1])
-    assert np.mean(expected) > 8  # so that one standard error of the mean is below 5 %
-    assert np.mean(found) / np.mean(expected) == pytest.approx(1, abs=0.15)
-    assert abs(np.mean(sizes)) < 0.15 * np.mean(expected)  # and the one-step estimate is right as well
-
-
-def test_a_concealed_effect_is_named_first() -> None:
-    experiment = concealing("rig.highpass", "port", 0.3, 30)
-    screening = screened(experiment.fit())
-    best = screening.candidates[int(np.nanargmax(np.abs(screening.z)))]
-    assert best.effect.id == "rig.highpass"
-    assert screening.log_p(np.nanmax(np.abs(screening.z))) < np.log(1e-6)
-
-
-def varying_mass(s: np.ndarray, z: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """As much as less, on average nothing."""
-    mass = 4e-5 * np.where(np.arange(len(z)) % 2, 1.0, -1.0) * rng.uniform(0.8, 1.2, len(z))
-    return z + s * mass[:, None, None], mass
-
-
-def test_a_coefficient_that_varies_shows_by_its_spread() -> None:
-    signed = replace(entry("body.mass"), signed=True)
-    spreads, shared = [], []
-    for seed in range(5):
-        screening = screened(toy(*TOY, seed=seed, hidden=varying_mass).fit(), [signed])
-        assert len(screening.candidates) == 1
-        spreads.append(screening.spread[0])
-        shared.append(abs(screening.z[0]) / np.sqrt(np.sum(screening.score[:, 0] ** 2 / screening.information[:, 0])))
-        assert screening.log_p_spread[0] < np.log(1e-6)
-    assert min(spreads) > 10
-    assert max(shared) < 0.7  # the mean says little
-    quiet = [screened(toy(*TOY, seed=seed).fit(), [signed]) for seed in range(20)]
-    v = np.array([s.spread[0] for s in quiet])
-    # A sum of 20 chi-squares of one degree of freedom is skew: variance 1, and that of its square 2 + 12/20.
-    assert abs(v.mean()) < 4 / np.sqrt(20)
-    assert np.mean(v**2) == pytest.approx(1, abs=4 * np.sqrt(2.6 / 20))
-
-
-def test_overwhelming_spreads_can_still_be_compared() -> None:
-    signed = replace(entry("body.mass"), signed=True)
-    small, large = (
-        screened(toy(*TOY, seed=1, noise=noise, hidden=varying_mass, n=60).fit(), [signed]) for noise in (0.01, 0.003)
-    )
-    assert large.spread[0] > 2 * small.spread[0]
-    assert large.log_p_spread[0] > -1e9
-    assert large.log_p_spread[0] < 2 * small.log_p_spread[0] < -200
-
-
-def test_everybodys_own_share() -> None:
-    """b/m is a person's own estimate of the coefficient."""
-    experiment = toy(*TOY, seed=3, noise=0.003, hidden=varying_mass)
-    screening = screened(experiment.fit(), [entry("body.mass")])
-    own = screening.score[:, 0] / screening.information[:, 0]
-    assert experiment.coefficients is not None
-    assert np.corrcoef(own, experiment.coefficients)[0, 1] > 0.99
 
 
 # The algebra
@@ -426,24 +298,6 @@ def test_what_was_added_is_not_a_candidate_any_more() -> None:
     assert before - after == {("body.mass", "add", "port")}
 
 
-# Small parts
-
-
-def test_orthonormal_bases_span_the_columns() -> None:
-    rng = np.random.default_rng(1)
-    columns_ = rng.normal(size=(3, 10, 4)) * [1.0, 1e8, 1e-8, 1.0]
-    columns_[1, :, 3] = columns_[1, :, 0] - 2e-8 * columns_[1, :, 1]  # depends on the others
-    columns_[2, :, 2] = 0.0  # not seen
-    basis = orthonormal(columns_)
-    assert basis.shape == columns_.shape
-    for q, a, rank in zip(basis, columns_, (4, 3, 3), strict=True):
-        projector = q @ q.T
-        np.testing.assert_allclose(projector @ projector, projector, atol=1e-12)
-        assert np.trace(projector) == pytest.approx(rank)
-        unit = a / np.maximum(np.linalg.norm(a, axis=0), 1e-300)
-        np.testing.assert_allclose(projector @ unit, unit, atol=1e-7)
-
-
 def test_effective_number_of_candidates() -> None:
     """One if all are the same, all of them if they are independent; 120 draws beyond the level: 9 % either way."""
     error = 3.5 / np.sqrt(120)
@@ -468,22 +322,6 @@ def test_p_values_in_closed_form(null: list[tuple[Refit, Screening]]) -> None:
     np.testing.assert_allclose(np.exp(many.log_p(z)), np.minimum(200 * norm.sf(np.abs(z)), 1), rtol=1e-12)
     assert np.isfinite(many.log_p(60.0))  # far beyond what a p-value itself can hold
     assert many.log_p(60.0) == pytest.approx(np.log(100 * 2) + norm.logsf(60.0))
-
-
-def test_residuals_are_whitened_by_the_persons_own_noise() -> None:
-    experiment = toy(*TOY, seed=4, n=3)
-    fit = experiment.fit()
-    for i, person in enumerate(person_residuals(fit, ["a", "b", "c"])):
-        d = fit.data[i]
-        assert person.name == "abc"[i]
-        np.testing.assert_allclose(person.frequency_hz, d.omega / (2 * np.pi))
-        scale = person.sd * np.sqrt(d.weight)  # one number for a person
-        np.testing.assert_allclose(scale, scale[0, 0])
-        assert scale[0, 0] == pytest.approx(1, abs=4 / np.sqrt(2 * person.white.size))
-        residual = d.z[:, 0] + 1j * d.z[:, 1] - person.model
-        np.testing.assert_allclose(person.white[:, :41], residual.real / person.sd)
-        np.testing.assert_allclose(person.white[:, 41:], residual.imag / person.sd)
-        assert person.basis.shape == (2, 82, 2)
 
 
 def test_user_effect_with_shapes_is_scanned_over_its_grid() -> None:

@@ -1,0 +1,82 @@
+"""Adjoint sensitivities and local impedances inside the network, against finite differences and the plain formula."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+from experiments import entry
+from fingertip_effects import BEFORE, FOOT, FREQUENCY, NAIL, NETWORK, OMEGA, PAD, SCALES, THETA, S, assert_slope
+from hypothesis import given
+from strategies import network_impedance, networks_with_elements, repeatable
+
+from bayes_impedance.diagnosis.fit.model import Addition, Model, build, inner_places
+from bayes_impedance.diagnosis.residuals.sensitivity import INSIDE, local_impedances
+from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.network.notation import Network
+from bayes_impedance.network.operations import Operation
+
+
+def probed(model: Model, u: np.ndarray, path: tuple[int, ...]) -> Callable[[float], np.ndarray]:
+    """The port's impedance with a damper beside a place, after all that happens there."""
+    kernel = model.kernel
+    probe = Operation("add", path, ("probe",), (1.0, 0.0))
+    rank = [*kernel.network.elements, *(p for o in kernel.operations for p in o.parameters)]
+    order = [kernel.elements.index(name) for name in rank]
+    with_probe = Kernel(kernel.network, [*kernel.operations, probe])
+
+    def curve(step: float) -> np.ndarray:
+        return with_probe.impedance(np.column_stack([u[:, order], np.full(len(u), step)]), FREQUENCY)
+
+    return curve
+
+
+MODELS: dict[str, Sequence[Addition]] = {
+    "nothing": (),
+    "operations": (
+        *BEFORE,
+        Addition(effect=entry("body.line"), place="n2|r2", pooling="varying"),
+        Addition(effect=entry("rig.series_compliance"), place="port", pooling="shared"),
+        Addition(effect=entry("body.subgroup"), place="port", pooling="varying"),
+    ),
+    "branches": (
+        Addition(effect=NAIL, place="n3", pooling="varying"),
+        Addition(effect=PAD, place="limb", pooling="varying"),
+        Addition(effect=FOOT, place="port", pooling="shared"),
+    ),
+    "both": (
+        Addition(effect=NAIL, place="tissue", pooling="varying"),
+        *BEFORE,
+        Addition(effect=PAD, place="r3", pooling="shared"),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_adjoints_against_differences(name: str) -> None:
+    starts = [{"time_constant": 0.01} for _ in MODELS[name]]
+    model = build(NETWORK, MODELS[name], SCALES, starts)
+    rng = np.random.default_rng(3)
+    own = [np.full(3, p.start) + (0.1 if p.is_coefficient else 0.3) * rng.normal(size=3) for p in model.parameters]
+    u = np.column_stack([THETA, *own])
+    local = local_impedances(model, u, OMEGA)
+    assert set(local) == {place.name for place in NETWORK.places()} | {INSIDE}
+    del local[INSIDE]
+    paths = inner_places(model)
+    for place, here in local.items():
+        curve = probed(model, u, paths[place])
+        assert_slope(curve, here.adjoint, 1 / np.abs(here.z) + np.abs(here.adjoint / curve(0.0)))
+    np.testing.assert_allclose(local["port"].z, model.kernel.impedance(u, FREQUENCY), rtol=1e-10)
+    np.testing.assert_array_equal(local["port"].adjoint, 1)
+
+
+@repeatable
+@given(networks_with_elements())
+def test_local_impedances_of_any_network(drawn: tuple[Network, np.ndarray]) -> None:
+    network, theta = drawn
+    local = local_impedances(build(network, (), SCALES, ()), theta[None], 2 * np.pi * FREQUENCY)
+    values = dict(zip(network.elements, np.exp(theta), strict=True))
+    for place in network.places():
+        expected = network_impedance(network.at(place), S, values)
+        np.testing.assert_allclose(local[place.name].z[0], expected, rtol=1e-9)
