@@ -40,30 +40,30 @@ class Case(NamedTuple):
 
 
 CASES = (
-    Case(id="add", place=(1e-5, 1.0), strength=(0.7,)),
-    Case(id="add", place=(0.1, 0.0), strength=(-0.7,)),
-    Case(id="add", place=(10.0, -1.0), strength=(0.7,)),
-    Case(id="add", place=(10.0, -1.0, LOGARITHMIC), strength=(0.7,)),
-    Case(id="delay", place=(1e-5,), strength=(-0.5,)),
-    Case(id="highpass", place=(3.0,), strength=(0.4,)),
-    Case(id="highpass", place=(3.0,), strength=(-0.4,)),
-    Case(id="lowpass", place=(1e-5,), strength=(0.4,)),
-    Case(id="lowpass", place=(1e-5,), strength=(-0.4,)),
-    Case(id="power", place=(1.0, W0), strength=(0.1,)),
-    Case(id="hysteresis", place=(1.0,), strength=(0.2,)),
-    Case(id="line", place=(1e-4,), strength=(0.3,)),
-    Case(id="line", place=(1e-4,), strength=(-0.3,)),
-    Case(id="line", place=(1e-12,), strength=(0.3,)),  # the power series
-    Case(id="beside_power", place=(2.0, W0), strength=(0.3, 0.2)),
-    Case(id="beside_power", place=(2.0, W0, LOGARITHMIC), strength=(0.3, 0.2)),
-    Case(id="relaxation", place=(3.0,), strength=(0.5, -6.0)),
-    Case(id="resonator", place=(1e-3,), strength=(0.4, 6.0, -2.0)),
-    Case(id="reflex", place=(100.0,), strength=(0.4, -3.5, 3.0)),
-    Case(id="bypass", place=(3.0, 200.0), strength=(0.4, 0.6)),
-    Case(id="series_compliance", place=(1e-6,), strength=(0.7,)),
-    Case(id="series_layer", place=(1e-6,), strength=(0.7, -8.0)),
-    Case(id="sweep", place=(1.0, OMEGA[0], 1000.0), strength=(0.3, 0.0)),
-    Case(id="sweep", place=(1.0, OMEGA[0], 1000.0), strength=(-0.3, -3.0)),
+    Case("add", (1e-5, 1.0), (0.7,)),
+    Case("add", (0.1, 0.0), (-0.7,)),
+    Case("add", (10.0, -1.0), (0.7,)),
+    Case("add", (10.0, -1.0, LOGARITHMIC), (0.7,)),
+    Case("delay", (1e-5,), (-0.5,)),
+    Case("highpass", (3.0,), (0.4,)),
+    Case("highpass", (3.0,), (-0.4,)),
+    Case("lowpass", (1e-5,), (0.4,)),
+    Case("lowpass", (1e-5,), (-0.4,)),
+    Case("power", (1.0, W0), (0.1,)),
+    Case("hysteresis", (1.0,), (0.2,)),
+    Case("line", (1e-4,), (0.3,)),
+    Case("line", (1e-4,), (-0.3,)),
+    Case("line", (1e-12,), (0.3,)),  # the power series
+    Case("beside_power", (2.0, W0), (0.3, 0.2)),
+    Case("beside_power", (2.0, W0, LOGARITHMIC), (0.3, 0.2)),
+    Case("relaxation", (3.0,), (0.5, -6.0)),
+    Case("resonator", (1e-3,), (0.4, 6.0, -2.0)),
+    Case("reflex", (100.0,), (0.4, -3.5, 3.0)),
+    Case("bypass", (3.0, 200.0), (0.4, 0.6)),
+    Case("series_compliance", (1e-6,), (0.7,)),
+    Case("series_layer", (1e-6,), (0.7, -8.0)),
+    Case("sweep", (1.0, OMEGA[0], 1000.0), (0.3, 0.0)),
+    Case("sweep", (1.0, OMEGA[0], 1000.0), (-0.3, -3.0)),
 )
 CASE = pytest.mark.parametrize("case", CASES, ids=lambda c: f"{c.name}{c.u[0]:+}")
 
@@ -261,10 +261,7 @@ def test_chained_operations_are_applied_in_their_order() -> None:
 
 
 def test_parameters_come_after_the_elements() -> None:
-    kernel = Kernel(
-        NETWORK,
-        [operation(CASES[0], (1,)), operation(Case(id="bypass", place=(3.0, 200.0), strength=(0.4, 0.6)), (), 1)],
-    )
+    kernel = Kernel(NETWORK, [operation(CASES[0], (1,)), operation(Case("bypass", (3.0, 200.0), (0.4, 0.6)), (), 1)])
     assert kernel.elements == (*NETWORK.elements, "x0", "x1", "y1")
 
 
@@ -396,10 +393,7 @@ def test_line_does_not_notice_where_its_series_ends() -> None:
     """On either side of |w| = 0.01 the power series and the exponential form are the same to their last digits."""
     for turn in np.exp(1j * np.linspace(-3.1, 3.1, 9)):
         near = np.array([0.009999999, 0.010000001]) * turn
-        values = [
-            five(Case(id="line", place=(1.0,), strength=(1.0,)), (1.0,), np.full(OMEGA.size, S[0] / w))[:3, 0]
-            for w in near
-        ]
+        values = [five(Case("line", (1.0,), (1.0,)), (1.0,), np.full(OMEGA.size, S[0] / w))[:3, 0] for w in near]
         # w changes by 2e-7 of itself: so may the numbers, and the derivative of the series is good to 3e-9
         np.testing.assert_allclose(values[0], values[1], rtol=1e-6)
 
