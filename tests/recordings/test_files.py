@@ -66,7 +66,6 @@ def test_reads_folder_without_description(tmp_path: Path) -> None:
     assert len(data) == 2
     assert (data.title, data.unit, data.network, data.warnings) == (tmp_path.name, "N s/m", None, ())
     assert data.repetitions_max == 1
-    assert data.frequency_range_hz == (10.0, 30.0)
     np.testing.assert_array_equal(data.subjects[1].z, [[2.0 - 0.5j, 2.1 + 0.5j, 2.2 + 1j]])
     assert data.subjects[0].noise_sd is None
     assert not data.polar
@@ -505,7 +504,6 @@ def test_select_suggests() -> None:
 def test_no_subjects(tmp_path: Path) -> None:
     none = recordings()
     assert len(none) == none.repetitions_max == 0
-    assert np.isnan(none.frequency_range_hz).all()
     with pytest.raises(InputError, match="no subjects to write"):
         write_recordings(none, tmp_path / "new")
     assert not (tmp_path / "new").exists()

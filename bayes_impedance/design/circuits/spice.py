@@ -170,12 +170,6 @@ def monte_carlo(population: UserPopulation, name: str = "any_user") -> str:
     return "\n\n".join([head, *blocks]) + "\n"
 
 
-def one_port_deck(circuit: str, name: str, band_hz: tuple[float, float], output: str, *, points: int = 20) -> str:
-    """A deck that writes V/I of one sub-circuit over frequency."""
-    drive = [f"* V/I of {name}", OPTIONS, circuit, "I1 0 port AC 1", f"X1 port 0 {name}"]
-    return "\n".join([*drive, *_control(band_hz, points, output, "v(port)"), ".end"]) + "\n"
-
-
 def _control(band_hz: tuple[float, float], points: int, output: str, shown: str) -> list[str]:
     low, high = band_hz
     return [
