@@ -20,7 +20,8 @@ import numpy as np
 from scipy.special import gammaincinv, gammaln, ndtri
 
 from bayes_impedance.network.kernel import Kernel
-from bayes_impedance.person.likelihood import Likelihood, Ridge, marginal_log_likelihood
+from bayes_impedance.person.likelihood import Likelihood
+from bayes_impedance.person.marginal_likelihood import Ridge, marginal_log_likelihood
 from bayes_impedance.person.mode import Mode
 
 

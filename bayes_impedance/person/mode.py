@@ -17,7 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayes_impedance.network.kernel import Kernel, Program, compiled, workspace
+from bayes_impedance.network.kernel import Kernel, compiled, workspace
+from bayes_impedance.network.program import Program
 from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood, all_repetitions, chi_square, log_likelihood
 
 __all__ = ["DECREMENT_LIMIT", "Likelihood", "Mode", "all_modes", "find_mode", "log_likelihood", "mode_at"]

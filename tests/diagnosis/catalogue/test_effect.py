@@ -15,12 +15,10 @@ from hypothesis import strategies as st
 from strategies import network_impedance, networks, networks_with_elements, repeatable
 
 from bayes_impedance.diagnosis.catalogue.effect import (
-    ADDING,
     Coefficient,
     Effect,
     Scales,
     direction,
-    line_mass,
     register,
     registered,
     shape_grid,
@@ -38,7 +36,7 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.network.elements import kind_of
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import PAPER_NETWORK, Element, Network, Parallel, Place, Series, parse
-from bayes_impedance.network.operations import Operation
+from bayes_impedance.network.operations import ADDING, Operation, line_mass
 from bayes_impedance.recordings.files import Recordings, Subject
 
 NETWORK = parse(PAPER_NETWORK)
