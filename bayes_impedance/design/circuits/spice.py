@@ -45,8 +45,10 @@ ANALOGIES = ("fv", "fc")
 """Force-voltage and force-current."""
 
 OPTIONS = ".options noopac"
+"""No operating point is computed: linear circuits do not need one, and loops of inductors would make it singular."""
 
 _CARD = {"fv": {"m": "L", "n": "C", "r": "R"}, "fc": {"m": "C", "n": "L", "r": "R"}}
+"""First letter of an element's line in either analogy."""
 
 
 def subcircuit(
