@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from bayes_impedance.network.kernel import compile_network
 from bayes_impedance.network.notation import Network
+from bayes_impedance.network.program import compile_network
 
 _INVERSE = 5
 """1/z = conj(z)/|z|^2: three for the square, two for the product, and one division."""

@@ -26,7 +26,7 @@ from itertools import product
 
 import numpy as np
 
-from bayes_impedance.classical.levenberg_marquardt import minimise_many
+from bayes_impedance.classical.levenberg_marquardt import START_SPREAD, minimise_many
 from bayes_impedance.network.notation import Network
 from bayes_impedance.network.rational import TransferFunction
 
@@ -34,8 +34,13 @@ _MAX_SIGNED_ELEMENTS = 10
 """Above this many elements only positive solutions are looked for: the sign patterns would be too many."""
 
 _POSITIVE_STARTS, _SIGNED_STARTS, _ITERATIONS = 200, 8, 80
-_START_SPREAD = 2.0
+"""Starts with positive elements, starts for each pattern of signs, and steps from each. By choice: positive solutions
+are what is wanted, and there are up to 2^10 patterns of signs."""
+
 _EXACT, _SAME = 1e-7, 1e-4
+"""Largest relative error of a coefficient in a solution, and relative difference of elements up to which two solutions
+are one. By choice: the first well above rounding of products of ten elements, the second above what the first leaves
+open in the elements."""
 
 
 class _Symbolic:
@@ -202,7 +207,7 @@ def exact_solutions(
     found: list[tuple[np.ndarray, np.ndarray]] = []
     for signs in _patterns(n):
         n_starts = _POSITIVE_STARTS if np.all(signs > 0) else _SIGNED_STARTS * len(signs)
-        start = log_start + rng.normal(0, _START_SPREAD, (n_starts, n))
+        start = log_start + rng.normal(0, START_SPREAD, (n_starts, n))
         sign = signs[rng.integers(len(signs), size=n_starts)] if len(signs) > 1 else np.repeat(signs, n_starts, axis=0)
         found.extend(zip(*_search(equations, wanted, start, sign), strict=True))
     solutions: list[ExactSolution] = []

@@ -28,7 +28,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayes_impedance.classical.levenberg_marquardt import minimise_many
+from bayes_impedance.classical.levenberg_marquardt import START_SPREAD, minimise_many
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.elements import kind_of
 from bayes_impedance.network.kernel import Kernel
@@ -40,12 +40,20 @@ from bayes_impedance.results.curve_errors import wrapped_deg
 PARTS = ("magnitude", "phase", "complex")
 
 _RANDOM_STARTS = 64
-_START_SPREAD = 2.0
+"""For each of the few people who are searched. By choice, as are the next constants: the best ends of all of them are
+tried on everybody."""
+
 RUNAWAY = float(np.log(1e6))
 """Log elements are stopped this far from where the element would matter in the band."""
+
 _SEARCHED = 6
+"""People on whom random starts are spent, evenly spread over the list."""
+
 _KEPT = 3
+"""Different ends of each of them that everybody else begins from."""
+
 _STEPS = 40
+"""Of Levenberg-Marquardt in the search; the best are refined until they rest."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +130,7 @@ def fit_elements(
 
     full = [curve(s, slice(None)) for s in recordings.subjects]
     thinned = [curve(s, thinned_points(s.frequency_hz.size)) for s in recordings.subjects]
-    spread = np.random.default_rng(seed).normal(0, _START_SPREAD, (_RANDOM_STARTS, centre.size))
+    spread = np.random.default_rng(seed).normal(0, START_SPREAD, (_RANDOM_STARTS, centre.size))
     searched = np.unique(np.linspace(0, len(full) - 1, _SEARCHED).round().astype(int))
     candidates = np.vstack([_search(thinned[i], np.vstack([centre, centre + spread]), _KEPT) for i in searched])
     found = [f.best(_search(t, candidates, 2)) for f, t in zip(full, thinned, strict=True)]

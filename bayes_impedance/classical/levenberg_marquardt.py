@@ -15,8 +15,18 @@ import numpy as np
 Problem = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Residuals (S, K) and their derivatives (S, K, P) at points (S, P)."""
 
+START_SPREAD = 2.0
+"""Standard deviation of random starts in each log element around its natural scale.
+
+By choice: nine in ten starts lie within a factor of 27 of the scale at which an element matters in the band.
+"""
+
 _LONGEST_STEP = 2.0
+"""In any log element. By choice: a factor of seven at once, so that a step cannot leave the numbers that can be
+represented."""
+
 _UNUSABLE = 1e6
+"""Residual that stands for one that is not finite: far above those of usable points, so that the step is refused."""
 
 
 def minimise_many(problem: Problem, start: np.ndarray, iterations: int) -> tuple[np.ndarray, np.ndarray]:

@@ -42,6 +42,7 @@ from bayes_impedance.classical.coefficients import (
     log_sensitivity,
 )
 from bayes_impedance.classical.elementwise import RUNAWAY, Curve
+from bayes_impedance.classical.levenberg_marquardt import START_SPREAD
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.elements import kind_of
 from bayes_impedance.network.kernel import Kernel
@@ -53,10 +54,20 @@ from bayes_impedance.population.starting_fits import default_prior, search_modes
 from bayes_impedance.recordings.files import Recordings, Subject
 
 _NORMAL_95 = 1.6448536269514722
+"""The normal distribution's 95 % quantile: both limits together hold 90 %."""
+
 _HELD_BY = 4
+"""Coefficients that are named for each element: those with the largest sensitivities. By choice."""
+
 _RANDOM_STARTS = 3072
 """The best network of one published curve is reached by one start in 200."""
-_START_SPREAD, _THINNED_POINTS, _KEPT, _PROVISIONAL_NOISE = 2.0, 64, 6, 0.05
+
+_THINNED_POINTS, _KEPT = 64, 6
+"""Frequencies for the search from all starts, and how many different ends are refined on all of them. By choice."""
+
+_PROVISIONAL_NOISE = 0.05
+"""Relative noise in the search where none is known: about the distance of published curves from the network (4 to
+5 %). The standard errors then come from the difference itself."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -245,7 +256,7 @@ def _nearest(
     prior = default_prior(kernel.elements, recordings)
     sd = _PROVISIONAL_NOISE * np.abs(target) if noise_sd is None else noise_sd
     likelihood = Likelihood.make(frequency, target[None], sd[None], np.zeros((1, len(kernel.elements))))
-    spread = np.random.default_rng(seed).normal(0, _START_SPREAD, (_RANDOM_STARTS, len(kernel.elements)))
+    spread = np.random.default_rng(seed).normal(0, START_SPREAD, (_RANDOM_STARTS, len(kernel.elements)))
     starts = search_modes(kernel, likelihood.thinned(_THINNED_POINTS), prior.centre + spread, prior, _KEPT)
     curve = Curve(kernel, frequency, target, "complex", 1 / sd, prior.centre)
     best = curve.best(starts, 2000)[0]

@@ -74,7 +74,11 @@ TESTS = (
 )
 
 _BINS = 10
+"""Bins of the chi-square test, before those that expect too few are joined: the default of Matlab's chi2gof."""
+
 _LEAST_EXPECTED = 5.0
+"""Smallest expected count of a bin: the usual rule (Cochran 1954), and that of Matlab's chi2gof."""
+
 _ROUNDING = 1e-12
 """Values that differ by less than this part of their size differ by rounding only."""
 

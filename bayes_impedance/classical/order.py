@@ -44,6 +44,8 @@ from bayes_impedance.classical.vector_fitting import number_of_unknowns, vector_
 from bayes_impedance.errors import InputError
 
 _BLOCKS_PER_FOLD = 8
+"""Blocks of neighbouring frequencies that a fold leaves out. By choice: wide enough that a neighbour does not tell what
+is left out, and many enough to lie everywhere in the band."""
 _RELOCATIONS = 20  # superfluous poles never rest, and the refinement does what more of them would do for the others
 
 

@@ -51,6 +51,7 @@ from bayes_impedance.network.rational import TransferFunction
 
 # A dip below zero counts from this share of |z|: roots of polynomials are no more exact, and touching zero is passive.
 _TOLERANCE = 1e-9
+# Rounds of adding frequencies at which Re z must not be negative. By choice: what is left after them is an error.
 _ROUNDS = 100
 # What the data leave open is held at the model's own value with this weight, relative to the length of a column.
 _RIDGE = 1e-5

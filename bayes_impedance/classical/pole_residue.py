@@ -16,6 +16,7 @@ import numpy.typing as npt
 from bayes_impedance.network.rational import TransferFunction
 
 _PAIRING = 1e-9
+"""Relative difference up to which a pole or residue is another's conjugate: above rounding, below any digit in use."""
 
 
 @dataclass(frozen=True, eq=False)

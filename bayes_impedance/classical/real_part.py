@@ -52,11 +52,13 @@ _RESOLUTION = 1e-12
 # A pole with a damping ratio below this is lossless; the phase of its residue is known less well than the pole.
 _ON_AXIS = 1e-7
 _RESIDUE_PHASE = 1e-6
+# Poles this close are one multiple pole: a double root moves by the square root of rounding, 1e-8, or somewhat more.
 _MULTIPLE = 1e-6
 # Decades of frequency below the slowest and above the fastest pole in which roots are looked for.
 _DECADES_BEYOND = 9
-# How many of the lowest samples are followed down to a minimum.
+# How many of the lowest samples are followed down to a minimum. By choice: the lowest alone may lead to a higher one.
 _DIPS = 3
+# An end of the axis goes before a frequency whose relative real part is lower by no more than this: by rounding.
 _TIE = 1e-12
 
 

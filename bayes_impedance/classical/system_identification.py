@@ -29,8 +29,10 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.network.rational import TransferFunction
 
 WEIGHTINGS = ("none", "relative")
+"""Least squares of the absolute or of the relative error."""
 
 _LINEAR_ROUNDS = 30
+"""Linearised steps from each start. By choice: the best of all of them is kept, so that more cost time only."""
 
 
 @dataclass(frozen=True)

@@ -23,9 +23,17 @@ from bayes_impedance.design.users import UserPopulation, Users
 from bayes_impedance.runtime.progress import Progress
 
 _GRID_LOW = 0.02
+"""Lowest stiffness of the map as a share of the highest, where no stiffness is known at which all are stable. By
+choice."""
+
 _DAMPINGS = 400
+"""Dampings that are scanned for the widest stable one: neighbours of eight decades differ by 5 %."""
+
 _LARGEST = 1e4
+"""Largest damping that is scanned, in N s/m. By choice, far above what sampled devices can render."""
+
 _HIGHEST = 1e7
+"""Largest stiffness that is searched, in N/m. By choice: stiffer than any wall that a haptic device renders."""
 
 
 @dataclass(frozen=True)

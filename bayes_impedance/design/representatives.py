@@ -32,6 +32,8 @@ from bayes_impedance.design.users import UserPopulation, Users
 from bayes_impedance.network.kernel import Kernel
 
 LEVEL = 0.95
+"""Share of people whom a named user exceeds, and whom the ellipsoid of the spanning set holds. By choice: the
+designers' usual 95th percentile."""
 
 
 @dataclass(frozen=True)

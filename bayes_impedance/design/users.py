@@ -33,7 +33,7 @@ PERCENTILES = (0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
 """Of the curves that are exported."""
 
 _MIXED = 2000
-"""At most so many of the posterior's draws stand for all of them where users are weighted."""
+"""Most draws of the posterior over which users are weighted. By choice."""
 
 
 @dataclass(frozen=True)

@@ -196,33 +196,6 @@ class Network(ABC):
         """The network with `addition` in series with what stands at `place` (common force)."""
         return self.replaced(place, self.at(place) - addition)
 
-    def without(self, element: str) -> Network:
-        """The network without an element; a group that is left with one part becomes that part.
-
-        Raises
-        ------
-        InputError
-            If there is no such element or nothing would be left.
-        """
-        paths = [path for path, node in self.walk() if isinstance(node, Element) and node.name == element]
-        if not paths:
-            raise InputError(f"there is no element '{element}' in the network {self}")
-        path = paths[0]
-        if not path:
-            raise InputError(f"the network is nothing but '{element}': it cannot be taken out")
-        parent_path = path[:-1]
-        parent = self.at(Place(parent_path, ""))
-        rest = [part for i, part in enumerate(parent.parts) if i != path[-1]]
-        group = rest[0] if len(rest) == 1 else _combine(type(parent), rest)
-        if parent.label is not None:
-            group = group.labelled(parent.label)
-        return self.replaced(Place(parent_path, ""), group)
-
-    def free_name(self, letter: str) -> str:
-        """A name for a further element of a kind, not used yet: one more than the highest number in use."""
-        used = [int(e[1:]) for e in self.elements if e[0] == letter and e[1:].isdigit()]
-        return f"{letter}{max(used, default=0) + 1}"
-
     def _resolve(self, place: Place | str) -> Place:
         return self.place(place) if isinstance(place, str) else place
 

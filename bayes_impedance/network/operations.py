@@ -1,4 +1,4 @@
-r"""Operations on the impedance of a place: what may happen to it besides masses, springs and dampers.
+r"""Operations on the impedance of a place, for effects that masses, springs and dampers alone do not describe.
 
 An operation replaces the impedance z of what stands at a place (an element, a group, or the port) by T(z):
 
@@ -22,43 +22,25 @@ series_layer        1/(1/z + s x/(1 + s t))                                     
 sweep               z exp(x q), q = (1 - (w/c1)^-p)/(1 - c2^-p)                  p = exp(u1)
 ==================  ===========================================================  ===========================
 
-with s = jw and the coefficient x = c0 u0, which may have either sign and where zero means that nothing happens, or
-x = exp(u0) if c2 is 1. All parameters u are real and unbounded, as log elements are, and stand beside them in every
-array of parameters; c are constants of the operation. The line is a layer whose mass x is spread over its thickness
-instead of standing at its end: for small w it is z + s x/3, a third of the mass moves along. In the sweep, c1 is the
-frequency with which it begins, c2 > 1 the ratio of its ends, and q the part of its time that has passed: p = 1 if every
-frequency takes the same number of periods, and p -> 0 if every octave takes the same time.
+with s = jw and w the angular frequency in rad/s. The coefficient is x = c0 u0. It may have either sign, and zero means
+that the impedance is unchanged. If c2 is 1 the coefficient is positive, x = exp(u0). All parameters u are real and
+unbounded, as log elements are, and follow them in every array of parameters; c are constants of the operation.
 
-Each operation is holomorphic in z, so one complex derivative dT/dz carries the chain rule through it.
+The line is a layer whose mass x is spread over its thickness. For small w = s x/z it is z + s x/3: a third of the mass
+moves along. In the sweep, c1 is the angular frequency at which the sweep begins, c2 > 1 the ratio of its ends, and q
+the part of its time that has passed: p = 1 if every frequency takes the same number of periods, and p -> 0 if every
+octave takes the same time.
+
+The table :data:`TRAITS` holds everything else that the package needs to know about an operation; its formula is in
+:mod:`bayes_impedance.network.transform`. A further operation is an entry of the one and a formula in the other.
 """
 
 from __future__ import annotations
 
-import cmath
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numba import njit
-
-NAMES = (
-    "add",
-    "delay",
-    "highpass",
-    "lowpass",
-    "power",
-    "hysteresis",
-    "line",
-    "beside_power",
-    "relaxation",
-    "resonator",
-    "reflex",
-    "bypass",
-    "series_compliance",
-    "series_layer",
-    "sweep",
-)
-"""Codes are the positions, from 1; 0 is no operation."""
 
 N_PARAMETERS = 3
 """Most parameters, and most constants, of any operation."""
@@ -66,7 +48,251 @@ N_PARAMETERS = 3
 LOGARITHMIC = 1.0
 """Value of c2 for a coefficient that is positive by construction."""
 
-_compiled: Any = njit(cache=True, nogil=True, error_model="numpy")
+PLACES = ("port", "groups", "springs", "dampers", "elements")
+"""Kinds of place in a network; ``groups`` are groups of elements inside, without the port."""
+
+LINE_LEVELS = (0.3, 1.0, 3.0, 10.0)
+"""Masses of a line that are scanned, in masses whose impedance is the place's own at the upper end of the band.
+
+By choice: from a layer whose waves lie above the band to one with several standing waves inside it.
+"""
+
+BYPASS_RATIOS = 6
+"""Ratios of stiffness to damping of a bypass that are scanned.
+
+By choice: with a band of three decades and a third of a decade beyond either end they are 0.8 decades apart, and the
+signature of damper and spring together changes over about a decade.
+"""
+
+NEGATIVE_SHARE = 0.1
+"""A part of a bypass may be estimated below zero by up to this share of the other part: it counts as absent.
+
+By choice: an absent part is estimated as zero plus noise, and noise of a tenth of the other part is common.
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setting:
+    """Units and typical sizes for which the constants of an operation are chosen.
+
+    Attributes
+    ----------
+    units : tuple of str
+        Of the operation's parameters: ``m``, ``n``, ``r``, ``k``, ``c`` for the unit of a mass, a compliance, a
+        damper, a stiffness and a power law; ``s``, ``Hz`` or nothing.
+    scales : tuple of float
+        Typical sizes of the parameters in the operation's unit.
+    low, middle, high : float
+        Angular frequencies of the band in rad/s.
+    compliance : float
+        Of the element at the place; NaN if there is no such element, or it is not needed.
+    """
+
+    units: tuple[str, ...]
+    scales: tuple[float, ...]
+    low: float
+    middle: float
+    high: float
+    compliance: float = float("nan")
+
+
+Derived = tuple[str, str, np.ndarray]
+"""Name, unit (as in :class:`Setting`) and draws of a quantity that follows from the parameters."""
+
+
+def _middle_of_band(setting: Setting) -> tuple[float, float]:
+    return setting.middle, 0.0
+
+
+def _coefficient_not_negative(u: np.ndarray) -> bool:
+    return not u[0] <= 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Traits:
+    """Everything about an operation but its formula.
+
+    Attributes
+    ----------
+    code : int
+        Number of the operation in the compiled functions; 0 is no operation.
+    parameters : tuple of str
+        What the parameters are; the coefficient first. An effect may give them more specific names.
+    links : tuple of str
+        How each value in the operation's unit follows from the unbounded u: ``linear`` (x = scale u), ``log``
+        (exp u) or ``logit`` (1/(1 + exp(-u))).
+    connection : str
+        ``beside`` if it adds an impedance to the place, ``series`` if it adds a mobility, ``replaces`` if it changes
+        the place's impedance in another way.
+    places : tuple of str
+        Kinds of place for which its formula means something: of :data:`PLACES`.
+    passive : bool
+        Whether a place that is passive stays so with every coefficient of allowed sign.
+    built_as : str
+        How a circuit has it: ``elements`` (exactly), ``ladder`` (of elements, to a stated accuracy), ``filter`` (of a
+        measurement channel, as sources) or nothing if there is no circuit.
+    constants : function or None
+        The constants c1 and c2 in a :class:`Setting`; None if it has none.
+    allows : function
+        Whether the linear parameters' means over people, shape (L,), have signs that an unsigned effect can have.
+    reported : function or None
+        The coefficient as it is reported, shape (S,), from draws of all parameters in the operation's unit; None if
+        as it is.
+    derived : function or None
+        What else is reported, from draws of all parameters.
+    scanned : function or None
+        Shapes that are scanned, from the ends of the band in rad/s; None if they are grids of the parameters.
+    direction : function or None
+        First-order change of a place's impedance per unit of the coefficient, for a scanned shape and angular
+        frequencies, shape (F,); None if it is the operation's own derivative at zero.
+    secant : function or None
+        Coefficients, shape (M,), at which the direction is the secant from zero, for a scanned shape, angular
+        frequencies (F,) and impedances (M, F); None for the tangent at zero.
+    """
+
+    code: int
+    parameters: tuple[str, ...]
+    links: tuple[str, ...] = ("linear",)
+    connection: str = "replaces"
+    places: tuple[str, ...] = PLACES
+    passive: bool = True
+    built_as: str = ""
+    constants: Callable[[Setting], tuple[float, float]] | None = None
+    allows: Callable[[np.ndarray], bool] = _coefficient_not_negative
+    reported: Callable[[Sequence[np.ndarray], Setting], np.ndarray] | None = None
+    derived: Callable[[Sequence[np.ndarray], Setting], list[Derived]] | None = None
+    scanned: Callable[[float, float], Iterable[dict[str, float]]] | None = None
+    direction: Callable[[Mapping[str, float], np.ndarray], np.ndarray] | None = None
+    secant: Callable[[Mapping[str, float], np.ndarray, np.ndarray], np.ndarray] | None = None
+
+
+def _power_of_s(setting: Setting) -> tuple[float, float]:
+    return {"m": 1.0, "r": 0.0, "k": -1.0}[setting.units[0]], 0.0
+
+
+def _corner(x: Sequence[np.ndarray], _setting: Setting) -> list[Derived]:
+    with np.errstate(divide="ignore"):
+        return [("corner", "Hz", 1 / (2 * np.pi * x[0]))]
+
+
+def _power_law_of_spring(x: Sequence[np.ndarray], setting: Setting) -> list[Derived]:
+    return [("coefficient", "c", setting.middle ** -x[0] / setting.compliance)]
+
+
+def line_mass(omega: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """Mass whose impedance is that of the place at the upper end of the band: z (M, F) to (M,)."""
+    return np.asarray(np.abs(z[:, -1]) / omega[-1])
+
+
+def _per_second(x: Sequence[np.ndarray], setting: Setting) -> np.ndarray:
+    """The c of c s^(a-1); the operation counts s from the middle of the band."""
+    return np.asarray(x[0] * setting.middle ** (1 - x[1]))
+
+
+def _spring_and_damper(x: Sequence[np.ndarray], _setting: Setting) -> list[Derived]:
+    mass, w0, ratio = x
+    return [("compliance", "n", 1 / (mass * w0**2)), ("damping", "r", 2 * ratio * w0 * mass)]
+
+
+def _bypass_allows(u: np.ndarray) -> bool:
+    """One of damper and spring may be absent."""
+    return not u.max() <= 0 and not u.min() < -NEGATIVE_SHARE * abs(u).max()
+
+
+def _bypass_ratios(low: float, high: float) -> list[dict[str, float]]:
+    """Two coefficients of which only the ratio is a shape: here the frequency at which their impedances are equal."""
+    return [{"ratio": float(w)} for w in np.geomspace(low / 3, 3 * high, BYPASS_RATIOS)]
+
+
+TRAITS: dict[str, Traits] = {
+    "add": Traits(code=1, parameters=("coefficient",), connection="beside", built_as="elements", constants=_power_of_s),
+    "delay": Traits(code=2, parameters=("delay",), passive=False),
+    "highpass": Traits(code=3, parameters=("corner",), passive=False, built_as="filter"),
+    "lowpass": Traits(code=4, parameters=("time_constant",), passive=False, built_as="filter", derived=_corner),
+    "power": Traits(
+        code=5,
+        parameters=("exponent",),
+        places=("springs",),
+        built_as="ladder",
+        constants=_middle_of_band,
+        derived=_power_law_of_spring,
+    ),
+    "hysteresis": Traits(code=6, parameters=("loss_factor",), places=("springs",)),
+    "line": Traits(
+        code=7,
+        parameters=("mass",),
+        built_as="ladder",
+        scanned=lambda _low, _high: [{"level": level} for level in LINE_LEVELS],
+        # The tangent at zero mass is that of a mass; what distinguishes the layer is where waves fit into it.
+        secant=lambda shape, omega, z: shape["level"] * line_mass(omega, z),
+    ),
+    "beside_power": Traits(
+        code=8,
+        parameters=("coefficient", "exponent"),
+        links=("linear", "logit"),
+        connection="beside",
+        built_as="ladder",
+        constants=_middle_of_band,
+        reported=_per_second,
+    ),
+    "relaxation": Traits(
+        code=9,
+        parameters=("damping", "time_constant"),
+        links=("linear", "log"),
+        connection="beside",
+        built_as="elements",
+        derived=lambda x, _: [("compliance", "n", x[1] / x[0])],
+    ),
+    "resonator": Traits(
+        code=10,
+        parameters=("mass", "frequency", "damping_ratio"),
+        links=("linear", "log", "log"),
+        connection="beside",
+        built_as="elements",
+        derived=_spring_and_damper,
+    ),
+    "reflex": Traits(
+        code=11,
+        parameters=("stiffness", "latency", "corner"),
+        links=("linear", "log", "log"),
+        connection="beside",
+        passive=False,
+    ),
+    "bypass": Traits(
+        code=12,
+        parameters=("damping", "stiffness"),
+        links=("linear", "linear"),
+        connection="beside",
+        built_as="elements",
+        constants=lambda setting: (setting.scales[1], 0.0),
+        allows=_bypass_allows,
+        derived=lambda x, _: [("compliance", "n", 1 / x[1])],
+        scanned=_bypass_ratios,
+        direction=lambda shape, omega: 1 + shape["ratio"] / (1j * omega),
+    ),
+    "series_compliance": Traits(code=13, parameters=("compliance",), connection="series", built_as="elements"),
+    "series_layer": Traits(
+        code=14,
+        parameters=("compliance", "time_constant"),
+        links=("linear", "log"),
+        connection="series",
+        built_as="elements",
+        derived=lambda x, _: [("damping", "r", x[1] / x[0])],
+    ),
+    "sweep": Traits(
+        code=15,
+        parameters=("change", "time_law"),
+        links=("linear", "log"),
+        constants=lambda setting: (setting.low, setting.high / setting.low),
+    ),
+}
+"""Every operation by its name."""
+
+NAMES = tuple(TRAITS)
+"""Names of all operations, in the order of their codes."""
+
+ADDING = tuple(name for name, traits in TRAITS.items() if traits.connection == "beside")
+"""Operations that put something beside a place: the change does not depend on what stands there."""
 
 
 @dataclass(frozen=True)
@@ -93,104 +319,4 @@ class Operation:
     @property
     def code(self) -> int:
         """Number of the operation in the compiled functions."""
-        return NAMES.index(self.name) + 1
-
-
-@_compiled
-def transform(
-    code: int, u0: float, u1: float, u2: float, c0: float, c1: float, c2: float, omega: float, z: complex
-) -> tuple[complex, complex, complex, complex, complex]:
-    """T, dT/dz, dT/du0, dT/du1 and dT/du2 at one frequency."""
-    s = 1j * omega
-    none = 0j
-    if c2 == 1.0:
-        x = np.exp(u0)
-        slope = x  # dx/du0
-    else:
-        x = c0 * u0
-        slope = c0
-    if code == 1:
-        unit = s if c1 == 1.0 else 1.0 / s if c1 == -1.0 else 1.0 + 0j
-        return z + unit * x, 1.0 + 0j, unit * slope, none, none
-    if code == 2:
-        factor = cmath.exp(-s * x)
-        return z * factor, factor, -s * slope * z * factor, none, none
-    if code == 3:
-        if x >= 0.0:
-            factor = s / (s + x)
-            return z * factor, factor, -z * factor * slope / (s + x), none, none
-        factor = (s - x) / s
-        return z * factor, factor, -z * slope / s, none, none
-    if code == 4:
-        if x >= 0.0:
-            factor = 1.0 / (1.0 + s * x)
-            return z * factor, factor, -z * s * slope * factor * factor, none, none
-        factor = 1.0 - s * x
-        return z * factor, factor, -z * s * slope, none, none
-    if code == 5:
-        log_s = complex(np.log(omega / c1), 0.5 * np.pi)
-        factor = cmath.exp(x * log_s)
-        return z * factor, factor, z * factor * log_s * slope, none, none
-    if code == 6:
-        return z * complex(1.0, x), complex(1.0, x), 1j * z * slope, none, none
-    if code == 7:
-        g, dg = _root_coth(s * x / z)
-        return z * g, g - s * x / z * dg, s * dg * slope, none, none
-    if code == 8:
-        a = 1.0 / (1.0 + np.exp(-u1))
-        log_s = complex(np.log(omega / c1), 0.5 * np.pi)
-        unit = cmath.exp((a - 1.0) * log_s)
-        return z + x * unit, 1.0 + 0j, unit * slope, x * unit * log_s * a * (1.0 - a), none
-    if code == 9:
-        lag = 1.0 + s * np.exp(u1)
-        return z + x / lag, 1.0 + 0j, slope / lag, -x * (lag - 1.0) / (lag * lag), none
-    if code == 10:
-        p, d = np.exp(u1), np.exp(u2)
-        elastic = 2.0 * d * p * s + p * p
-        below = s * s + elastic
-        unit = s * elastic / below
-        # d unit / d elastic = s^3 / below^2
-        pull = x * s * s * s / (below * below)
-        return z + x * unit, 1.0 + 0j, unit * slope, pull * (2.0 * d * p * s + 2.0 * p * p), pull * 2.0 * d * p * s
-    if code == 11:
-        latency, corner = np.exp(u1), np.exp(u2)
-        lag = 1.0 + s / corner
-        unit = cmath.exp(-s * latency) / (s * lag)
-        return z + x * unit, 1.0 + 0j, unit * slope, -s * latency * x * unit, x * unit * (s / corner) / lag
-    if code == 12:
-        return z + x + c1 * u1 / s, 1.0 + 0j, complex(slope, 0.0), c1 / s, none
-    if code == 13 or code == 14:
-        lag = 1.0 + s * np.exp(u1) if code == 14 else 1.0 + 0j
-        factor = 1.0 / (1.0 + z * s * x / lag)
-        pull = -z * z * factor * factor * s / lag
-        return z * factor, factor * factor, pull * slope, -pull * x * (lag - 1.0) / lag, none
-    if code == 15:
-        p, passed, all_of_it = np.exp(u1), np.log(omega / c1), np.log(c2)
-        above, below = -np.expm1(-p * passed), -np.expm1(-p * all_of_it)
-        q = above / below
-        factor = np.exp(x * q)
-        slowing = (passed * (1.0 - above) - q * all_of_it * (1.0 - below)) / below
-        return z * factor, complex(factor, 0.0), z * factor * q * slope, z * factor * x * slowing * p, none
-    return z, 1.0 + 0j, none, none, none
-
-
-@_compiled
-def _root_coth(w: complex) -> tuple[complex, complex]:
-    """g(w) = sqrt(w) coth sqrt(w), analytic in w, and its derivative."""
-    if abs(w) < 1e-2:
-        return 1.0 + w / 3.0 - w * w / 45.0 + 2.0 * w * w * w / 945.0, 1.0 / 3.0 - 2.0 * w / 45.0 + 2.0 * w * w / 315.0
-    x = cmath.sqrt(w)  # the root with Re x >= 0, so that the exponential cannot overflow
-    e = cmath.exp(-2.0 * x)
-    coth = (1.0 + e) / (1.0 - e)
-    return x * coth, (coth - x * (coth * coth - 1.0)) / (2.0 * x)
-
-
-@_compiled
-def transform_many(code: int, u: np.ndarray, c: np.ndarray, omega: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """All five results of :func:`transform`: u (M, 3), c (3,), omega (F,), z (M, F) to shape (5, M, F)."""
-    result = np.empty((5, *z.shape), dtype=np.complex128)
-    for m in range(z.shape[0]):
-        for f in range(omega.size):
-            t = transform(code, u[m, 0], u[m, 1], u[m, 2], c[0], c[1], c[2], omega[f], z[m, f])
-            result[0, m, f], result[1, m, f], result[2, m, f], result[3, m, f], result[4, m, f] = t
-    return result
+        return TRAITS[self.name].code

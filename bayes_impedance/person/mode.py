@@ -17,7 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayes_impedance.network.kernel import Kernel, Program, compiled, workspace
+from bayes_impedance.network.kernel import Kernel, compiled, workspace
+from bayes_impedance.network.program import Program
 from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood, all_repetitions, chi_square, log_likelihood
 
 __all__ = ["DECREMENT_LIMIT", "Likelihood", "Mode", "all_modes", "find_mode", "log_likelihood", "mode_at"]
@@ -26,7 +27,11 @@ DECREMENT_LIMIT = 1e-6
 """A mode is converged when it is closer than this to the optimum, in squared posterior standard deviations."""
 
 _MAX_ITERATIONS = 100
+"""Steps from a start before it is given up. By choice; whether it converged is judged by the decrement alone."""
+
 _GAUSS_NEWTON_ITERATIONS = 15
+"""Steps before the exact second derivative is used. By choice: it costs several gradients a
+step, and where the network fits, fewer steps than these suffice."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,11 +25,17 @@ from dataclasses import dataclass
 import numpy as np
 
 FLOOR_WITH_REPETITIONS = 1e-4
+"""Smallest noise relative to |z| that repetitions may show: no impedance head does better, and rounding in a file must
+not set weights."""
+
 FLOOR_WITHOUT = 1e-3
-"""Smallest noise relative to |z| that is believed: no impedance head does better, and rounding must not set weights."""
+"""The same where only roughness shows it. By choice ten times as large: roughness of smoothed data says little."""
 
 _DEGREES_OF_FREEDOM = 200.0
+"""Over which an estimate is pooled. By choice: a standard deviation is then known to 1/sqrt(2 x 200) = 5 %."""
+
 _GRID_POINTS = 400
+"""Most frequencies at which noise is pooled; more are binned. By choice: the windows are much wider than a bin."""
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,8 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.mcmc.ensemble import QUICK, Chains, SamplerSettings, sample
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Network, parse
-from bayes_impedance.person.likelihood import Likelihood, find_ridge, marginal_log_likelihood
+from bayes_impedance.person.likelihood import Likelihood
+from bayes_impedance.person.marginal_likelihood import find_ridge, marginal_log_likelihood
 from bayes_impedance.person.noise import NoiseModel
 from bayes_impedance.population.diagnostics import Diagnostics, assess
 from bayes_impedance.population.em import Estimate, estimate

@@ -18,7 +18,8 @@ import numpy as np
 
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.person.importance_draws import Draws, Reference, draw
-from bayes_impedance.person.likelihood import Likelihood, find_ridge
+from bayes_impedance.person.likelihood import Likelihood
+from bayes_impedance.person.marginal_likelihood import find_ridge
 from bayes_impedance.population.e_step import PersonFit, contrasts_of
 from bayes_impedance.population.em import Estimate
 from bayes_impedance.population.importance_likelihood import Contrasts, ImportanceLikelihood

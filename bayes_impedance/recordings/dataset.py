@@ -6,7 +6,6 @@ z = F/v in SI units with exp(+jwt), counted so that a passive load has Re z >= 0
 from __future__ import annotations
 
 import hashlib
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
@@ -143,16 +142,6 @@ class Recordings:
     def repetitions_max(self) -> int:
         """Largest number of repetitions of a subject."""
         return max((len(subject.repetitions) for subject in self.subjects), default=0)
-
-    @property
-    def frequency_range_hz(self) -> tuple[float, float]:
-        """Lowest and highest frequency of any subject, in Hz; NaN without subjects."""
-        if not self.subjects:
-            return math.nan, math.nan
-        return (
-            min(float(subject.frequency_hz[0]) for subject in self.subjects),
-            max(float(subject.frequency_hz[-1]) for subject in self.subjects),
-        )
 
     def select(self, names: Iterable[str]) -> Recordings:
         """Return the recordings of some subjects, in the order of the names; the digest remains that of the files.

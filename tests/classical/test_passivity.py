@@ -1,4 +1,4 @@
-"""Passivity: the whole axis is tested, compared with dense sampling and by hand, and the repair is the nearest."""
+"""Passivity: the verdict over the whole axis, compared with dense sampling and by hand."""
 
 from __future__ import annotations
 
@@ -7,66 +7,24 @@ import pytest
 from conftest import published
 from experiments import PAPER, printed_eq4, random_elements
 from hypothesis import assume, given
-from scipy.optimize import minimize
+from rational_models import (
+    BAND,
+    S,
+    above_the_band,
+    below_the_band,
+    finger,
+    only,
+    random_model,
+    ratio,
+    sampled_relative,
+    with_terms,
+)
 from strategies import networks_with_elements, repeatable
 
-from bayes_impedance.classical import passivity
 from bayes_impedance.classical.passivity import check_passivity, enforce_passivity
 from bayes_impedance.classical.pole_residue import PoleResidue, partial_fractions
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.rational import TransferFunction
-
-BAND = np.geomspace(5, 5000, 201)
-S = 2j * np.pi * BAND
-FINGER = {"m1": 3e-3, "n1": 2e-3, "r1": 0.9, "m2": 1e-4, "n2": 3e-4, "r2": 2.5, "n3": 1.5e-5, "r3": 4.0}
-ratio = TransferFunction.from_coefficients
-
-
-def finger() -> PoleResidue:
-    return partial_fractions(PAPER.transfer_function({name: FINGER[name] for name in PAPER.elements}))
-
-
-def with_terms(model, poles, residues, constant=0.0, linear=0.0) -> PoleResidue:
-    return PoleResidue(
-        np.concatenate([model.poles, poles]),
-        np.concatenate([model.residues, residues]),
-        model.constant + constant,
-        model.linear + linear,
-    )
-
-
-def random_model(rng) -> PoleResidue:
-    """Poles over six decades, damping ratios down to 1e-3; residues as they come, so that some are passive."""
-    poles, residues = [], []
-    for size in 10 ** rng.uniform(0, 6, rng.integers(1, 6)):
-        if rng.random() < 0.5:
-            poles.append(-size)
-            residues.append(size * rng.normal())
-        else:
-            damping = 10 ** rng.uniform(-3, 0)
-            pole = size * (-damping + 1j * np.sqrt(1 - damping**2))
-            residue = size * np.sqrt(damping) * (rng.normal() + 0.7j * rng.normal())
-            poles += [pole, pole.conjugate()]
-            residues += [residue, residue.conjugate()]
-    if rng.random() < 0.5:
-        poles.append(0)
-        residues.append(10 ** rng.uniform(0, 3))
-    return PoleResidue(poles, residues, rng.choice([0.0, 1.0, 10.0]) * rng.random(), rng.choice([0, 1e-4]))
-
-
-def sampled_relative(model, omega):
-    """Re z / |z| by adding up the lossy terms as they stand."""
-    real = np.full(omega.size, model.constant)
-    for pole, residue in zip(model.poles, model.residues, strict=True):
-        if pole.real != 0:
-            real = real + (-residue * pole / ((pole - 1j * omega) * (pole + 1j * omega))).real
-    return real / np.abs(model(1j * omega))
-
-
-def only(violations):
-    assert len(violations) == 1
-    return violations[0]
-
 
 # Networks
 
@@ -131,15 +89,6 @@ def test_published_curves(form):
 
 
 # Violations outside of the band
-
-
-def above_the_band():
-    pole, residue = 2 * np.pi * 5e4 * (-0.005 + 1j), -2e4 + 0j
-    return with_terms(finger(), [pole, pole.conjugate()], [residue, residue.conjugate()])
-
-
-def below_the_band():
-    return with_terms(finger(), [-2 * np.pi * 0.05], [-2 * np.pi * 0.05 * 5])
 
 
 @pytest.mark.parametrize(("model", "inside_hz"), [(above_the_band(), 5e4), (below_the_band(), 0.01)])
@@ -333,138 +282,3 @@ def test_verdict_bands_and_edges_agree_with_dense_sampling(seed):
 def test_random_models_are_of_both_kinds():
     verdicts = [check_passivity(random_model(np.random.default_rng(seed))).positive_real for seed in range(40)]
     assert 8 < sum(verdicts) < 32
-
-
-# The nearest passive model
-
-
-def distance(model, target, sd):
-    return np.sum(np.abs((model(S) - target) / sd) ** 2)
-
-
-def test_what_is_passive_stays_the_very_same():
-    model = finger()
-    assert enforce_passivity(model, BAND) is model
-    assert enforce_passivity(model, BAND, 2 * model(S)) is model
-
-
-@pytest.mark.parametrize("seed", range(25))
-def test_repaired_models_are_positive_real_and_the_nearest(seed):
-    """In a convex cone the nearest point z* to z has <z - z*, z*> = 0, and <z - z*, q> <= 0 for all others q."""
-    rng = np.random.default_rng(seed)
-    model = random_model(rng)
-    repaired = enforce_passivity(model, BAND)
-    assert check_passivity(repaired).positive_real
-    np.testing.assert_array_equal(repaired.poles, model.poles)
-    if model.constant == 0:
-        assert repaired.constant == 0
-        assert -np.sum(repaired.residues * repaired.poles).real >= 0  # omega^2 Re z at infinity
-    assert repaired.linear >= 0
-    z, nearest = model(S), repaired(S)
-
-    def product(a, b):
-        return np.sum((a.conj() * b).real / np.abs(z) ** 2)
-
-    size = np.sqrt(product(z, z))
-    assert abs(product(z - nearest, nearest)) <= 1e-4 * size**2
-    for _ in range(3):
-        factors = np.where(model.poles.imag == 0, rng.normal(size=model.poles.size), 1.0)
-        other = PoleResidue(model.poles, model.residues * factors, model.constant, model.linear)
-        other = enforce_passivity(other, BAND)(S)
-        assert product(z - nearest, other) <= 1e-4 * size * np.sqrt(product(other, other))
-
-
-def test_the_distance_is_that_of_a_general_optimiser():
-    poles = np.array([-40.0, -900 + 3000j, -900 - 3000j, 0.0])
-    model = PoleResidue(poles, np.array([-60.0, 500 + 1500j, 500 - 1500j, 400.0]), 0.6, 1e-4)
-    assert only(check_passivity(model).violations).relative < -0.9
-    z, sd = model(S), np.abs(model(S))
-    omega = 2 * np.pi * np.geomspace(1e-3, 1e6, 1500)
-
-    def member(x):
-        c1, re, im, c0, d, e = x
-        return PoleResidue(poles, [c1, re + 1j * im, re - 1j * im, c0], d, e)
-
-    basis = np.array([member(row)(S) / sd for row in np.eye(6)]).T
-    real = np.array([member(row)(1j * omega).real for row in np.eye(6)]).T
-    scale = 1 / np.linalg.norm(basis, axis=0)
-    basis, real = basis * scale, real * scale
-    real = real / np.linalg.norm(real, axis=1, keepdims=True)
-    found = minimize(
-        lambda x: np.sum(np.abs(basis @ x - z / sd) ** 2),
-        np.array([0.1, 1, 0.1, 1, 1, 1]),
-        jac=lambda x: 2 * (basis.conj().T @ (basis @ x - z / sd)).real,
-        constraints={"type": "ineq", "fun": lambda x: real @ x, "jac": lambda x: real},
-        bounds=[(None, None)] * 3 + [(0, None)] * 3,
-        method="SLSQP",
-        options={"ftol": 1e-10, "maxiter": 500},
-    )
-    assert found.success
-    assert found.fun > 0.01
-    assert distance(enforce_passivity(model, BAND), z, sd) == pytest.approx(found.fun, rel=1e-4)
-
-
-def test_unstable_poles_are_reflected_and_wrong_residues_removed():
-    model = with_terms(finger(), [40 + 900j, 40 - 900j, 0.0], [30 + 9j, 30 - 9j, -900.0], linear=-1e-3)
-    repaired = enforce_passivity(model, BAND)
-    verdict = check_passivity(repaired)
-    assert verdict.positive_real
-    np.testing.assert_array_equal(repaired.poles[-3:], [-40 + 900j, -40 - 900j, 0.0])
-    np.testing.assert_array_equal(repaired.poles[:-3], model.poles[:-3])
-    assert np.all(repaired.residues[repaired.poles == 0].real >= 0)
-    assert repaired.linear == 0
-
-
-def test_terms_that_the_model_lacks_stay_absent():
-    model = PoleResidue([-100.0, -2000.0], [900.0, -1200.0])
-    assert check_passivity(model).violations[0].high_hz == np.inf
-    repaired = enforce_passivity(model, BAND)
-    assert check_passivity(repaired).positive_real
-    assert (repaired.constant, repaired.linear) == (0, 0)
-
-
-def test_least_squares_with_walls_that_nearly_face_each_other():
-    """With a x + b y >= 1 and -a x + b y >= 1 the shortest vector is (0, 1/b)."""
-    a, b = 1.0, 1e-5
-    rows = np.array([[a, b], [-a, b], [0, 1]])
-    theta, binding = passivity._constrained(
-        np.eye(2, dtype=complex), np.zeros(2, dtype=complex), np.zeros(2), rows, np.array([1, 1, 0])
-    )
-    np.testing.assert_allclose(theta, [0, 1 / b], rtol=1e-6, atol=1e-3)
-    np.testing.assert_array_equal(binding, [True, True, False])
-
-
-def test_data_and_their_noise_decide_what_is_nearest():
-    model = below_the_band()
-    truth = finger()
-    z = truth(S) * (1 + 0.01 * np.random.default_rng(3).normal(size=S.size))
-    to_data = enforce_passivity(model, BAND, z)
-    assert distance(to_data, z, np.abs(z)) < distance(enforce_passivity(model, BAND), z, np.abs(z))
-    sd = np.where(BAND > 1000, 1e-3, 1.0) * np.abs(z)
-    weighted = enforce_passivity(model, BAND, z, noise_sd=sd)
-    assert check_passivity(weighted).positive_real
-    assert distance(weighted, z, sd) < distance(to_data, z, sd)
-    scaled = enforce_passivity(model, BAND, z, noise_sd=7 * sd)
-    np.testing.assert_allclose(scaled(S), weighted(S), rtol=1e-6)
-
-
-def test_input_that_cannot_be_used():
-    model = below_the_band()
-    z = model(S)
-    for message, arguments, options in [
-        ("above 0", (-BAND,), {}),
-        ("above 0", (BAND[:0],), {}),
-        ("shape", (BAND, z[1:]), {}),
-        ("shape", (BAND, z), {"noise_sd": np.ones(3)}),
-        ("above 0", (BAND, z), {"noise_sd": np.zeros(BAND.size)}),
-        ("finite", (BAND, z * np.nan), {}),
-        ("margin", (BAND,), {"margin": 0.0}),
-    ]:
-        with pytest.raises(InputError, match=message):
-            enforce_passivity(model, *arguments, **options)
-
-
-def test_dips_that_remain_are_an_error(monkeypatch):
-    monkeypatch.setattr(passivity, "_ROUNDS", 1)
-    with pytest.raises(RuntimeError, match=r"after 1 rounds: Re z is negative from .*Hz"):
-        enforce_passivity(above_the_band(), BAND)

@@ -8,7 +8,6 @@ import re
 import numpy as np
 import pytest
 from hypothesis import given
-from hypothesis import strategies as st
 from strategies import (
     build,
     combined,
@@ -248,58 +247,6 @@ def test_replacements_at_every_place_equal_arrays(shape_and_values):
             assert parse(str(edited)) == edited
 
 
-@repeatable
-@given(shapes_with_elements(max_leaves=8, min_leaves=2))
-def test_taking_out_an_element_equals_its_limit(shape_and_values):
-    """In parallel a missing element is one of no impedance, in series one of no mobility."""
-    shape, values = shape_and_values
-    network = build(shape)
-    for name in network.elements:
-        edited = network.without(name)
-        path = network.place(name).path
-        parallel = isinstance(network.at(Place(path[:-1], "")), Parallel)
-        gone = 0.0 if parallel else np.inf
-        with np.errstate(invalid="ignore"):
-            expected = network_impedance(network, S, values, path, lambda z, gone=gone: np.full(S.shape, gone))
-        np.testing.assert_allclose(network_impedance(edited, S, values), expected, rtol=1e-12)
-        assert edited.elements == tuple(other for other in network.elements if other != name)
-        assert parse(str(edited)) == edited
-
-
-def test_taking_out_keeps_labels():
-    network = parse(PAPER_NETWORK)
-    assert str(network.without("n3")) == "skin:r3-tissue:(m2|r1|n1|limb:(m1-(n2|r2)))"
-    assert str(network.without("r2")) == "skin:(n3|r3)-tissue:(m2|r1|n1|limb:(m1-n2))"
-    assert str(parse("m1|(n1-(r1|r2))").without("n1")) == "m1|r1|r2"
-
-
-def test_taking_out_needs_something_left():
-    with pytest.raises(InputError, match="nothing but 'm1'"):
-        A.without("m1")
-    with pytest.raises(InputError, match="no element 'r9'"):
-        (A | B).without("r9")
-
-
-@given(networks())
-def test_insertion_is_undone_by_taking_out(network):
-    for place in network.places():
-        for edited in (network.beside(place, Element("m77")), network.in_series(place, Element("m77"))):
-            assert edited.without("m77") == network
-
-
-@given(networks(), st.sampled_from("mnr"))
-def test_free_name_is_one_more_than_the_highest(network, letter):
-    name = network.free_name(letter)
-    used = [int(element[1:]) for element in network.elements if element[0] == letter]
-    assert name == f"{letter}{max(used, default=0) + 1}"
-    assert network.beside("port", Element(name)).elements == (*network.elements, name)
-
-
-def test_free_name_skips_names_that_are_no_numbers():
-    assert parse("m_skin|m4|mass|n9").free_name("m") == "m5"
-    assert parse("m_skin|m4").free_name("r") == "r1"
-
-
 @given(networks(min_leaves=2))
 def test_networks_cannot_be_changed(network):
     before = str(network)
@@ -309,7 +256,6 @@ def test_networks_cannot_be_changed(network):
                 setattr(node, field, None)
     network.beside("port", Element("m77"))
     network.in_series(network.elements[0], Element("m77"))
-    network.without(network.elements[0])
     network.labelled("other")
     assert str(network) == before
     assert hash(network) == hash(parse(before))

@@ -7,7 +7,8 @@ from scipy import stats
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
 from bayes_impedance.person.importance_draws import Reference, draw
-from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood, Ridge, find_ridge, log_likelihood
+from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood, log_likelihood
+from bayes_impedance.person.marginal_likelihood import Ridge, find_ridge
 from bayes_impedance.person.mode import Mode, find_mode
 
 GRID = np.geomspace(5, 5000, 25)

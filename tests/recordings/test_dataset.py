@@ -32,7 +32,6 @@ def test_select_suggests() -> None:
 def test_no_subjects(tmp_path: Path) -> None:
     none = recordings()
     assert len(none) == none.repetitions_max == 0
-    assert np.isnan(none.frequency_range_hz).all()
     with pytest.raises(InputError, match="no subjects to write"):
         write_recordings(none, tmp_path / "new")
     assert not (tmp_path / "new").exists()

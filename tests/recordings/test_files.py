@@ -24,7 +24,6 @@ def test_reads_folder_without_description(tmp_path: Path) -> None:
     assert len(data) == 2
     assert (data.title, data.unit, data.network, data.warnings) == (tmp_path.name, "N s/m", None, ())
     assert data.repetitions_max == 1
-    assert data.frequency_range_hz == (10.0, 30.0)
     np.testing.assert_array_equal(data.subjects[1].z, [[2.0 - 0.5j, 2.1 + 0.5j, 2.2 + 1j]])
     assert data.subjects[0].noise_sd is None
     assert not data.polar

@@ -40,16 +40,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayes_impedance.errors import InputError
-from bayes_impedance.network.kernel import Kernel, parameter_names
+from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Element, Network, Parallel, Place, Series
-from bayes_impedance.network.operations import LOGARITHMIC, Operation
+from bayes_impedance.network.operations import LOGARITHMIC, TRAITS, Operation
+from bayes_impedance.network.program import parameter_names
 
-FILTERS = ("highpass", "lowpass")
-EXACT = ("add", "relaxation", "resonator", "bypass", "series_compliance", "series_layer")
-LADDERS = ("beside_power", "power", "line")
+FILTERS = tuple(name for name, traits in TRAITS.items() if traits.built_as == "filter")
+"""Operations of a measurement channel: no elements, but sources in a SPICE deck."""
+
+LADDERS = tuple(name for name, traits in TRAITS.items() if traits.built_as == "ladder")
+"""Operations that elements approximate."""
 
 _LINE_TERMS = 24
+"""Standing waves of a line that are built one by one. By choice: the rest of the sum is one mass, and the error that
+remains at the port is reported with the circuit."""
+
 _CHECKED = 301
+"""Frequencies at which that error is taken. By choice: 100 per decade of the usual three."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +149,7 @@ def _applied(
     band_hz: tuple[float, float],
     accuracy: float,
 ) -> tuple[Network, dict[str, float]]:
-    if operation.name not in EXACT + LADDERS:
+    if TRAITS[operation.name].built_as not in ("elements", "ladder"):
         raise InputError(
             f"the operation '{operation.name}' is no network of elements: it can be neither realised nor approximated "
             "by a passive one"

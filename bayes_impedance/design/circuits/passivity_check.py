@@ -25,6 +25,8 @@ from bayes_impedance.network.notation import Network
 from bayes_impedance.network.rational import TransferFunction
 
 _ROUNDING = 1e-9
+"""An eigenvalue this far below zero, relative to the largest entry and per state, is rounding. By choice: some 1e7
+times that of double precision, because rates of states differ by orders of magnitude."""
 
 
 def positive_elements(users: Users) -> np.ndarray:

@@ -45,8 +45,10 @@ ANALOGIES = ("fv", "fc")
 """Force-voltage and force-current."""
 
 OPTIONS = ".options noopac"
+"""No operating point is computed: linear circuits do not need one, and loops of inductors would make it singular."""
 
 _CARD = {"fv": {"m": "L", "n": "C", "r": "R"}, "fc": {"m": "C", "n": "L", "r": "R"}}
+"""First letter of an element's line in either analogy."""
 
 
 def subcircuit(
@@ -168,12 +170,6 @@ def monte_carlo(population: UserPopulation, name: str = "any_user") -> str:
         blocks.append(f".subckt {outer} p q\nX1 p q {inner} {numbers}\n.ends {outer}")
     head = "* elements are log-normal over users: exp(centre + L g); every instance draws its own g"
     return "\n\n".join([head, *blocks]) + "\n"
-
-
-def one_port_deck(circuit: str, name: str, band_hz: tuple[float, float], output: str, *, points: int = 20) -> str:
-    """A deck that writes V/I of one sub-circuit over frequency."""
-    drive = [f"* V/I of {name}", OPTIONS, circuit, "I1 0 port AC 1", f"X1 port 0 {name}"]
-    return "\n".join([*drive, *_control(band_hz, points, output, "v(port)"), ".end"]) + "\n"
 
 
 def _control(band_hz: tuple[float, float], points: int, output: str, shown: str) -> list[str]:

@@ -29,7 +29,10 @@ from bayes_impedance.network.notation import Network
 from bayes_impedance.network.rational import TransferFunction
 
 SCHEMA = 1
+"""Version of ``transfer.json``."""
+
 FORMS = ("transfer", "zeros_poles", "state_space")
+"""What :func:`to_control` can make."""
 
 
 def transfer_function(network: Network, values: Mapping[str, float], *, mobility: bool = False) -> TransferFunction:

@@ -50,6 +50,7 @@ LONGEST_DELAY = 40
 """Periods: each of them is a state."""
 
 ARRANGEMENTS = ("beside", "between", "lever")
+"""How a section is connected: to ground beside the common velocity, between two velocities, or as a lever."""
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ from scipy.linalg import hessenberg
 from bayes_impedance.network.kernel import compiled
 
 _ITERATIONS = 90
+"""QR steps for one eigenvalue before it counts as not found: three times as many as EISPACK's hqr allows."""
 
 
 def reduced(matrix: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

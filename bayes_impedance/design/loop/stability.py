@@ -38,8 +38,14 @@ from bayes_impedance.design.loop.sampled_loop import SampledLoop, largest_stiffn
 from bayes_impedance.design.users import UserPopulation, Users
 
 POPULATIONS = 200
+"""Draws of the posterior that are used. By choice: ten of them lie beyond each end of a 90 % interval."""
+
 _STEPS = 8
+"""Points of the midpoint rule along the line to the worst user. By choice: the gradient changes slowly along it."""
+
 _DIFFERENCE = 1e-3
+"""Step of a log element in central differences: their error is of the order of its square, 1e-6, and the bisected
+limits are much more exact than the step."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -33,21 +33,12 @@ import numpy.typing as npt
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.elements import kind_of
 from bayes_impedance.network.notation import Element, Network, Parallel, Place, Series, parse
-from bayes_impedance.network.operations import N_PARAMETERS, NAMES, transform_many
+from bayes_impedance.network.operations import N_PARAMETERS, NAMES, PLACES, TRAITS, Setting, Traits
+from bayes_impedance.network.transform import transform_many
 
 SIDES, POOLINGS, CONNECTIONS = ("rig", "body"), ("shared", "varying", "some"), ("beside", "series")
-PLACES = ("port", "groups", "springs", "dampers", "elements")
-"""What may be named as an effect's places; ``groups`` are groups of elements inside, without the port."""
-
-ADDING = ("add", "beside_power", "relaxation", "resonator", "reflex", "bypass")
-"""Operations that put something beside a place."""
-
-JOINING = ("series_compliance", "series_layer")
-"""Operations that put something in series with a place."""
-
 _BRANCH_FREQUENCIES = 5
 _DAMPER_LEVELS = (0.1, 0.5)
-_LINE_LEVELS = (0.3, 1.0, 3.0, 10.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,8 +184,38 @@ class Effect:
             raise InputError(f"effect '{self.id}': give an operation or a branch")
         if self.operation and (self.operation not in NAMES or not self.coefficients):
             raise InputError(f"effect '{self.id}': operation is one of {', '.join(NAMES)}, with its coefficients")
+        if self.operation:
+            links = tuple(c.link for c in self.coefficients)
+            if links != self.traits.links:
+                wanted = ", ".join(f"{p} ({k})" for p, k in zip(self.traits.parameters, self.traits.links, strict=True))
+                raise InputError(
+                    f"effect '{self.id}': the coefficients of '{self.operation}' are {wanted}, in this order"
+                )
+            if not set(self.places) <= set(self.traits.places):
+                raise InputError(f"effect '{self.id}': '{self.operation}' acts on {', '.join(self.traits.places)} only")
         if self.branch:
             parse(self.branch)
+
+    @property
+    def traits(self) -> Traits:
+        """What is known of its operation; an effect that is a branch has none."""
+        return TRAITS[self.operation]
+
+    @property
+    def is_outermost(self) -> bool:
+        """Whether it acts on the port after everything else: what the rig does, it does to the whole body."""
+        return self.side == "rig"
+
+    def setting(self, scales: Scales, compliance: float = float("nan")) -> Setting:
+        """Units and typical sizes of an operation's parameters, with the compliance of the element at the place."""
+        return Setting(
+            units=tuple(c.unit for c in self.coefficients),
+            scales=tuple(c.scale(scales) for c in self.coefficients),
+            low=scales.low,
+            middle=scales.middle,
+            high=scales.high,
+            compliance=compliance,
+        )
 
     @property
     def form(self) -> str:
@@ -222,9 +243,9 @@ class Effect:
 
     def _outermost(self, network: Network, path: tuple[int, ...]) -> tuple[int, ...]:
         """The outermost place where the effect would do the same."""
-        adds = self.operation in ADDING or (not self.operation and self.connection == "beside")
-        joins = self.operation in JOINING or (not self.operation and self.connection == "series")
-        while path and (adds or joins) and isinstance(network.at(Place(path[:-1], "")), Parallel if adds else Series):
+        connection = self.traits.connection if self.operation else self.connection
+        group = {"beside": Parallel, "series": Series}.get(connection)
+        while path and group is not None and isinstance(network.at(Place(path[:-1], "")), group):
             path = path[:-1]
         return path
 
@@ -257,17 +278,14 @@ def shape_grid(effect: Effect, scales: Scales) -> Iterator[dict[str, float]]:
         Names of the shapes with values in the operation's unit; of a branch, values of its elements, whose
         impedances meet at one frequency with magnitude one (dampers at a part of it, if there is a resonance).
     """
-    if effect.operation == "line":
-        yield from ({"level": level} for level in _LINE_LEVELS)
-    elif effect.operation == "bypass":
-        # Two coefficients, and only their ratio is a shape: here the frequency at which they are equal.
-        yield from ({"ratio": float(w)} for w in np.geomspace(scales.low / 3, 3 * scales.high, 6))
-    elif effect.operation:
+    if not effect.operation:
+        yield from _branch_grid(effect, scales)
+    elif effect.traits.scanned is not None:
+        yield from effect.traits.scanned(scales.low, scales.high)
+    else:
         shapes = effect.coefficients[1:]
         for values in product(*(c.values(scales) for c in shapes)):
             yield {c.name: v for c, v in zip(shapes, values, strict=True)}
-    else:
-        yield from _branch_grid(effect, scales)
 
 
 def _branch_grid(effect: Effect, scales: Scales) -> Iterator[dict[str, float]]:
@@ -303,37 +321,23 @@ def direction(effect: Effect, shape: dict[str, float], scales: Scales, omega: np
     if not effect.operation:
         branch = parse(effect.branch).impedance(1j * omega, shape)
         return np.broadcast_to(branch, z.shape) if effect.connection == "beside" else np.asarray(-(z**2) / branch)
+    traits = effect.traits
+    if traits.direction is not None:
+        return np.broadcast_to(traits.direction(shape, omega), z.shape)
     u = np.zeros((z.shape[0], N_PARAMETERS))
     constants = np.array([1.0, *operation_constants(effect, scales)])
-    code = NAMES.index(effect.operation) + 1
-    if effect.operation == "line":
-        # The tangent at zero mass is that of a mass; the layer's own mark is where waves fit into it.
-        u[:, 0] = shape["level"] * line_mass(omega, z)
-        return np.asarray((transform_many(code, u, constants, omega, z)[0] - z) / u[:, :1])
-    if effect.operation == "bypass":
-        return np.broadcast_to(1 + shape["ratio"] / (1j * omega), z.shape)
+    if traits.secant is not None:
+        u[:, 0] = traits.secant(shape, omega, z)
+        return np.asarray((transform_many(traits.code, u, constants, omega, z)[0] - z) / u[:, :1])
     for k, coefficient in enumerate(effect.coefficients[1:], 1):
         u[:, k] = coefficient.unbounded(shape[coefficient.name], scales)
-    return np.asarray(transform_many(code, u, constants, omega, np.ascontiguousarray(z))[2])
+    return np.asarray(transform_many(traits.code, u, constants, omega, np.ascontiguousarray(z))[2])
 
 
 def operation_constants(effect: Effect, scales: Scales) -> tuple[float, float]:
     """The constants c1 and c2 of an effect's operation."""
-    match effect.operation:
-        case "add":
-            return {"m": 1.0, "r": 0.0, "k": -1.0}[effect.coefficients[0].unit], 0.0
-        case "power" | "beside_power":
-            return scales.middle, 0.0
-        case "bypass":
-            return effect.coefficients[1].scale(scales), 0.0
-        case "sweep":
-            return scales.low, scales.high / scales.low
-    return 0.0, 0.0
-
-
-def line_mass(omega: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Mass whose impedance is that of the place at the upper end of the band: z (M, F) to (M,)."""
-    return np.asarray(np.abs(z[:, -1]) / omega[-1])
+    constants = effect.traits.constants if effect.operation else None
+    return (0.0, 0.0) if constants is None else constants(effect.setting(scales))
 
 
 @dataclass(frozen=True)

@@ -152,47 +152,26 @@ def reported(model: Model, addition: int, posterior: CoefficientPosterior, eleme
             kind = kind_of(element)
             result.append(_reported(kind.name, kind.unit(scales.unit), np.exp(draws[:, k]), dispersions[:, k]))
         return result
-    values: dict[str, np.ndarray] = {}
+    values: list[np.ndarray] = []
+    spreads: list[np.ndarray] = []
     for k, coefficient in enumerate(effect.coefficients):
         value, dispersion = coefficient.value(draws[:, k], scales), dispersions[:, k]
-        if coefficient.link == "linear":
-            if effect.operation == "bypass" and k == 1:
-                value = coefficient.scale(scales) * draws[:, k]
-            if not effect.signed and item.pooling != "shared":
-                square = np.log1p(dispersion**2)
-                value, dispersion = value * np.exp(-0.5 * square), np.sqrt(square)
-        values[coefficient.name] = value
-        if effect.operation == "beside_power" and k == 0:
-            a = effect.coefficients[1].value(draws[:, 1], scales)
-            value = value * scales.middle ** (1 - a)  # c of c s^(a-1), not of the middle of the band
+        if coefficient.link == "linear" and not effect.signed and item.pooling != "shared":
+            square = np.log1p(dispersion**2)
+            value, dispersion = value * np.exp(-0.5 * square), np.sqrt(square)
+        values.append(value)
+        spreads.append(dispersion)
+    names, traits = model.network.elements, effect.traits
+    compliance = float(np.exp(elements[names.index(item.place)])) if item.place in names else float("nan")
+    setting = effect.setting(scales, compliance)
+    for k, coefficient in enumerate(effect.coefficients):
+        value = traits.reported(values, setting) if k == 0 and traits.reported is not None else values[k]
         if coefficient.unit == "Hz":
             value = value / (2 * np.pi)
-        result.append(_reported(coefficient.name, unit_of(coefficient.unit, scales.unit), value, dispersion))
-    result += _derived(model, addition, values, elements)
-    return result
-
-
-def _derived(model: Model, addition: int, values: dict[str, np.ndarray], elements: np.ndarray) -> list[Reported]:
-    """What a reader would otherwise have to compute."""
-    item, unit = model.additions[addition], model.scales.unit
-    effect = item.effect
-    pairs: list[tuple[str, str, np.ndarray]] = []
-    if effect.operation == "relaxation":
-        pairs.append(("compliance", "n", values["time_constant"] / values["damping"]))
-    if effect.operation == "series_layer":
-        pairs.append(("damping", "r", values["time_constant"] / values["compliance"]))
-    if effect.operation == "resonator":
-        w0, m, d = values["frequency"], values["mass"], values["damping_ratio"]
-        pairs += [("compliance", "n", 1 / (m * w0**2)), ("damping", "r", 2 * d * w0 * m)]
-    if effect.operation == "lowpass":
-        with np.errstate(divide="ignore"):
-            pairs.append(("corner", "Hz", 1 / (2 * np.pi * values["time_constant"])))
-    if effect.operation == "power":
-        n = float(np.exp(elements[model.network.elements.index(item.place)]))
-        pairs.append(("coefficient", "c", model.scales.middle ** -values["exponent"] / n))
-    if effect.operation == "bypass":
-        pairs.append(("compliance", "n", 1 / values["stiffness"]))
-    return [_reported(name, unit_of(u, unit), value, None) for name, u, value in pairs]
+        result.append(_reported(coefficient.name, unit_of(coefficient.unit, scales.unit), value, spreads[k]))
+    # What a reader would otherwise have to compute.
+    derived = [] if traits.derived is None else traits.derived(values, setting)
+    return result + [_reported(name, unit_of(u, scales.unit), value, None) for name, u, value in derived]
 
 
 def _reported(name: str, unit: str, values: np.ndarray, dispersion: np.ndarray | None) -> Reported:

@@ -81,9 +81,7 @@ def is_physical(fit: Refit) -> bool:
             return False
         linear = [c for c, k in zip(fit.model.columns(i), effect.coefficients, strict=True) if k.link == "linear"]
         values = fit.u[:, linear].mean(axis=0)
-        if values[0] <= 0 and not (effect.operation == "bypass" and values.max() > 0):
-            return False
-        if effect.operation == "bypass" and values.min() < -0.1 * abs(values).max():
+        if not effect.traits.allows(values):
             return False
     return True
 

@@ -137,9 +137,9 @@ class Model:
         """The network with those additions that are made of masses, springs and dampers."""
         network = _with_labels(self.network)
         names = {place.name: _inner_name(network, place) for place in self.network.places()}
-        for addition in sorted(self.additions, key=lambda a: a.effect.side == "rig"):  # the rig is outermost
+        for addition in sorted(self.additions, key=lambda a: a.effect.is_outermost):  # the rig is outermost
             if addition.effect.branch:
-                target = Place((), "port") if addition.effect.side == "rig" else _find(network, names[addition.place])
+                target = Place((), "port") if addition.effect.is_outermost else _find(network, names[addition.place])
                 branch = _renamed(parse(addition.effect.branch), network)
                 beside = addition.effect.connection == "beside"
                 network = network.beside(target, branch) if beside else network.in_series(target, branch)
@@ -186,7 +186,7 @@ def build(network: Network, additions: Sequence[Addition], scales: Scales, start
     inner = _with_labels(network)
     names = {place.name: _inner_name(inner, place) for place in network.places()}
     grown, parameters, found = inner, list[Parameter](), list[tuple[Addition, tuple[str, ...], int]]()
-    order = sorted(range(len(additions)), key=lambda i: additions[i].effect.side == "rig")  # the rig is outermost
+    order = sorted(range(len(additions)), key=lambda i: additions[i].effect.is_outermost)  # the rig is outermost
     branch_parameters: list[Parameter] = []
     for i in order:
         addition, shape = additions[i], starts[i]
@@ -219,7 +219,7 @@ def build(network: Network, additions: Sequence[Addition], scales: Scales, start
             found.append((addition, tuple(p.name for p in own), i))
         else:
             branch = _renamed(parse(effect.branch), grown)
-            target = Place((), "port") if effect.side == "rig" else _find(grown, names[addition.place])
+            target = Place((), "port") if effect.is_outermost else _find(grown, names[addition.place])
             grown = grown.beside(target, branch) if effect.connection == "beside" else grown.in_series(target, branch)
             z, f = scales.z_middle, scales.middle / (2 * np.pi)
             shared = addition.pooling == "shared"
@@ -241,7 +241,7 @@ def build(network: Network, additions: Sequence[Addition], scales: Scales, start
     operations = []
     for addition, own_names, _ in found:
         effect = addition.effect
-        path = () if effect.side == "rig" else _find(grown, names[addition.place]).path
+        path = () if effect.is_outermost else _find(grown, names[addition.place]).path
         constants = (effect.coefficients[0].scale(scales), *operation_constants(effect, scales))
         operations.append(Operation(effect.operation, path, own_names, constants))
     kernel = Kernel(grown, operations)

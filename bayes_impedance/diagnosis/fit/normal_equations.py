@@ -19,7 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayes_impedance.diagnosis.fit.model import Model
-from bayes_impedance.network.kernel import Program, compiled
+from bayes_impedance.network.kernel import compiled
+from bayes_impedance.network.program import Program
 from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood, normal_equations
 from bayes_impedance.runtime.broadcast import Lent
 

@@ -52,11 +52,6 @@ class Residuals:
         """Those of the real data."""
         return cls(fit.factor[None], fit.pull[None], fit.weight[None])
 
-    def in_elements(self) -> tuple[np.ndarray, np.ndarray]:
-        """Pulls u and weights W of the elements themselves, shapes (R, N, P) and (R, N, P, P)."""
-        inverse = np.linalg.inv(self.factor)
-        return self.pull @ inverse, np.swapaxes(inverse, 1, 2)[:, None] @ self.weight @ inverse[:, None]
-
 
 def replicates(fit: Fit, count: int, batch: int, seed: int) -> Iterator[Residuals]:
     """Replicates of a population in which nothing is missing.

@@ -17,7 +17,8 @@ import numpy as np
 from bayes_impedance.diagnosis.fit.model import Model, inner_places
 from bayes_impedance.network.elements import kind_of
 from bayes_impedance.network.notation import Element, Network, Parallel
-from bayes_impedance.network.operations import N_PARAMETERS, transform_many
+from bayes_impedance.network.operations import N_PARAMETERS
+from bayes_impedance.network.transform import transform_many
 
 INSIDE = "port, inside the rig"
 
@@ -79,7 +80,7 @@ def local_impedances(model: Model, u: np.ndarray, omega: np.ndarray) -> dict[str
                 stages.append(z)
         before[path], after[path] = slopes, np.asarray(z)
         if not path:
-            n_rig = sum(bool(a.effect.operation) and a.effect.side == "rig" for a in model.additions)
+            n_rig = sum(bool(a.effect.operation) and a.effect.is_outermost for a in model.additions)
             inner = len(slopes) - n_rig
             felt = np.ones_like(stages[0])
             for slope in slopes[inner:]:

@@ -18,13 +18,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayes_impedance.diagnosis.catalogue.effect import ADDING, Candidate, Effect
+from bayes_impedance.diagnosis.catalogue.effect import Candidate, Effect
 from bayes_impedance.diagnosis.fit.baseline import Fitted, fit_network
 from bayes_impedance.diagnosis.fit.extend import extended, extended_start
 from bayes_impedance.diagnosis.fit.fitter import Refit
 from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN
 from bayes_impedance.diagnosis.selection.shortlist import try_candidate
 from bayes_impedance.diagnosis.selection.stepwise import Step
+from bayes_impedance.network.operations import ADDING
 from bayes_impedance.population.starting_fits import thinned_points
 from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.runtime.progress import Progress

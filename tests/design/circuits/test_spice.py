@@ -73,7 +73,10 @@ def ngspice(deck: str, folder: Path) -> tuple[np.ndarray, np.ndarray]:
 def simulated(network, values, analogy, folder, *, filters=(), parameters=None):
     """Frequencies and impedance of a sub-circuit."""
     circuit = spice.subcircuit("one", network, values, analogy, filters=filters, parameters=parameters)
-    frequency, voltage = ngspice(spice.one_port_deck(circuit, "one", BAND, "out.txt"), folder)
+    drive = ["* V/I of one sub-circuit", spice.OPTIONS, circuit, "I1 0 port AC 1", "X1 port 0 one", ".control"]
+    drive += ["set numdgt=15", "set wr_singlescale", f"ac dec 20 {BAND[0]:.17g} {BAND[1]:.17g}"]
+    drive += ["wrdata out.txt v(port)", "quit", ".endc", ".end"]
+    frequency, voltage = ngspice("\n".join(drive) + "\n", folder)
     return frequency, voltage[:, 0] if analogy == "fv" else 1 / voltage[:, 0]
 
 

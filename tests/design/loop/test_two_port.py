@@ -1,4 +1,4 @@
-"""Two-ports: identities, a rival implementation, and the device seen from both ends."""
+"""Two-ports: chains against their parts, and the device as states against the device as a chain."""
 
 import numpy as np
 import pytest
@@ -17,80 +17,19 @@ from bayes_impedance.population.simulate import FINGERTIP
 S = 2j * np.pi * np.geomspace(1, 1000, 12)
 
 
-@st.composite
-def chains(draw):
-    """A few impedances beside and between, and levers, in any order."""
-    result = TwoPort(np.tile(np.eye(2, dtype=complex), (S.size, 1, 1)))
-    kinds = draw(st.lists(st.sampled_from("sbl"), min_size=2, max_size=5))
-    for kind in [*kinds, "s", "b"]:
-        m, r, n = (10 ** draw(st.floats(-1, 1)) for _ in range(3))
-        z = (r + S * m / 100 + 100 / (S * n)) / 5
-        part = {"s": two_port.beside(z), "b": two_port.between(z), "l": two_port.lever(r, S.size)}[kind]
-        result = result @ part
-    return result
-
-
 @repeatable
-@given(chains(), st.floats(0.1, 10))
-def test_forms_convert_into_each_other(chain, load) -> None:
-    np.testing.assert_allclose(TwoPort.from_impedance(chain.impedance()).chain, chain.chain, rtol=1e-7)
-    np.testing.assert_allclose(TwoPort.from_hybrid(chain.hybrid()).chain, chain.chain, rtol=1e-7)
-    for mechanical in (True, False):
-        again = TwoPort.from_forward(chain.forward(first_mechanical=mechanical), first_mechanical=mechanical)
-        np.testing.assert_allclose(again.chain, chain.chain, rtol=1e-6)
-    np.testing.assert_allclose(chain.determinant, 1, rtol=1e-7)  # no source inside, no gyrator
-    np.testing.assert_allclose(chain.reversed().reversed().chain, chain.chain, rtol=1e-9)
-    z = chain.impedance()
-    np.testing.assert_allclose(z[:, 0, 1], z[:, 1, 0], rtol=1e-6)
-    by_definition = z[:, 0, 0] - z[:, 0, 1] * z[:, 1, 0] / (z[:, 1, 1] + load)
-    np.testing.assert_allclose(chain.seen(load), by_definition, rtol=1e-6)
-
-
-@repeatable
-@given(chains())
-def test_scikit_rf_agrees(chain) -> None:
-    network = pytest.importorskip("skrf.network", reason="scikit-rf is an optional reference")
-    np.testing.assert_allclose(network.a2z(chain.chain), chain.impedance(), rtol=1e-7)
-    np.testing.assert_allclose(network.z2a(chain.impedance()), chain.chain, rtol=1e-6)
-    np.testing.assert_allclose(network.z2h(chain.impedance()), chain.hybrid(), rtol=1e-6)
-    np.testing.assert_allclose(network.h2z(chain.hybrid()), chain.impedance(), rtol=1e-6)
-    a = network.Network(f=np.arange(1, S.size + 1), s=network.a2s(chain.chain), z0=50)
-    other = two_port.beside(3.0 + S) @ two_port.between(2.0 + 0 * S)
-    b = network.Network(f=np.arange(1, S.size + 1), s=network.a2s(other.chain), z0=50)
-    np.testing.assert_allclose((a**b).a, (chain @ other).chain, rtol=1e-6)
-
-
-def test_the_forms_mean_what_they_say() -> None:
-    z1, z2 = 3.0 + S, 5.0 / S
-    chain = two_port.beside(z1) @ two_port.between(z2)
-    h = chain.hybrid()
-    flow, effort = 2.0, 7.0  # of the first and second side
-    first, into_second = (h @ np.array([flow, effort]))[:, 0], (h @ np.array([flow, effort]))[:, 1]
-    both = chain.chain @ np.stack([np.full(S.size, effort), -into_second])[..., None].transpose(1, 0, 2)
-    np.testing.assert_allclose(both[:, 0, 0], first)
-    np.testing.assert_allclose(both[:, 1, 0], flow)
-    forward = chain.forward() @ np.array([flow, 11.0])  # velocity, force
-    back = chain.chain @ forward[:, ::-1, None]
-    np.testing.assert_allclose(back[:, 0, 0], 11.0)
-    np.testing.assert_allclose(back[:, 1, 0], flow)
-
-
-def test_motor_of_equation_two() -> None:
-    resistance, inductance, constant, rotor = 2.0, 1e-3, 0.05, 1e-5 * S + 1e-4
-    motor = two_port.motor(S, resistance, inductance, constant, rotor)
-    h = motor.forward(first_mechanical=False)
-    # Textbook: u = (R + sL) i + k Omega, M = k i - z_rotor Omega.
-    voltage, current = 12.0, 0.7
-    omega = (voltage - (resistance + S * inductance) * current) / constant
-    torque = constant * current - rotor * omega
-    np.testing.assert_allclose(h @ np.array([voltage, current]), np.stack([omega, torque], axis=1))
-    np.testing.assert_allclose(motor.determinant, -1)  # electrodynamic conversion is a gyrator in this analogy
-    held = motor.seen(np.full(S.size, 1e12))
-    np.testing.assert_allclose(held, resistance + S * inductance, rtol=1e-6)
-    with pytest.raises(InputError, match="gyrator"):
-        two_port.transducer(2.0).hybrid()
-    with pytest.raises(InputError, match="move together"):
-        two_port.lever(2.0).impedance()
+@given(st.lists(st.tuples(st.sampled_from(("beside", "between", "lever")), st.floats(0.1, 10)), min_size=1, max_size=6))
+def test_a_chain_is_its_parts_one_after_the_other(parts) -> None:
+    chain = TwoPort(np.tile(np.eye(2, dtype=complex), (S.size, 1, 1)))
+    load = seen = 3.0 + S / 50 + 20 / S
+    for kind, size in parts:
+        z = size + S * size / 100 + 100 / (S * size)
+        chain @= two_port.lever(size, S.size) if kind == "lever" else getattr(two_port, kind)(z)
+    for kind, size in reversed(parts):
+        z = size + S * size / 100 + 100 / (S * size)
+        seen = {"beside": seen + z, "between": 1 / (1 / seen + 1 / z), "lever": size**2 * seen}[kind]
+    np.testing.assert_allclose(chain.seen(load), seen, rtol=1e-6)
+    np.testing.assert_allclose(np.linalg.det(chain.chain), 1, rtol=1e-6)  # reciprocal: no source, no gyrator
 
 
 @pytest.mark.parametrize(

@@ -12,13 +12,13 @@ from fingertip_effects import BEFORE, BRANCHES, FREQUENCY, NETWORK, OMEGA, SCALE
 from bayes_impedance.diagnosis.catalogue.effect import (
     Effect,
     direction,
-    line_mass,
     registered,
     shape_grid,
 )
 from bayes_impedance.diagnosis.fit.model import Addition, Model, build
 from bayes_impedance.diagnosis.residuals.sensitivity import INSIDE, local_impedances
 from bayes_impedance.network.notation import parse
+from bayes_impedance.network.operations import line_mass
 
 
 def assert_direction(effect: Effect, place: str, shape: dict[str, float], before: Sequence[Addition] = ()) -> None:

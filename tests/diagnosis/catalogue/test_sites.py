@@ -14,13 +14,12 @@ from hypothesis import strategies as st
 from strategies import networks, repeatable
 
 from bayes_impedance.diagnosis.catalogue.effect import (
-    ADDING,
     Effect,
     registered,
 )
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Element, Network, Place, parse
-from bayes_impedance.network.operations import Operation
+from bayes_impedance.network.operations import ADDING, Operation
 
 
 def adding() -> list[Effect]:

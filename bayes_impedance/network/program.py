@@ -1,0 +1,119 @@
+r"""A network as a program: small arrays that one compiled function can run.
+
+Every group of the network is a **node** that sums its parts, impedances in a parallel group and mobilities in a
+series group. A leaf in its node's domain is :math:`c\,(j\omega)^p` with :math:`c = e^{\pm\theta}`. An
+:mod:`operation <bayes_impedance.network.operations>` is a node of its own, above the place on which it acts. The
+program lists the nodes, parts before parents; :mod:`bayes_impedance.network.kernel` runs it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from bayes_impedance.network.elements import kind_of
+from bayes_impedance.network.notation import Element, Network, Series
+from bayes_impedance.network.operations import N_PARAMETERS, Operation
+
+
+class Program(NamedTuple):
+    """A network as straight-line arithmetic.
+
+    Attributes
+    ----------
+    term_node, term_element, term_exponent, term_power : ndarray of int, shape (T,)
+        For each leaf: the node it is summed in, the element it is, and c = exp(exponent * theta), p in that domain.
+    node_parent, node_invert : ndarray of int, shape (N,)
+        For each node, parts before parents: where its sum goes (-1 for the port), and whether it is inverted first.
+    node_code : ndarray of int, shape (N,)
+        Operation on the node's sum; 0 for none.
+    node_parameter : ndarray of int, shape (N, 3)
+        Its parameters' positions in theta; -1 for none.
+    node_constant : ndarray of float, shape (N, 3)
+    """
+
+    term_node: np.ndarray
+    term_element: np.ndarray
+    term_exponent: np.ndarray
+    term_power: np.ndarray
+    node_parent: np.ndarray
+    node_invert: np.ndarray
+    node_code: np.ndarray
+    node_parameter: np.ndarray
+    node_constant: np.ndarray
+
+
+def compile_network(network: Network, operations: Sequence[Operation] = ()) -> Program:
+    """Translate a network into a program for the compiled functions.
+
+    Parameters
+    ----------
+    network : Network
+        Elements are numbered in the order of ``network.elements``.
+    operations : sequence of Operation
+        Those at one place are applied in this order; their parameters are numbered after the elements.
+    """
+    index = {name: i for i, name in enumerate(parameter_names(network, operations))}
+    terms: list[tuple[int, int, int, int]] = []
+    nodes: list[_Node] = []
+
+    def visit(node: Network, path: tuple[int, ...], parent_is_mobility: bool) -> int:
+        """Append the nodes below and then this one; the parent's number is filled in by the caller."""
+        here = [operation for operation in operations if operation.path == path]
+        mobility = isinstance(node, Series)
+        parts = list(enumerate(node.parts))
+        plain = {
+            i for i, part in parts if isinstance(part, Element) and not any(o.path == (*path, i) for o in operations)
+        }
+        leaves = [node] if isinstance(node, Element) else [part for i, part in parts if i in plain]
+        children = [visit(part, (*path, i), mobility) for i, part in parts if i not in plain]
+        number = len(nodes)
+        nodes.append(_Node(invert=mobility != (parent_is_mobility and not here)))
+        for child in children:
+            nodes[child].parent = number
+        for leaf in leaves:
+            assert isinstance(leaf, Element)  # by how they were chosen
+            kind, sign = kind_of(leaf.name), -1 if mobility else 1
+            terms.append((number, index[leaf.name], sign * kind.exponent, sign * kind.power))
+        for i, operation in enumerate(here):
+            nodes[-1].parent = len(nodes)
+            last = i == len(here) - 1
+            parameters = [index[name] for name in operation.parameters]
+            nodes.append(_Node(parent_is_mobility and last, operation.code, parameters, list(operation.constants)))
+        return len(nodes) - 1
+
+    visit(network, (), False)
+    columns = np.array(terms, dtype=np.int64).T
+    padded = [(n.parameters + [-1] * N_PARAMETERS)[:N_PARAMETERS] for n in nodes]
+    constants = [(n.constants + [0.0] * N_PARAMETERS)[:N_PARAMETERS] for n in nodes]
+    node, element, exponent, power = (np.ascontiguousarray(column) for column in columns)
+    return Program(
+        node,
+        element,
+        exponent,
+        power,
+        np.array([n.parent for n in nodes], dtype=np.int64),
+        np.array([n.invert for n in nodes], dtype=np.int64),
+        np.array([n.code for n in nodes], dtype=np.int64),
+        np.array(padded, dtype=np.int64),
+        np.array(constants, dtype=float),
+    )
+
+
+def parameter_names(network: Network, operations: Sequence[Operation]) -> tuple[str, ...]:
+    """Names of all parameters: the elements, then those of the operations."""
+    return network.elements + tuple(name for operation in operations for name in operation.parameters)
+
+
+@dataclass
+class _Node:
+    """A node while the program is written."""
+
+    invert: bool
+    code: int = 0
+    parameters: list[int] = field(default_factory=list)
+    constants: list[float] = field(default_factory=list)
+    parent: int = -1

@@ -1,0 +1,115 @@
+"""The formulas of the operations, compiled: T(z), its derivative by z and by the parameters.
+
+The table in :mod:`bayes_impedance.network.operations` gives each formula and its code. Each operation is holomorphic in
+z, so one complex derivative dT/dz carries the chain rule through it.
+"""
+
+from __future__ import annotations
+
+import cmath
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+_compiled: Any = njit(cache=True, nogil=True, error_model="numpy")
+
+
+@_compiled
+def transform(
+    code: int, u0: float, u1: float, u2: float, c0: float, c1: float, c2: float, omega: float, z: complex
+) -> tuple[complex, complex, complex, complex, complex]:
+    """T, dT/dz, dT/du0, dT/du1 and dT/du2 at one frequency."""
+    s = 1j * omega
+    none = 0j
+    if c2 == 1.0:
+        x = np.exp(u0)
+        slope = x  # dx/du0
+    else:
+        x = c0 * u0
+        slope = c0
+    if code == 1:
+        unit = s if c1 == 1.0 else 1.0 / s if c1 == -1.0 else 1.0 + 0j
+        return z + unit * x, 1.0 + 0j, unit * slope, none, none
+    if code == 2:
+        factor = cmath.exp(-s * x)
+        return z * factor, factor, -s * slope * z * factor, none, none
+    if code == 3:
+        if x >= 0.0:
+            factor = s / (s + x)
+            return z * factor, factor, -z * factor * slope / (s + x), none, none
+        factor = (s - x) / s
+        return z * factor, factor, -z * slope / s, none, none
+    if code == 4:
+        if x >= 0.0:
+            factor = 1.0 / (1.0 + s * x)
+            return z * factor, factor, -z * s * slope * factor * factor, none, none
+        factor = 1.0 - s * x
+        return z * factor, factor, -z * s * slope, none, none
+    if code == 5:
+        log_s = complex(np.log(omega / c1), 0.5 * np.pi)
+        factor = cmath.exp(x * log_s)
+        return z * factor, factor, z * factor * log_s * slope, none, none
+    if code == 6:
+        return z * complex(1.0, x), complex(1.0, x), 1j * z * slope, none, none
+    if code == 7:
+        g, dg = _root_coth(s * x / z)
+        return z * g, g - s * x / z * dg, s * dg * slope, none, none
+    if code == 8:
+        a = 1.0 / (1.0 + np.exp(-u1))
+        log_s = complex(np.log(omega / c1), 0.5 * np.pi)
+        unit = cmath.exp((a - 1.0) * log_s)
+        return z + x * unit, 1.0 + 0j, unit * slope, x * unit * log_s * a * (1.0 - a), none
+    if code == 9:
+        lag = 1.0 + s * np.exp(u1)
+        return z + x / lag, 1.0 + 0j, slope / lag, -x * (lag - 1.0) / (lag * lag), none
+    if code == 10:
+        p, d = np.exp(u1), np.exp(u2)
+        elastic = 2.0 * d * p * s + p * p
+        below = s * s + elastic
+        unit = s * elastic / below
+        # d unit / d elastic = s^3 / below^2
+        pull = x * s * s * s / (below * below)
+        return z + x * unit, 1.0 + 0j, unit * slope, pull * (2.0 * d * p * s + 2.0 * p * p), pull * 2.0 * d * p * s
+    if code == 11:
+        latency, corner = np.exp(u1), np.exp(u2)
+        lag = 1.0 + s / corner
+        unit = cmath.exp(-s * latency) / (s * lag)
+        return z + x * unit, 1.0 + 0j, unit * slope, -s * latency * x * unit, x * unit * (s / corner) / lag
+    if code == 12:
+        return z + x + c1 * u1 / s, 1.0 + 0j, complex(slope, 0.0), c1 / s, none
+    if code == 13 or code == 14:
+        lag = 1.0 + s * np.exp(u1) if code == 14 else 1.0 + 0j
+        factor = 1.0 / (1.0 + z * s * x / lag)
+        pull = -z * z * factor * factor * s / lag
+        return z * factor, factor * factor, pull * slope, -pull * x * (lag - 1.0) / lag, none
+    if code == 15:
+        p, passed, all_of_it = np.exp(u1), np.log(omega / c1), np.log(c2)
+        above, below = -np.expm1(-p * passed), -np.expm1(-p * all_of_it)
+        q = above / below
+        factor = np.exp(x * q)
+        slowing = (passed * (1.0 - above) - q * all_of_it * (1.0 - below)) / below
+        return z * factor, complex(factor, 0.0), z * factor * q * slope, z * factor * x * slowing * p, none
+    return z, 1.0 + 0j, none, none, none
+
+
+@_compiled
+def _root_coth(w: complex) -> tuple[complex, complex]:
+    """g(w) = sqrt(w) coth sqrt(w), analytic in w, and its derivative."""
+    if abs(w) < 1e-2:
+        return 1.0 + w / 3.0 - w * w / 45.0 + 2.0 * w * w * w / 945.0, 1.0 / 3.0 - 2.0 * w / 45.0 + 2.0 * w * w / 315.0
+    x = cmath.sqrt(w)  # the root with Re x >= 0, so that the exponential cannot overflow
+    e = cmath.exp(-2.0 * x)
+    coth = (1.0 + e) / (1.0 - e)
+    return x * coth, (coth - x * (coth * coth - 1.0)) / (2.0 * x)
+
+
+@_compiled
+def transform_many(code: int, u: np.ndarray, c: np.ndarray, omega: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """All five results of :func:`transform`: u (M, 3), c (3,), omega (F,), z (M, F) to shape (5, M, F)."""
+    result = np.empty((5, *z.shape), dtype=np.complex128)
+    for m in range(z.shape[0]):
+        for f in range(omega.size):
+            t = transform(code, u[m, 0], u[m, 1], u[m, 2], c[0], c[1], c[2], omega[f], z[m, f])
+            result[0, m, f], result[1, m, f], result[2, m, f], result[3, m, f], result[4, m, f] = t
+    return result
