@@ -8,17 +8,17 @@ residuals and their derivatives are
     |Z| - |z|:\quad \frac{\partial |Z|}{\partial\theta} = |Z| \operatorname{Re}\frac{\partial_\theta Z}{Z}, \qquad
     \arg Z - \arg z:\quad \frac{\partial \arg Z}{\partial\theta} = \operatorname{Im}\frac{\partial_\theta Z}{Z}.
 
-**What phases cannot say.** Multiplying every mass and damper by a factor and dividing every compliance by it multiplies
-Z by that factor and leaves all phases as they are. The phase therefore determines the elements but for one common
-scale, and a fit ends with whatever scale its start had. Here that of the start is held on purpose (its elements each
-meet the recordings' magnitude in mid-band); :func:`with_magnitude_of` sets it afterwards, which no longer is a fit of
-phases alone. A magnitude over all frequencies, in contrast, determines the phase of any driving-point impedance
-(its logarithm is analytic in the right half plane), so magnitude fits can have large phase errors only
-where the network is wrong, the band ends, or elements are averaged one by one.
+**The phase leaves one scale undetermined.** Multiplying every mass and damper by a factor and dividing every compliance
+by it multiplies Z by that factor and leaves all phases as they are. The phase therefore determines the elements up to
+one common scale. Here the scale of the start is held (each of its elements meets the recordings' magnitude in
+mid-band). :func:`with_magnitude_of` sets the scale afterwards from magnitudes. A magnitude over all frequencies, in
+contrast, determines the phase of any driving-point impedance (its logarithm is analytic in the right half plane), so
+magnitude fits can have large phase errors only where the network is wrong, the band ends, or elements are averaged one
+by one.
 
-The optima of single curves are many. Random starts are spent on a few people, and the best ends are tried on everybody.
-An element that a curve does not determine runs away; Z no longer changes. It is stopped at a factor of a
-million from where it would matter in the band, so that a mean remains a number, and counted.
+A single curve has many local optima. Random starts are used for a few people, and the best end points are starts for
+everybody. An element that a curve does not determine diverges without changing Z. It is limited to a factor of a
+million from the value at which it matters in the band, so that a mean stays finite, and such elements are counted.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-r"""Mapping a rational impedance onto a network: what the paper's section 4.2 wanted and could not do.
+r"""Mapping a rational impedance onto a network, the step that section 4.2 of the paper could not complete.
 
-Two questions are kept apart.
+There are two separate questions.
 
 **Is the function exactly some network of this form?** The coefficient equations
-(:mod:`~bayes_impedance.classical.coefficients`) are solved for real elements. A rational function from a fit has no
-reason to meet them: eq. 4 leaves two conditions over once its eight elements are spent, and wants a pole at exactly 0.
+(:mod:`~bayes_impedance.classical.coefficients`) are solved for real elements. A rational function from a fit
+does not meet them in general: eq. 4 has ten coefficients for eight elements, and a pole at exactly 0.
 All solutions found are reported, with the signs of their elements.
 
 **Which elements come nearest?** Over the band, in the relative or whitened complex sense,

@@ -1,4 +1,4 @@
-"""From a population and a device to what a designer wants to read: one table, one sentence."""
+"""The design answer for a population and a device: stability limit, its reasons and transparency in one sentence."""
 
 from __future__ import annotations
 

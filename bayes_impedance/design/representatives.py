@@ -1,4 +1,4 @@
-r"""Few users who stand for many: by stated rules, so that two designers choose the same.
+r"""Representative users of a population, chosen by stated rules so that the choice is reproducible.
 
 **Named users.** With the population's centre c and the covariance S of a new user's log elements, the most probable
 user among those in whom a property q has a given value lies, to first order, along :math:`S g` with g the gradient of
@@ -6,10 +6,10 @@ ln q:
 
 .. math:: \theta = c \pm t\,\frac{S g}{\sqrt{g^T S g}}, \qquad t = \Phi^{-1}(0.95) = 1.645 .
 
-Such a user is stiffer (or softer, ...) than 95 % of people and otherwise as usual as can be: elements that vary
-together with stiffness move along. `stiff` and `soft`: q = abs(Im z) where in the band the centre's phase is lowest;
-`heavy` and `light`: where it is highest. A centre that is nowhere like a spring, or nowhere like a mass, has no such
-pair.
+Such a user is stiffer (or softer, ...) than 95 % of people and otherwise the most probable: elements that are
+correlated with stiffness change with it. `stiff` and `soft`: q = abs(Im z) where in the band the centre's phase is
+lowest; `heavy` and `light`: where it is highest. A centre that is nowhere like a spring, or nowhere like a mass, has no
+such pair.
 
 **A set that spans.** Of the drawn users inside the 95 % ellipsoid :math:`(\theta - c)^T S^{-1} (\theta - c) \le
 \chi^2_P(0.95)`, first the one nearest to the centre, then again and again the one farthest from all chosen so far

@@ -1,9 +1,9 @@
 """The language of models and its arithmetic: networks of masses, springs and dampers.
 
 In comes notation such as ``(n3|r3)-(m2|r1|n1)``; out comes impedance over frequency with its derivatives.
-Open :mod:`.notation` first (the tree), then :mod:`.elements` (what a letter means), :mod:`.kernel` (compiled
-evaluation); :mod:`.operations` are what may happen at a place, :mod:`.rational` holds the network as a fraction of
-polynomials.
+Open :mod:`.notation` first (the tree), then :mod:`.elements` (mass, compliance, damper), :mod:`.program` (the network
+as arrays) and :mod:`.kernel` (compiled evaluation). :mod:`.operations` is the table of operations on the impedance of a
+place, :mod:`.transform` their formulas, :mod:`.rational` the network as a ratio of polynomials.
 """
 
 from bayes_impedance.network.kernel import Kernel

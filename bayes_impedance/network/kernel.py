@@ -62,7 +62,7 @@ def workspace(program: Program, omega: np.ndarray) -> tuple[np.ndarray, np.ndarr
 def forward(program: Program, theta: np.ndarray, omega: np.ndarray, sums: np.ndarray, outputs: np.ndarray) -> None:
     """One parameter set: fill the nodes' sums and outputs, arrays of :func:`workspace`; the last node's output is z.
 
-    Elements of the arrays are named by all their indices: a row that is taken out first counts its references, which
+    Arrays are indexed with all their indices at once: taking out a row first makes numba count references to it, which
     in short loops costs as much as the arithmetic.
     """
     n_nodes, n_frequencies = program.node_parent.size, omega.size

@@ -1,8 +1,8 @@
 """One person: noise, likelihood, mode, exact posterior draws.
 
 In come one person's recordings and a kernel; out come log-likelihoods over log elements and draws from the posterior.
-Open :mod:`.likelihood` first, then :mod:`.noise` (its size), :mod:`.mode` (where the posterior is highest) and
-:mod:`.importance_draws` (draws with weights).
+Open :mod:`.likelihood` first, then :mod:`.noise` (its size), :mod:`.mode` (the maximum of the posterior),
+:mod:`.marginal_likelihood` (repetitions integrated out) and :mod:`.importance_draws` (draws with weights).
 """
 
 from bayes_impedance.person.importance_draws import draw

@@ -1,9 +1,9 @@
 r"""Weighted draws from one person's exact posterior under a reference population.
 
 The proposal q is a mixture: mostly a multivariate t (10 degrees of freedom: tails heavier than the target's), at first
-around the person's mode, and in part the reference population itself, which finds what the mode does not know of and
+around the person's mode, and in part the reference population itself, which covers regions far from the mode and
 bounds the weights (Owen and Zhou 2000). Draws and weights of one round give the mean and covariance of the next round's
-t, which takes care of posteriors that are wider on one side than the curvature at the mode says. Points come from
+t, which allows for posteriors that are wider on one side than the curvature at the mode suggests. Points come from
 scrambled Sobol sequences, which cover eight dimensions far more evenly than random ones.
 
 What is kept of a draw is its log elements and :math:`\ln L(\theta) - \ln q(\theta)`. Multiplied with **any** population
@@ -118,7 +118,7 @@ def draw(
     Returns
     -------
     Draws
-        Ask ``effective`` how good they are.
+        Their ``effective`` number measures their quality.
     """
     centre = mode.theta
     laplace = covariance = np.linalg.inv(ridge.precision + np.linalg.inv(reference.covariance))

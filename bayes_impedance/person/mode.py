@@ -3,12 +3,12 @@ r"""One person's mode: where the posterior of the log elements is highest, and h
 Levenberg-Marquardt on the exact objective, the likelihood of :mod:`bayes_impedance.person.likelihood` under a normal
 prior :math:`N(m, \Lambda^{-1})`. At the current point the likelihood acts like a Gaussian one of weight
 :math:`w = (\alpha+N)/(\beta+\chi^2/2)`, which gives the curvature :math:`A = w J^TJ/\sigma^2 + \Lambda`. Where the
-network misses something the residuals stay large and that curvature is not the true one: steps become short and many.
-After some of them the exact second derivative is used, from differences of the exact gradient.
+network does not fit, the residuals stay large and that curvature is not the true one: convergence is slow. After a
+fixed number of steps the exact second derivative is used, from differences of the exact gradient.
 
 Converged means that the Newton decrement :math:`g^T A^{-1} g`, the squared distance to the mode in posterior standard
-deviations, is below 1e-6. Several starts guard against local minima: an unconverged fit looks exactly like
-missing physics.
+deviations, is below 1e-6. Several starts guard against local minima: the residuals of an unconverged
+fit look like missing physics.
 """
 
 from __future__ import annotations

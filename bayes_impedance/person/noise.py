@@ -7,11 +7,11 @@ an orthonormal basis of the tangent space in whitened real coordinates and :math
 
 .. math:: \hat\sigma_k^2 = \frac{\sum |(1 - QQ^T) c|_k^2}{\sum 2\,(1 - h_k)} .
 
-Sums run over persons and neighbouring frequencies, as many as it takes for about 200 degrees of freedom, so a
-population keeps a sharp rise of the noise while a single person's estimate stays steady.
+Sums run over persons and over as many neighbouring frequencies as give about 200 degrees of freedom. With many persons
+the window is narrow and a sharp rise of the noise is resolved; with one person it is wide and the estimate is stable.
 
-With one repetition there is nothing to compare but a point with its neighbours: the second difference of the residual
-from the fitted network (not of the data, whose own curvature would count as noise).
+With one repetition the noise is estimated from the second difference over frequency of the residual from the fitted
+network. (The second difference of the data would count their own curvature as noise.)
 
 Noise is either proportional to the magnitude or not, at a given frequency across persons; the better of the two, by
 its likelihood, is taken.

@@ -1,7 +1,7 @@
-r"""Operations of the catalogue as elements: what can be built is built, what cannot is refused.
+r"""Operations of the catalogue as networks of elements; operations that no elements can realise are refused.
 
-An :class:`bayes_impedance.network.operations.Operation` changes the impedance z of a place. Some are nothing but
-further elements, exactly:
+An :class:`bayes_impedance.network.operations.Operation` changes the impedance z of a place. Some are exactly a few
+further elements:
 
 ==================  ==================================================================================================
 add                 a mass, damper or spring beside the place (a negative one if the coefficient is negative)
@@ -61,7 +61,7 @@ _CHECKED = 301
 
 @dataclass(frozen=True)
 class Built:
-    """A network that stands for a network with operations.
+    """A network of elements that replaces a network with operations.
 
     Attributes
     ----------
@@ -219,7 +219,7 @@ def power_law(
 
 
 class _Names:
-    """Names that no element has yet."""
+    """Makes elements with names that are not in use."""
 
     def __init__(self, network: Network | None) -> None:
         self.used = set(network.elements) if network is not None else set()

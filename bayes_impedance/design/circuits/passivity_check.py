@@ -1,6 +1,7 @@
-r"""Whether what leaves the package is passive, as every user is.
+r"""Passivity of exported users.
 
-A network of positive elements is passive by construction. What is written is checked once more as it will be read:
+A network of positive elements is passive by construction. Every exported form is checked in the digits that are
+written:
 
 * **elements**: all positive and finite;
 * **coefficients**: rounded to the digits in the file, :func:`bayes_impedance.classical.check_passivity` looks at the

@@ -1,4 +1,4 @@
-r"""How many of a population a device is stable with: its Z-width in everybody's hands.
+r"""The share of a population with whose users a device is stable: its Z-width over the population.
 
 For gains (K, B) let :math:`s_i` say whether the loop with user i is stable, which is decided by poles
 (:mod:`bayes_impedance.design.loop.sampled_loop`). Of one population of the posterior the share of stable users is
@@ -13,8 +13,8 @@ the credible interval: it contains what is not known of the population and what 
 The limit of a share, "stable for 99 % up to K", needs no grid: every user's own limit is bisected, and its weighted
 quantile taken per population, with weights multiplied by exponential draws (Bayesian bootstrap, [2]_).
 
-**Why the worst is the worst.** :math:`\ln K_\max` is followed from the centre of the population to the user on a
-straight line in log elements; the part of each element is its integrated gradient [3]_, and the parts add up to the
+**Which elements make the worst user.** :math:`\ln K_\max` is followed from the centre of the population to the user on
+a straight line in log elements; the part of each element is its integrated gradient [3]_, and the parts add up to the
 difference.
 
 References
