@@ -16,8 +16,9 @@ import numpy as np
 from scipy.stats import norm
 
 from bayes_impedance.diagnosis.fit.fitter import Refit
-from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods, holm
+from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods
 from bayes_impedance.diagnosis.heterogeneity.tests import person_likelihoods
+from bayes_impedance.diagnosis.multiple_testing import holm
 from bayes_impedance.diagnosis.types import ParameterDifference
 from bayes_impedance.network.elements import kind_of
 

@@ -20,8 +20,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayes_impedance.diagnosis.heterogeneity.bootstrap import Residuals, replicates
-from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods, holm
+from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods
 from bayes_impedance.diagnosis.heterogeneity.reml import Fit, FullCovariance, centred_fit
+from bayes_impedance.diagnosis.multiple_testing import bonferroni, holm
 
 REPLICATES = 200
 MINIMUM_PERSONS = 8
@@ -148,7 +149,7 @@ def correlation_test(likelihoods: PersonLikelihoods, seed: int, count: int = REP
         for k, (a, b) in enumerate(pairs)
     ]
     found.sort(key=lambda c: (c.p_value, -abs(c.statistic)))
-    corrected = min(1.0, 2 * min(p_whole, float(p_holm.min())))
+    corrected = bonferroni(min(p_whole, float(p_holm.min())), 2)
     return CorrelationTest(
         statistic=float(whole[0]),
         degrees_of_freedom=len(pairs),

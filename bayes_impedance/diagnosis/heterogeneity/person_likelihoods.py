@@ -110,12 +110,3 @@ def data_sd(likelihoods: PersonLikelihoods, covariance: np.ndarray) -> np.ndarra
         if total > 0:
             result[e] = total**-0.5
     return result
-
-
-def holm(p_values: np.ndarray) -> np.ndarray:
-    """Holm's correction of p values (M,) for all of them having been tried."""
-    order = np.argsort(p_values)
-    steps = p_values[order] * np.arange(p_values.size, 0, -1)
-    corrected = np.empty_like(p_values)
-    corrected[order] = np.minimum(np.maximum.accumulate(steps), 1.0)
-    return corrected

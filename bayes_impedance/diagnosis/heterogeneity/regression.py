@@ -32,7 +32,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods, holm
+from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods
 from bayes_impedance.diagnosis.heterogeneity.reml import (
     AdditiveCovariance,
     Fit,
@@ -40,6 +40,7 @@ from bayes_impedance.diagnosis.heterogeneity.reml import (
     centred_fit,
     fit_normal_population,
 )
+from bayes_impedance.diagnosis.multiple_testing import bonferroni, holm
 from bayes_impedance.errors import InputError
 
 ALPHA = 0.005
@@ -204,7 +205,7 @@ def find_covariates(
         rows = {q: search.slopes([b for b in beside if b != q], q) for q in regressors}
         tried = sum(len(r) for r in rows.values())
         best = {q: min((t.p_value for t in r), default=1.0) for q, r in rows.items() if q not in beside}
-        if not best or min(best.values()) * tried > alpha:
+        if not best or bonferroni(min(best.values()), tried) > alpha:
             break
         beside.append(min(best, key=lambda q: best[q]))
     remarks += [f"covariate '{q}' has too few persons, or does not differ from others" for q in rows if not rows[q]]

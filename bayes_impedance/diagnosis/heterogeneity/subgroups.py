@@ -37,6 +37,7 @@ from bayes_impedance.diagnosis.heterogeneity.two_groups import (
     along_any,
     along_elements,
 )
+from bayes_impedance.diagnosis.multiple_testing import bonferroni
 
 REPLICATES = 200
 MINIMUM_PERSONS = 12
@@ -161,7 +162,7 @@ def find_subgroup(
         separation=float(np.sqrt(shift @ np.linalg.solve(groups.covariance, shift))),
         statistic=float(real[int(np.argmin(p))]),
         p_value=min(p),
-        p_corrected=min(1.0, 2 * min(p)),
+        p_corrected=bonferroni(min(p), 2),
         tried=kept.size + 1,
         persons=n,
         replicates=len(null),

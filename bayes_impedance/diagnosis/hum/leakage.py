@@ -26,6 +26,7 @@ from scipy.special import digamma, polygamma
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
 from bayes_impedance.diagnosis.hum.line import HARMONICS, LINES_HZ, Hum
 from bayes_impedance.diagnosis.hum.neighbours import projected
+from bayes_impedance.diagnosis.multiple_testing import bonferroni
 
 PERIODS = (3.0, 5.0, 7.0, 10.0, 14.0, 20.0)
 _DECAYS = (0.0, 1.0)
@@ -89,7 +90,7 @@ def find_skirts(residuals: Sequence[PersonResiduals], alpha: float = 0.01) -> Hu
     tried = len(LINES_HZ) * len(PERIODS) * len(_DECAYS)
     from scipy.stats import norm
 
-    p_value = min(float(norm.sf(np.sqrt(max(without - least, 0.0) / rough))) * tried, 1.0)
+    p_value = bonferroni(float(norm.sf(np.sqrt(max(without - least, 0.0) / rough))), tried)
     if abs(first / line - 1) > _OF_MAINS or p_value > alpha:
         return None
     return _hum(grid, felt, line, periods, amplitude, p, y, misfit, rough, p_value)

@@ -22,6 +22,7 @@ import numpy as np
 
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
 from bayes_impedance.diagnosis.hum.neighbours import Excess, Neighbourhood, around, excess, predicted, projected
+from bayes_impedance.diagnosis.multiple_testing import bonferroni
 from bayes_impedance.errors import InputError
 from bayes_impedance.recordings.files import Recordings
 
@@ -131,8 +132,8 @@ def find_mains(residuals: Sequence[PersonResiduals], alpha: float = 0.01, absolu
     affected: dict[float, list[_Test]] = {}
     for line in LINES_HZ:
         p_value, members = min(combined[line], key=lambda c: c[0], default=(1.0, []))
-        members = members if p_value * tried < alpha else []
-        affected[line] = [t for t in tests[line] if t.excess.p_value * tried < alpha or t in members]
+        members = members if bonferroni(p_value, tried) < alpha else []
+        affected[line] = [t for t in tests[line] if bonferroni(t.excess.p_value, tried) < alpha or t in members]
 
     def evidence(line: float) -> tuple[float, int]:
         # 300 and 600 Hz are harmonics of both: the line with the lower harmonic has them if nothing else tells.
@@ -155,7 +156,7 @@ def find_mains(residuals: Sequence[PersonResiduals], alpha: float = 0.01, absolu
         q05=q05,
         q95=q95,
         coherent=min(strongest, key=lambda t: t.excess.p_value).coherent,
-        p_value=float(min(smallest * tried, 1.0)),
+        p_value=float(bonferroni(smallest, tried)),
     )
 
 

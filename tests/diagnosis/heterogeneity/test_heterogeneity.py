@@ -8,10 +8,11 @@ from scipy.integrate import quad
 from scipy.optimize import minimize
 from scipy.stats import binom, chi2, linregress, multivariate_normal, norm, ttest_1samp
 
+from bayes_impedance.diagnosis.folds import FOLDS
 from bayes_impedance.diagnosis.heterogeneity.bootstrap import Residuals, replicates, tail_probability
 from bayes_impedance.diagnosis.heterogeneity.correlations import correlation_test
-from bayes_impedance.diagnosis.heterogeneity.gain import FOLDS, gain_of_covariate, gain_of_drift
-from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods, data_sd, holm, log_marginal
+from bayes_impedance.diagnosis.heterogeneity.gain import gain_of_covariate, gain_of_drift
+from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods, data_sd, log_marginal
 from bayes_impedance.diagnosis.heterogeneity.regression import RepetitionLikelihoods, find_covariates, find_drift
 from bayes_impedance.diagnosis.heterogeneity.reml import (
     AdditiveCovariance,
@@ -176,10 +177,6 @@ def test_data_sd_counts_only_what_the_others_leave():
     )
     dark = data_sd(PersonLikelihoods(names(2), np.zeros((3, 2)), np.zeros((3, 2, 2))), t)
     assert np.all(np.isinf(dark))
-
-
-def test_holm():
-    np.testing.assert_allclose(holm(np.array([0.04, 0.01, 0.03, 0.5])), [0.09, 0.04, 0.09, 0.5])
 
 
 def test_shapes_are_checked():
