@@ -27,6 +27,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayes_impedance.diagnosis.fit.two_group_mixture import log_mixture, membership, share_of
 from bayes_impedance.diagnosis.heterogeneity.bootstrap import Residuals, replicates, tail_probability
 from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods, log_marginal
 from bayes_impedance.diagnosis.heterogeneity.reml import Fit, centred_fit
@@ -148,9 +149,9 @@ def find_subgroup(
     groups, shape = (groups, shape) if axis else (free, every)
     shift, sd, share_sd = groups.shift, *groups.errors(shape)
     logit = np.log(groups.share / (1 - groups.share)) + 1.645 * min(share_sd, 400.0) * np.array([-1, 0, 1])
-    share, membership = 1 / (1 + np.exp(-logit)), groups.membership()
+    share, belongs = 1 / (1 + np.exp(-logit)), groups.membership()
     if groups.share > 0.5:
-        shift, share, membership = -shift, 1 - share[::-1], 1 - membership
+        shift, share, belongs = -shift, 1 - share[::-1], 1 - belongs
     return Subgroup(
         element=elements[element] if axis else "",
         shift=shift,
@@ -166,7 +167,7 @@ def find_subgroup(
         tried=kept.size + 1,
         persons=n,
         replicates=len(null),
-        membership=membership,
+        membership=belongs,
         reason="",
         remarks=remarks,
     )
@@ -197,19 +198,19 @@ class _Groups:
         return cls(fit.problem.likelihoods, mean, shift * along, covariance, float(mixture.share[0, 0]))
 
     def both(self) -> tuple[np.ndarray, np.ndarray]:
-        """Log likelihood of each person as a member of either group, with the shares: shapes (N,)."""
+        """Log likelihood of each person as a member of either group, both shape (N,)."""
         first = log_marginal(self.likelihoods, self.mean, self.covariance)
-        second = log_marginal(self.likelihoods, self.mean + self.shift, self.covariance)
-        return first + np.log(1 - self.share), second + np.log(self.share)
+        return first, log_marginal(self.likelihoods, self.mean + self.shift, self.covariance)
 
     def log_likelihood(self) -> float:
         """Of all persons."""
-        return float(np.sum(np.logaddexp(*self.both())))
+        first, second = self.both()
+        return float(np.sum(first + log_mixture(second - first, self.share)))
 
     def membership(self) -> np.ndarray:
         """Probability of the second group, shape (N,)."""
         first, second = self.both()
-        return np.asarray(1 / (1 + np.exp(-np.clip(second - first, -700, 700))))
+        return membership(second - first, self.share)
 
     def maximised(self, shape: np.ndarray) -> _Groups:
         """After rounds of expectation-maximisation, the shift being shape (P, K) times anything."""
@@ -233,7 +234,7 @@ class _Groups:
                 away = np.einsum("npq,nq->np", rest, self.likelihoods.around(centre).linear)
                 total = total + (part[:, None] * away).T @ away
             total = 0.5 * (total + total.T) + _PRIOR_PERSONS * np.diag(np.diag(covariance))
-            share = float(np.clip(r.mean(), least, 1 - least))
+            share = float(share_of(r, least))
             groups = _Groups(self.likelihoods, mean, shift, total / (n + _PRIOR_PERSONS), share)
         return groups
 

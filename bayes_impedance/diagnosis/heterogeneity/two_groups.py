@@ -23,6 +23,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from bayes_impedance.diagnosis.fit.two_group_mixture import log_mixture, membership, share_of
 from bayes_impedance.diagnosis.heterogeneity.bootstrap import Residuals
 
 SMALLEST_SHARE, SMALLEST_GROUP = 0.05, 3.0
@@ -182,15 +183,14 @@ def _maximise(
         weighted, weighted_other = np.sum(w * x, axis=-1), np.sum(second * x, axis=-1)
         middle = (weighted - weighted_other) / np.maximum(total - other, 1e-12)
         shift = weighted_other / np.maximum(other, 1e-12) - middle
-        share = np.clip(np.mean(belongs, axis=-1), least, 1 - least)
+        share = share_of(belongs, least)
         away = x - middle[..., None]
         gain = shift[..., None] * (shift[..., None] - 2 * away)
         excess = w * (w * (away * away + belongs * gain) - 1)
         spread = spread + np.sum(excess, axis=-1) / np.maximum(np.sum(w * w, axis=-1), 1e-12)
         spread = np.maximum(spread, smallest)
         w = information / (1 + information * (spread[..., None] - 1))
-        odds = np.clip(np.log(share / (1 - share))[..., None] - 0.5 * w * gain, -700, 700)
-        belongs = 1 / (1 + np.exp(-odds))
+        belongs = membership(-0.5 * w * gain, share)
     return middle, spread, shift, share, belongs
 
 
@@ -207,8 +207,7 @@ def _log_likelihood(
     w = information / stretch
     away = x - middle[..., None]
     gain = 0.5 * w * shift[..., None] * (2 * away - shift[..., None])
-    both = np.logaddexp(np.log1p(-share)[..., None], np.log(share)[..., None] + gain)
-    return np.asarray(np.sum(both - 0.5 * np.log(stretch) - 0.5 * w * away * away, axis=-1))
+    return np.asarray(np.sum(log_mixture(gain, share) - 0.5 * np.log(stretch) - 0.5 * w * away * away, axis=-1))
 
 
 def _unit(direction: np.ndarray) -> np.ndarray:

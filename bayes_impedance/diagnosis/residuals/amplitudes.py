@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayes_impedance.diagnosis.fit.two_group_mixture import log_mixture, membership, share_of
 from bayes_impedance.diagnosis.multiple_testing import holm
 from bayes_impedance.diagnosis.residuals.nodes import Pooled
 from bayes_impedance.diagnosis.residuals.windows import normal_score
@@ -28,6 +29,12 @@ _MINIMUM_PERSONS = 6
 _LEAST_GAIN = 5.0
 """Log likelihood by which "some have it" must exceed "everybody has it". The mixture has one parameter more and three
 forms of the rival are tried, so chance alone gains one or two; amplitudes that merely vary must name nobody."""
+
+_SMALLEST_SHARE = 1e-3
+"""Less than one person of any population that was recorded: it only keeps logarithms finite."""
+
+_ROUNDS = 100
+"""Of expectation-maximisation from each start: groups whose gain matters are well separated and need few."""
 
 _LEAST_COVERAGE = 0.05
 """A person whose recordings see less than this part of the mean person's information about a structure has no
@@ -136,15 +143,15 @@ def _mixture_gain(z: np.ndarray) -> tuple[float, np.ndarray]:
     for size in {1, max(z.size // 8, 1), max(z.size // 4, 1), z.size // 2}:
         member = np.zeros(z.size)
         member[order[:size]] = 1.0
-        for _ in range(100):
-            share, weight = np.clip(member.mean(), 1e-3, 1 - 1e-3), max(member.sum(), 1e-9)
+        for _ in range(_ROUNDS):
+            share, weight = share_of(member, _SMALLEST_SHARE), max(member.sum(), 1e-9)
             centre = float(member @ z) / weight
             spread = max(float(member @ (z - centre) ** 2) / weight, 1.0)
-            with_it = np.log(share) + _log_normal_density(z, centre, spread)
-            total = np.logaddexp(with_it, np.log1p(-share) + nothing)
-            member = np.exp(with_it - total)
-        if total.sum() > best:
-            best, posterior = float(total.sum()), member
+            log_ratio = _log_normal_density(z, centre, spread) - nothing
+            member = membership(log_ratio, share)
+        value = float(np.sum(nothing + log_mixture(log_ratio, share)))
+        if value > best:
+            best, posterior = value, member
     return best - everybody, posterior
 
 
