@@ -1,4 +1,4 @@
-r"""What a covariate or a drift is worth on people who had no part in estimating it.
+r"""Cross-validated gain of a covariate or a drift: log likelihood of people who were not used to estimate it.
 
 The population is fitted to the people outside of a fold with and without the slopes that were found; the gain of a
 person in the fold is the difference of the log likelihoods that the two populations give to the person's recordings,

@@ -1,4 +1,4 @@
-r"""Everybody's quadratic log likelihood of the log elements, and what a population makes of it.
+r"""Everybody's quadratic log likelihood of the log elements, and its marginal under a normal population.
 
 Near its mode, a person's log likelihood is
 
@@ -27,7 +27,11 @@ import numpy as np
 from bayes_impedance.errors import InputError
 
 DETERMINED_SD = 0.3
-"""An element takes part if all persons together give its logarithm at least this well (as in `empirical_bayes`)."""
+"""Largest standard error of a log element, from all persons together, with which it takes part in the tests: 30 %, as
+for the elements that a fit reports (:mod:`bayes_impedance.population.em`)."""
+
+NORMAL_Q95 = 1.645
+"""95 % quantile of the standard normal distribution: half the width of a 90 % interval in standard errors."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-r"""Whether some people differ from the others as a group.
+r"""Test of a subgroup: two normal populations with a common covariance against one.
 
 One population :math:`\theta_i \sim N(\mu, T)` is compared with two of the same covariance,
 
@@ -29,8 +29,8 @@ import numpy as np
 
 from bayes_impedance.diagnosis.fit.two_group_mixture import log_mixture, membership, share_of
 from bayes_impedance.diagnosis.heterogeneity.bootstrap import Residuals, replicates, tail_probability
-from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods, log_marginal
-from bayes_impedance.diagnosis.heterogeneity.reml import Fit, centred_fit
+from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import NORMAL_Q95, PersonLikelihoods, log_marginal
+from bayes_impedance.diagnosis.heterogeneity.reml import PRIOR_PERSONS, Fit, centred_fit
 from bayes_impedance.diagnosis.heterogeneity.two_groups import (
     SMALLEST_GROUP,
     SMALLEST_SHARE,
@@ -41,13 +41,23 @@ from bayes_impedance.diagnosis.heterogeneity.two_groups import (
 from bayes_impedance.diagnosis.multiple_testing import bonferroni
 
 REPLICATES = 200
+"""Twenty replicates lie in the highest tenth, from which the tail is extrapolated
+(:func:`~bayes_impedance.diagnosis.heterogeneity.bootstrap.tail_probability`)."""
+
 MINIMUM_PERSONS = 12
 """With fewer, two groups of at least three differ by chance too often for any shift to stand out."""
 
 _BATCH = 40
-_ENOUGH_ABOVE = 6  # replicates of each batch with a larger statistic: p is above 0.1, which is all one wants to know
+"""Replicates at a time: after each batch it is decided whether more are needed."""
+
+_ENOUGH_ABOVE = 6
+"""Replicates of each batch with a larger statistic from which on no more are made: p is above 0.1, not significant."""
+
 _ROUNDS = 60
-_PRIOR_PERSONS = 2.0
+"""Of expectation-maximisation of the reported groups, begun at the best mixture of the search."""
+
+_AXIS_LEVEL = 0.01
+"""Level at which a change of all elements must be better than that of one for all to be reported."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,18 +155,18 @@ def find_subgroup(
     shape = every[:, [element]]
     groups, free = _Groups.of(fit, one.best(1)).maximised(shape), _Groups.of(fit, anything).maximised(every)
     # Freedom to change the other elements too raises twice the log likelihood by chi-square(P - 1) if only one does.
-    axis = 2 * (free.log_likelihood() - groups.log_likelihood()) < chi2.isf(0.01, max(len(elements) - 1, 1))
+    axis = 2 * (free.log_likelihood() - groups.log_likelihood()) < chi2.isf(_AXIS_LEVEL, max(len(elements) - 1, 1))
     groups, shape = (groups, shape) if axis else (free, every)
     shift, sd, share_sd = groups.shift, *groups.errors(shape)
-    logit = np.log(groups.share / (1 - groups.share)) + 1.645 * min(share_sd, 400.0) * np.array([-1, 0, 1])
+    logit = np.log(groups.share / (1 - groups.share)) + NORMAL_Q95 * min(share_sd, 400.0) * np.array([-1, 0, 1])
     share, belongs = 1 / (1 + np.exp(-logit)), groups.membership()
     if groups.share > 0.5:
         shift, share, belongs = -shift, 1 - share[::-1], 1 - belongs
     return Subgroup(
         element=elements[element] if axis else "",
         shift=shift,
-        shift_q05=shift - 1.645 * sd,
-        shift_q95=shift + 1.645 * sd,
+        shift_q05=shift - NORMAL_Q95 * sd,
+        shift_q95=shift + NORMAL_Q95 * sd,
         share=float(share[1]),
         share_q05=float(share[0]),
         share_q95=float(share[2]),
@@ -233,9 +243,9 @@ class _Groups:
             for centre, part in ((mean, 1 - r), (mean + shift, r)):
                 away = np.einsum("npq,nq->np", rest, self.likelihoods.around(centre).linear)
                 total = total + (part[:, None] * away).T @ away
-            total = 0.5 * (total + total.T) + _PRIOR_PERSONS * np.diag(np.diag(covariance))
+            total = 0.5 * (total + total.T) + PRIOR_PERSONS * np.diag(np.diag(covariance))
             share = float(share_of(r, least))
-            groups = _Groups(self.likelihoods, mean, shift, total / (n + _PRIOR_PERSONS), share)
+            groups = _Groups(self.likelihoods, mean, shift, total / (n + PRIOR_PERSONS), share)
         return groups
 
     def weights(self) -> tuple[np.ndarray, np.ndarray]:

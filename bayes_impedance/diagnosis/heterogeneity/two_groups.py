@@ -1,4 +1,4 @@
-r"""Two groups along given directions, against one: likelihood ratios for many directions and populations at once.
+r"""Mixtures of two groups along given directions: likelihood ratios to one group, for many directions at once.
 
 If the groups differ by a shift along v, all that the data say about the groups is in the projections of everybody's
 pull and weight, :math:`s_i = v^Tu_i` and :math:`I_i = v^TW_iv`. Together they are one measurement
@@ -27,12 +27,23 @@ from bayes_impedance.diagnosis.fit.two_group_mixture import log_mixture, members
 from bayes_impedance.diagnosis.heterogeneity.bootstrap import Residuals
 
 SMALLEST_SHARE, SMALLEST_GROUP = 0.05, 3.0
-"""A group has at least this share of the persons, and at least so many."""
+"""A group has at least this share of the persons, and at least so many: fewer are outliers, not a group."""
 
 _SPLITS = (0.1, 0.35, 0.65, 0.9)
-_FIRST, _MORE, _REFINEMENTS, _STARTS = 6, 24, 6, 3
-_SMALLEST_SPREAD = 0.02  # of the variance along v that one group has
+"""Quantiles of the persons, ordered along a direction, at which a start splits them: small, medium and large groups."""
+
+_FIRST, _MORE = 6, 24
+"""Rounds of expectation-maximisation that tell which start or direction is best, and those that follow from there. The
+replicates are treated in the same way, so that what has not converged does not bias the p-value."""
+
+_REFINEMENTS, _STARTS = 6, 3
+"""How often a direction follows the difference between its groups, and how many directions do."""
+
+_SMALLEST_SPREAD = 0.02
+"""Smallest variance within the groups, of the variance that one group has along v: two points would have none."""
+
 _RIDGE = 1e-3
+"""Added to the mean weight, so that directions that nobody sees have an inverse."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +103,7 @@ def along_elements(residuals: Residuals, elements: np.ndarray) -> Mixture:
 
 
 def along_any(residuals: Residuals, first: Mixture) -> Mixture:
-    """The best mixture along any direction, searched from the best of some and from where the data are least normal.
+    """The best mixture along any direction, searched from the best elements and from the least normal directions.
 
     Two groups make the distribution along the line between them flat, or skewed if they are unequal. So eigenvectors of
     the fourth moments, and the third moment, are further starts (Tyler, Critchley, Dümbgen and Oja, J. R. Statist. Soc.

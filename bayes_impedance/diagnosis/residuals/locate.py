@@ -1,8 +1,8 @@
-r"""Where structure is left: at which frequencies, in magnitude or phase, in whom, when, and following what.
+r"""Bands of frequency in which residuals have structure, in magnitude or phase, and the people who have it.
 
-:mod:`~bayes_impedance.diagnosis.residuals.windows` says how significant each of many windows is. Here they become an
-answer. The most significant window explains a part of the structure; with its template A absorbed from the pooled sums
-x,
+:mod:`~bayes_impedance.diagnosis.residuals.windows` says how significant each of many windows is. Here the significant
+ones are selected one after the other. The most significant window explains a part of the structure; with its template A
+absorbed from the pooled sums x,
 
 .. math:: x \leftarrow x - C A (A^T C A)^{-1} A^T x, \qquad C \leftarrow C - C A (A^T C A)^{-1} A^T C,
 
@@ -26,7 +26,7 @@ import numpy as np
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
 from bayes_impedance.diagnosis.multiple_testing import bonferroni
 from bayes_impedance.diagnosis.residuals.amplitudes import Amplitudes, carriers, energy_amplitudes, pattern_amplitudes
-from bayes_impedance.diagnosis.residuals.nodes import Pooled, pool, turn
+from bayes_impedance.diagnosis.residuals.nodes import MINIMUM_CONTRASTS, Pooled, pool, turn
 from bayes_impedance.diagnosis.residuals.windows import (
     Null,
     Ratios,
@@ -45,13 +45,20 @@ Noise = Literal["repetitions", "assumed"]
 
 _PARTS: tuple[Literal["magnitude"], Literal["phase"]] = ("magnitude", "phase")
 _MOST_WINDOWS = 12
+"""Of one kind; a structure in more windows is described by those that explain most of it."""
+
 _LEAST_SHARE = {"coherent": 0.01, "incoherent": 0.05}
-"""A further window must explain this part of the most that one does: the rest is how templates differ from reality."""
+"""Part of the largest gain that a further window must explain: less is how templates differ from the true shape."""
 
 _NEARLY = 0.8
-"""Part of the energy's statistic that a template must reach to be preferred: it says more."""
+"""Part of the energy's statistic from which on a template is preferred: unlike energy, it has a shape and a sign."""
 
-_FEWEST_CONTRASTS = 10
+_VISIBLE = 0.1
+"""Part of a template's variance that must be left, after windows found before, for it to be tested again."""
+
+_ONE_PART = 0.8
+"""Share of the structure from which on it is said to be in magnitude alone, or in phase alone."""
+
 _EXCESS = {"repetitions": 1.02, "assumed": 1.3}
 """Variance between persons that is not called structure: rounding of a linear theory, and what one can know of the
 noise without repetitions."""
@@ -156,7 +163,7 @@ def locate(
     covariance = pooled.covariance()
     usable = visible(pooled, scan, covariance)
     pairs = pooled.owner.size - pooled.persons
-    noise: Noise = "repetitions" if pairs >= _FEWEST_CONTRASTS else "assumed"
+    noise: Noise = "repetitions" if pairs >= MINIMUM_CONTRASTS else "assumed"
     rng = np.random.default_rng(seed)
     nulls = null_distributions(pooled, scan, usable, pairs if noise == "repetitions" else 0, rng, draws)
     kinds = 1 if pooled.persons == 1 else 2
@@ -179,7 +186,7 @@ def locate(
     return Location(
         p_value=float(p_value),
         bands=_bands(found, pooled.frequency_hz),
-        part="magnitude" if share > 0.8 else "phase" if share < 0.2 else "both",
+        part="magnitude" if share > _ONE_PART else "phase" if share < 1 - _ONE_PART else "both",
         magnitude_share=float(share),
         subjects=tuple(residuals[int(i)].name for i in named) or "all",
         subjects_p_value=p_named,
@@ -208,7 +215,7 @@ def _coherent(
     sums, left = pooled.scores.sum(axis=0), covariance
     for _ in range(_MOST_WINDOWS):
         variance = np.sum(templates * (left @ templates), axis=0)
-        seen = usable & (variance > 0.1 * whole)
+        seen = usable & (variance > _VISIBLE * whole)
         z = np.where(seen, templates.T @ sums / np.sqrt(np.where(seen, variance, 1.0)), 0.0)
         c = np.abs(z) / np.sqrt(scatter)
 
