@@ -17,7 +17,7 @@ from bayes_impedance.diagnosis.fit.fitter import Refit
 from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
 from bayes_impedance.diagnosis.fit.profile_posterior import from_evidence
 from bayes_impedance.diagnosis.heterogeneity.compare_populations import compare_populations
-from bayes_impedance.diagnosis.heterogeneity.tests import covariates_of, structure_entries
+from bayes_impedance.diagnosis.heterogeneity.tests import structure_entries
 from bayes_impedance.diagnosis.hum.leakage import find_skirts
 from bayes_impedance.diagnosis.hum.line import find_mains, without_hum
 from bayes_impedance.diagnosis.residuals.locate import Location, locate
@@ -256,7 +256,7 @@ def _look(fitted: Fitted, base: Refit, begin: Refit | None, job: _Job, clock: _C
     with clock.measure("locate"):
         progress("locating", 0, 2)
         residuals = found.steps[0].residuals
-        first = locate(residuals, seed, covariates=covariates_of(fitted.recordings))
+        first = locate(residuals, seed)
         progress("locating", 1, 2)
         last = first
         if found.final.model.additions:

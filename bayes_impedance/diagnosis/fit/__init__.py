@@ -3,5 +3,6 @@
 In come likelihoods and a model; out come everybody's elements, the additions' parameters, evidence and whitened
 residuals. Open :mod:`.baseline` first (the network alone), then :mod:`.fitter` and :mod:`.normal_equations` (the
 iteration), :mod:`.model` and :mod:`.extend` (additions), :mod:`.coefficient_posterior`, :mod:`.profile_posterior` and
-:mod:`.spike_slab` (what is known of their parameters).
+:mod:`.spike_slab` with :mod:`.two_group_mixture` (posterior of their parameters, and whether only some people have
+them).
 """

@@ -1,4 +1,4 @@
-"""The network alone, fitted to everybody as well as it can be: whatever is left must not be a matter of convergence."""
+"""Converged fit of the network alone to everybody: what it leaves must not be a matter of convergence."""
 
 from __future__ import annotations
 
@@ -18,8 +18,21 @@ from bayes_impedance.population.starting_fits import default_prior, first_fits
 from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.runtime.progress import Progress
 
-_FEWEST_TO_GATHER = 5
-_WIDE, _TIGHT, _BEGINNINGS = 0.8, 0.3, 5
+_MINIMUM_PERSONS = 5
+"""With fewer people a wide population is no sign of two solutions."""
+
+_WIDE = 0.8
+"""Standard deviation of log elements along one direction beyond which people may sit in different optima: they usually
+differ by 0.3."""
+
+_TIGHT = 0.3
+"""Standard deviation of the population under which everybody begins again at one person's elements."""
+
+_BEGINNINGS = 5
+"""People, evenly spread along that direction, whose elements are tried."""
+
+_LEAST_GAIN = 3.0
+"""Evidence by which another beginning must be better: less is a matter of where iterations stop."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +85,7 @@ def _gathered(refitter: Refitter, fit: Refit) -> Refit:
     them apart. People along the widest direction of the population are tried as everybody's beginning.
     """
     n, size = fit.persons.shape
-    if n < _FEWEST_TO_GATHER:
+    if n < _MINIMUM_PERSONS:
         return fit
     values, vectors = np.linalg.eigh(fit.population.covariance)
     if values[-1] < _WIDE**2:
@@ -82,7 +95,7 @@ def _gathered(refitter: Refitter, fit: Refit) -> Refit:
         centre = fit.persons[k]
         population = Population(centre, np.eye(size) * _TIGHT**2, np.minimum(fit.population.rho, 0.1))
         trial = refitter.fit(fit.model, np.tile(centre, (len(fit.u), 1)), population, 60)
-        if trial.evidence.sum() > fit.evidence.sum() + 3.0:
+        if trial.evidence.sum() > fit.evidence.sum() + _LEAST_GAIN:
             fit = trial
     return fit
 

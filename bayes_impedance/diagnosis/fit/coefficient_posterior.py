@@ -1,4 +1,4 @@
-r"""What the recordings say about the parameters of what was added: posterior draws, dispersions, rig or body.
+r"""Posterior of the additions' parameters from the quadratic expansion: draws, dispersions, rig or body.
 
 With everybody's own coefficients integrated out (:mod:`bayes_impedance.diagnosis.fit.normal_equations`) shared
 parameters and means are normal, and only the few dispersions :math:`\tau` are left, which are drawn from a grid, one
@@ -24,7 +24,11 @@ from bayes_impedance.diagnosis.fit.normal_equations import marginal, quadratic
 from bayes_impedance.network.elements import kind_of
 
 _DRAWS = 2000
+"""Draws of the posterior: the 5 % quantile then has an error of a twentieth of a standard deviation."""
+
 _GRID = np.r_[0.0, np.geomspace(0.01, 3.0, 60)]
+"""Relative dispersions, 10 % apart, and none at all."""
+
 SAME = 0.1
 """People who differ by less than this part of a coefficient do not differ."""
 

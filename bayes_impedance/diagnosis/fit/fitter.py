@@ -1,4 +1,4 @@
-r"""Population estimate of a model with additions: fast enough to be repeated for every candidate.
+r"""Fit of a model with additions to a population by damped Gauss-Newton steps and expectation-maximisation.
 
 Recording j of person i has its own parameters :math:`u_{ij} = (v_{ij}, \varphi)`: varying ones (the elements, and
 coefficients that differ between people), and shared ones. The population is
@@ -48,9 +48,16 @@ from bayes_impedance.diagnosis.fit.normal_equations import (
 from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood
 
 _PRIOR_PERSONS = 2.0
+"""Number of persons without correlations as which the prior of the covariance counts, as LKJ(2) does."""
+
 _SMALLEST_DISPERSION = 0.02
+"""Smallest standard deviation of a log element between people: the covariance must stay invertible."""
+
 _SMALLEST_RHO = 1e-3
+"""Smallest standard deviation between repetitions, and that of coefficients, which are the same in all of them."""
+
 _LONGEST_STEP = 1.0
+"""Largest step of the additions, in prior standard deviations or units of the coefficient."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -312,7 +319,7 @@ class Refitter:
                 break
             part = np.where(worse, 0.25 * part, part)
             moving = worse
-        else:  # who finds no way downwards stays
+        else:  # people for whom no shorter step is an improvement stay where they are
             rows = moving[self.owner]
             trial_u[rows], trial_v[moving] = u[rows], persons[moving]
             trial = trial.with_rows(rows, equations)

@@ -1,4 +1,4 @@
-r"""Draws from a density of one to four parameters whose every value costs a refit.
+r"""Draws from an expensive density of one to four parameters, interpolated by radial basis functions.
 
 A normal distribution through a dozen points says what a posterior is where it is one. On a bent or endless ridge, where
 a coefficient may be five times as large if the exponent is smaller, it says where the points were. So the logarithm of
@@ -20,19 +20,32 @@ from dataclasses import dataclass
 import numpy as np
 
 _AXIS, _DIAGONAL = 1.3, 1.0
+"""Distance of the first points along an axis, and along each axis of a diagonal, in standard deviations: where a normal
+density has fallen to half, and differences of its logarithm are large beside their error."""
+
 _LENGTH = 1.7
+"""Length l of the basis functions in standard deviations: somewhat more than the distance of the points."""
+
 _NOISE = 0.05
-"""Of a value: where a refit stops depends on where it began."""
+"""Error of a value of the log density: where a refit stops depends on where it began."""
+
 _SMALLEST_CURVATURE = 0.1
+"""Of the quadratic part, in units of the posterior's own: it must fall off in all directions."""
+
 _PROPOSED, _FREEDOM, _WIDENED = 12_000, 4.0, 1.5
+"""Number, degrees of freedom and scale of the t distribution from which draws are proposed: heavier tails than a
+posterior has, because its width is known roughly only."""
+
 _ROUNDS, _FEWEST_ROUNDS = 16, 6
+"""Largest and smallest number of rounds: the first few add points where none were, so that rest means little."""
+
 _REST, _STRETCH = 0.12, 1.35
 """Standard deviations by which the centre still moves, and factor by which a variance still changes."""
 
 
 @dataclass(frozen=True)
 class Explored:
-    """What is known of an expensive density.
+    """Draws of an expensive density and the points at which it was evaluated.
 
     Attributes
     ----------

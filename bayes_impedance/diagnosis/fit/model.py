@@ -24,9 +24,10 @@ COEFFICIENT_SD = 30.0
 a network may be much larger than what is seen at the port."""
 
 TYPICAL_DISPERSION = 0.35
-"""What people usually differ by, before it is estimated."""
+"""Relative dispersion of a coefficient between people before it is estimated: what they usually differ by."""
 
 SHAPE_DISPERSION = 0.2
+"""The same of shapes (exponents, time constants), which differ less than sizes do."""
 
 _INNER = "inner_place_"
 

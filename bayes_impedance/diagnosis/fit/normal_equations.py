@@ -1,4 +1,4 @@
-r"""Quadratic expansion of everybody's likelihood, and what it says about additions with the elements left free.
+r"""Quadratic expansion of everybody's likelihood in the additions' parameters, with the elements left free.
 
 With the elements of every recording free, person i's log likelihood of the additions' parameters y (shared ones and the
 person's own coefficients c) is quadratic, :math:`h_i\cdot y - \tfrac12 y^TD_iy`: coefficients act linearly. Between
@@ -25,12 +25,14 @@ from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood, normal_eq
 from bayes_impedance.runtime.broadcast import Lent
 
 _FREEDOM = 5.0
+"""Standard deviations of the population within which elements are free: as good as free where the band sees them."""
 
 _SMALL_PIECE, _LARGE_PIECE = 4_000, 25_000
-"""Points (recordings times frequencies): a third of a millisecond of work, below which threads do not help; and two, of
-which there are many if people are many: a task costs a cluster some milliseconds."""
+"""Smallest and largest piece of work, in points (recordings times frequencies). Below the first, a third of a
+millisecond, threads do not pay. Above the second, two milliseconds, load balancing would suffer."""
 
 _FEW_PIECES, _MOST_PIECES = 4, 64
+"""Pieces of few people, enough for the threads of a small machine; and of many: a task costs a cluster milliseconds."""
 
 
 @dataclass(frozen=True)

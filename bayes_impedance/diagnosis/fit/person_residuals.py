@@ -1,11 +1,11 @@
-r"""What is left of everybody's recordings when the model has done what it can.
+r"""Whitened residuals of everybody's recordings, outside of the tangent space of the elements.
 
 With noise sd sigma (the person's own scale included) and z - Z stacked as real parts, then imaginary parts,
 
 .. math:: r_{ij} = \begin{pmatrix}\operatorname{Re}(z_{ij} - Z(\hat\theta_{ij}))/\sigma_{ij}\\
           \operatorname{Im}(z_{ij} - Z(\hat\theta_{ij}))/\sigma_{ij}\end{pmatrix} \in \mathbb R^{2F}
 
-is standard normal noise, less what the elements have absorbed. Everything here is looked at **outside of the tangent
+is standard normal noise, less what the elements have absorbed. Residuals are compared only **outside of the tangent
 space** :math:`\partial Z/\partial\theta` of each single recording: with Q an orthonormal basis of it,
 :math:`(1 - QQ^T)\,r \sim N(0, 1 - QQ^T)` when nothing is missing, whatever the elements of that recording are and
 however they are distributed between people.
@@ -63,6 +63,7 @@ class PersonResiduals:
 
 
 _SHARPER = 1.5
+"""Ratio of variances from which on roughness, and not the residual, decides on the noise: less may be chance."""
 
 
 def person_residuals(fit: Refit, names: Sequence[str], executor: Executor | None = None) -> list[PersonResiduals]:

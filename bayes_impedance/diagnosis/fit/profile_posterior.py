@@ -1,4 +1,4 @@
-r"""The posterior of what is missing in the body, from everybody's evidence and not from a quadratic expansion of it.
+r"""Profile posterior of the body's additions, from everybody's evidence and not from a quadratic expansion of it.
 
 With the elements free (:mod:`bayes_impedance.diagnosis.fit.normal_equations`) a coefficient's likelihood is quadratic
 near the fit only. Tissue that relaxes at the skin, of which another stiffness imitates one half, lies on a bent ridge:
@@ -36,25 +36,44 @@ from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter
 from bayes_impedance.diagnosis.fit.interpolated_density import design, explored, quadratic_through
 from bayes_impedance.diagnosis.fit.model import ELEMENT_SD, Addition, Model
 
-FEWEST = 10
-"""Fewer people say too little about what they differ by."""
+MINIMUM_PERSONS = 10
+"""Fewer people say too little about what they differ by: a dispersion of ten is known to 24 %."""
 
 MOST_PARAMETERS = 4
 """A quadratic in more of them takes too many refits."""
 
 _DISPERSIONS = np.array([0.003, 0.01, 0.03, 0.08, 0.15, 0.22, 0.3, 0.4, 0.55])
 _CORRELATIONS = np.array([-0.9, -0.7, -0.45, -0.2, 0.0, 0.2, 0.45, 0.7, 0.9])
-_SAME_FACTOR, _SAME_CORRELATION = 1.2, 0.3  # within these a dispersion or a correlation rests
-_STARTS = (0.25, 0.08)  # of a coefficient and of a shape
+"""Grids on which dispersions and correlations are weighed: each value costs a refit, so that they are coarse."""
+
+_SAME_FACTOR, _SAME_CORRELATION = 1.2, 0.3
+"""Largest change of a dispersion (factor) and of a correlation after which the centre is not fitted again; about one
+step of the grids."""
+
+_STARTS = (0.25, 0.08)
+"""Dispersions of a coefficient and of a shape at which the search begins: what people usually differ by."""
+
 _ROUNDS, _STEPS = 30, 5
+"""Rounds of each refit, which begins near its end, and steps towards the maximum before the ridge counts as bent."""
+
 _FEW_DRAWS = 500
+"""Draws that give centre and covariance of a bent ridge while the dispersions are still being sought."""
+
 _SMALLEST_SD, _LARGEST_SD = 1e-4, 0.5
-_NEAR = 0.25  # of a standard deviation: the centre rests
-_STRETCH = 9.0  # largest change of a variance in one step
-_LONGEST = 2.0
-_TURNS, _REST = 6, 0.5  # between centre and dispersions, and of a standard deviation
+"""Standard deviations that are explored: below, refits differ by their convergence; above, they run away."""
+
+_NEAR, _SETTLED_STRETCH = 0.25, 2.0
+"""Step of the centre (standard deviations) and change of a variance (factor) at which the maximum has been found."""
+
+_STRETCH, _LONGEST = 9.0, 2.0
+"""Largest change of a variance (factor), and of the centre (standard deviations), in one step."""
+
+_TURNS, _REST = 6, 0.5
+"""Largest number of turns between centre and dispersions, and the step of the centre, in standard deviations, at which
+they end."""
+
 _FARTHEST = 3.0
-_SETTLED_STRETCH = 2.0
+"""Largest shift of a draw with its own dispersion, in standard deviations: the slope is known near the centre only."""
 
 
 def has_surface(addition: Addition) -> bool:
@@ -125,7 +144,7 @@ def from_evidence(refitter: Refitter, fit: Refit, posterior: CoefficientPosterio
     shared = surface.shared_coefficients(fit.model)
     for k, (column, spread) in enumerate(zip(surface.columns, spreads, strict=True)):
         if surface.linear[column]:
-            # A coefficient that is said to be the same for all is what it is for somebody in the middle.
+            # For a shared coefficient report the median person's value.
             median = np.exp(drawn[:, k] - 0.5 * np.log1p(spread**2))
             central[:, column] = median if column in shared else np.exp(drawn[:, k])
         else:
@@ -216,7 +235,7 @@ class _Surface:
                 columns += [c - model.n_elements for c in model.columns(i)]
         linear = np.zeros(len(model.parameters), dtype=bool)
         linear[columns] = [model.parameters[c].is_coefficient for c in columns]
-        if not 0 < len(columns) <= MOST_PARAMETERS or len(refitter.data) < FEWEST:
+        if not 0 < len(columns) <= MOST_PARAMETERS or len(refitter.data) < MINIMUM_PERSONS:
             return None
         if min((fit.u[:, model.n_elements + c].mean() for c in np.flatnonzero(linear)), default=1.0) <= 0:
             return None

@@ -1,4 +1,4 @@
-r"""Populations as they would be if nothing were missing: a parametric bootstrap of pulls and weights.
+r"""Parametric bootstrap under the null hypothesis: replicates of pulls and weights of a fitted normal population.
 
 A statistic that looks for the largest of many things has no textbook distribution, but it can be simulated: everybody
 keeps the information H that their own recording has, the elements come from the fitted population, and the same
@@ -23,15 +23,25 @@ import numpy as np
 
 from bayes_impedance.diagnosis.heterogeneity.reml import COEFFICIENT_SD, Fit
 
-_STEPS = 3  # one of scoring, two of expectation-maximisation
-_LARGEST_RATIO = 10.0  # of a variance after the step to the one before
-_TAIL = 0.1  # share of the replicates beyond which the tail is taken to be exponential
+_STEPS = 3
+"""One of scoring, two of expectation-maximisation (see the module's docstring)."""
+
+_LARGEST_RATIO = 10.0
+"""Largest ratio of a variance after a step to the one before; the replicate's population is far nearer than that."""
+
+_TAIL = 0.1
+"""Part of the replicates, the largest, from which the exponential tail is estimated."""
+
 _SMALLEST_SCALE = 2.0
+"""Smallest scale of the exponential tail: that of a likelihood ratio, chi-square with two degrees of freedom."""
+
+_FEWEST_IN_TAIL = 3
+"""With fewer replicates in the tail its mean excess is not estimated, and p-values are counted."""
 
 
 @dataclass(frozen=True)
 class Residuals:
-    """What R fits leave over, the real one (R = 1) or replicates.
+    """Pulls and weights of R fits: of the real data (R = 1) or of replicates.
 
     Attributes
     ----------
@@ -49,7 +59,7 @@ class Residuals:
 
     @classmethod
     def of(cls, fit: Fit) -> Residuals:
-        """Those of the real data."""
+        """Of the real data."""
         return cls(fit.factor[None], fit.pull[None], fit.weight[None])
 
 
@@ -121,7 +131,7 @@ def tail_probability(statistic: float, null: np.ndarray) -> float:
     counted = (1 + float(np.sum(null >= statistic))) / (count + 1)
     border = float(np.quantile(null, 1 - _TAIL))
     excess = null[null > border] - border
-    if statistic <= border or excess.size < 3:
+    if statistic <= border or excess.size < _FEWEST_IN_TAIL:
         return counted
     scale = max(float(excess.mean()) * (1 + 1.5 * excess.size**-0.5), _SMALLEST_SCALE)
     return _TAIL * float(np.exp(-(statistic - border) / scale))

@@ -1,7 +1,7 @@
-r"""A claimed population against the recorded one: which elements differ, by how much, and how surely.
+r"""Elementwise comparison of a claimed population with the recorded one: centres and dispersions, with p-values.
 
-With everybody's information :math:`K_i - T^{-1}` about the own elements, the population's centre has the precision
-:math:`\sum_i (T + V_i)^{-1}`, :math:`V_i = (K_i - T^{-1})^{-1}`, and a dispersion, with
+With the information :math:`K_i - T^{-1}` of every person's recordings about the person's elements, the population's
+centre has the precision :math:`\sum_i (T + V_i)^{-1}`, :math:`V_i = (K_i - T^{-1})^{-1}`, and a dispersion, with
 :math:`\kappa_i = \tau^2/(\tau^2 + v_i)` the part of it that a person's recordings resolve, the variance
 
 .. math:: \operatorname{var}(\ln \tau) = \Bigl(2\sum_i \kappa_i^2\Bigr)^{-1} .
@@ -16,17 +16,25 @@ import numpy as np
 from scipy.stats import norm
 
 from bayes_impedance.diagnosis.fit.fitter import Refit
-from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods, holm
+from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods
 from bayes_impedance.diagnosis.heterogeneity.tests import person_likelihoods
+from bayes_impedance.diagnosis.multiple_testing import holm
 from bayes_impedance.diagnosis.types import ParameterDifference
 from bayes_impedance.network.elements import kind_of
 
-_Z90 = 1.6449
-_INVISIBLE = 1e6
+_NORMAL_Q95 = 1.6449
+"""95 % quantile of the standard normal distribution."""
+
+_LARGEST_SD = 3.0
+"""Largest standard error of a difference of logarithms that is reported: a factor of 20 (one standard error) says that
+the recordings do not see the element."""
+
+_UNSEEN_VARIANCE = 1e6
+"""Variance of the centre of an element of which nothing is known, in place of infinity."""
 
 
 def compare_populations(claimed: Refit, recorded: Refit, unit: str) -> tuple[ParameterDifference, ...]:
-    """Differences between a simulated and a recorded population of one network, the surest first.
+    """Differences between a simulated and a recorded population of one network, smallest p-value first.
 
     Parameters
     ----------
@@ -46,8 +54,8 @@ def compare_populations(claimed: Refit, recorded: Refit, unit: str) -> tuple[Par
         ):
             (a, sd_a), (b, sd_b) = ours[what], theirs[what]
             sd = float(np.hypot(sd_a[p], sd_b[p]))
-            if not np.isfinite(sd) or sd > 3.0:
-                continue  # neither can be seen well enough to differ
+            if not np.isfinite(sd) or sd > _LARGEST_SD:
+                continue
             rows.append(
                 (name, scale_unit, what, float(transform(b[p])), float(transform(a[p])), float(a[p] - b[p]), sd)
             )
@@ -63,8 +71,8 @@ def compare_populations(claimed: Refit, recorded: Refit, unit: str) -> tuple[Par
             simulation=simulated,
             recordings=measured,
             ratio=float(np.exp(d)),
-            q05=float(np.exp(d - _Z90 * sd)),
-            q95=float(np.exp(d + _Z90 * sd)),
+            q05=float(np.exp(d - _NORMAL_Q95 * sd)),
+            q95=float(np.exp(d + _NORMAL_Q95 * sd)),
             p_value=float(p),
         )
         for (name, own_unit, what, simulated, measured, d, sd), p in zip(rows, corrected, strict=True)
@@ -81,7 +89,7 @@ def _summary(fit: Refit) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     posterior = np.linalg.inv(likelihoods.information + inverse)
     # sum of (T + V_i)^-1 without ever inverting a singular information
     precision = np.sum(inverse - inverse @ posterior @ inverse, axis=0)
-    centre_sd = np.sqrt(np.minimum(np.diag(np.linalg.pinv(precision)), _INVISIBLE))
+    centre_sd = np.sqrt(np.minimum(np.diag(np.linalg.pinv(precision)), _UNSEEN_VARIANCE))
     variance = np.diag(covariance)
     resolved = 1 - np.einsum("npp->np", posterior) / variance
     dispersion_sd = 1 / np.sqrt(np.maximum(2 * np.sum(np.clip(resolved, 0, 1) ** 2, axis=0), 1e-6))

@@ -1,4 +1,4 @@
-r"""Whether elements vary together between persons, for a population whose covariance was taken to be diagonal.
+r"""Score test of correlations between elements: a diagonal against a full covariance between persons.
 
 At the diagonal maximum the derivative of the log likelihood with respect to all covariances :math:`T_{ab}` at once is
 :math:`G = \sum (uu^T - W + WVW)`, with everybody's pull u and weight W
@@ -20,14 +20,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayes_impedance.diagnosis.heterogeneity.bootstrap import Residuals, replicates
-from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods, holm
+from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import NORMAL_Q95, PersonLikelihoods
 from bayes_impedance.diagnosis.heterogeneity.reml import Fit, FullCovariance, centred_fit
+from bayes_impedance.diagnosis.multiple_testing import bonferroni, holm
 
 REPLICATES = 200
+"""Replicates only scale the scores and their sum: 200 give a standard deviation to 5 %."""
+
 MINIMUM_PERSONS = 8
 """With fewer, a correlation must be near one to be seen at all."""
 
 _BATCH = 50
+"""Replicates at a time: a matter of memory only."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,7 +152,7 @@ def correlation_test(likelihoods: PersonLikelihoods, seed: int, count: int = REP
         for k, (a, b) in enumerate(pairs)
     ]
     found.sort(key=lambda c: (c.p_value, -abs(c.statistic)))
-    corrected = min(1.0, 2 * min(p_whole, float(p_holm.min())))
+    corrected = bonferroni(min(p_whole, float(p_holm.min())), 2)
     return CorrelationTest(
         statistic=float(whole[0]),
         degrees_of_freedom=len(pairs),
@@ -179,7 +183,7 @@ def scores(residuals: Residuals, fit: Fit, pairs: list[tuple[int, int]]) -> tupl
     information = 0.5 * basis @ traces @ basis.T
     diagonal = np.diagonal(information, axis1=1, axis2=2)
     information = information + 1e-9 * diagonal.max(axis=1)[:, None, None] * np.eye(basis.shape[0])
-    # What the variances can explain is theirs.
+    # Project out the variances: they are estimated as well.
     share = np.linalg.solve(information[:, :p, :p], information[:, :p, p:])
     score = score[:, p:] - np.einsum("rpm,rp->rm", share, score[:, :p])
     information = information[:, p:, p:] - np.swapaxes(share, 1, 2) @ information[:, :p, p:]
@@ -198,7 +202,7 @@ def _sizes(fit: Fit, pairs: list[tuple[int, int]]) -> tuple[np.ndarray, np.ndarr
     for a, b in pairs:
         r = fit.covariance[a, b] / (sd[a] * sd[b])
         slope = (change[:, a, b] - 0.5 * r * (change[:, a, a] + change[:, b, b])) / (1 - r**2)
-        error = 1.645 * float(np.linalg.norm(np.linalg.solve(root, slope)))
+        error = NORMAL_Q95 * float(np.linalg.norm(np.linalg.solve(root, slope)))
         result.append([r, np.tanh(np.arctanh(r) - error), np.tanh(np.arctanh(r) + error)])
     estimate, low, high = np.array(result).T
     return estimate, low, high

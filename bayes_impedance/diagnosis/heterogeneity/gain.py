@@ -1,4 +1,4 @@
-r"""What a covariate or a drift is worth on people who had no part in estimating it.
+r"""Cross-validated gain of a covariate or a drift: log likelihood of people who were not used to estimate it.
 
 The population is fitted to the people outside of a fold with and without the slopes that were found; the gain of a
 person in the fold is the difference of the log likelihoods that the two populations give to the person's recordings,
@@ -12,11 +12,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from bayes_impedance.diagnosis.folds import person_folds
 from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods, log_marginal
 from bayes_impedance.diagnosis.heterogeneity.regression import RepetitionLikelihoods, drift_model
 from bayes_impedance.diagnosis.heterogeneity.reml import Covariance, FullCovariance, centred_fit, fit_normal_population
 
-FOLDS = 5
 HELD_OUT = ("body.covariate", "body.drift")
 """Effects whose gain is computed here; of other structures only a likelihood ratio is known."""
 
@@ -64,9 +64,9 @@ def _gain(
     likelihoods: PersonLikelihoods, with_it: np.ndarray, without: np.ndarray, start: Covariance, seed: int
 ) -> tuple[float, float]:
     n = len(likelihoods)
-    fold = np.random.default_rng(seed).permutation(n) % min(FOLDS, n)
+    fold = person_folds(n, seed)
     gains = np.zeros(n)
-    for k in range(min(FOLDS, n)):
+    for k in np.unique(fold):
         inside, outside = fold == k, fold != k
         for design, sign in ((with_it, 1.0), (without, -1.0)):
             fit = fit_normal_population(likelihoods.persons(outside), design[outside], start)

@@ -1,4 +1,4 @@
-r"""Everybody's quadratic log likelihood of the log elements, and what a population makes of it.
+r"""Everybody's quadratic log likelihood of the log elements, and its marginal under a normal population.
 
 Near its mode, a person's log likelihood is
 
@@ -27,7 +27,11 @@ import numpy as np
 from bayes_impedance.errors import InputError
 
 DETERMINED_SD = 0.3
-"""An element takes part if all persons together give its logarithm at least this well (as in `empirical_bayes`)."""
+"""Largest standard error of a log element, from all persons together, with which it takes part in the tests: 30 %, as
+for the elements that a fit reports (:mod:`bayes_impedance.population.em`)."""
+
+NORMAL_Q95 = 1.645
+"""95 % quantile of the standard normal distribution: half the width of a 90 % interval in standard errors."""
 
 
 @dataclass(frozen=True)
@@ -110,12 +114,3 @@ def data_sd(likelihoods: PersonLikelihoods, covariance: np.ndarray) -> np.ndarra
         if total > 0:
             result[e] = total**-0.5
     return result
-
-
-def holm(p_values: np.ndarray) -> np.ndarray:
-    """Holm's correction of p values (M,) for all of them having been tried."""
-    order = np.argsort(p_values)
-    steps = p_values[order] * np.arange(p_values.size, 0, -1)
-    corrected = np.empty_like(p_values)
-    corrected[order] = np.minimum(np.maximum.accumulate(steps), 1.0)
-    return corrected

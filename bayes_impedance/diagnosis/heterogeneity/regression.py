@@ -1,12 +1,12 @@
-r"""Whether elements follow a covariate of the person, or change from one repetition to the next.
+r"""Regression of the elements on covariates of the person, and on the number of the repetition (drift).
 
 **Covariates.** :math:`\theta_i = \mu + B x_i + N(0, T)`, with mu, T and the slopes of all elements free: an element's
 slope is then its own and not what a correlated element lends it. The statistic is the restricted estimate over its
 standard error, against Student's t, with Kenward and Roger's standard error and degrees of freedom: exact if everybody
 sees every element, whatever N. Nothing has to be simulated, and p values have no floor. Each covariate is tested beside
-those already found (the best one is added as long as its p, times everything tried, is below `alpha`): age does not get
-the credit for a contact force that happens to grow with age. Corrected p values are Holm's over all elements times all
-covariates.
+those already found (the best one is added as long as its p, times everything tried, is below `alpha`): if contact force
+happens to grow with age, an effect of the force is not attributed to age. Corrected p values are Holm's over all
+elements times all covariates.
 
 A covariate x that is positive enters as ln x. Elements are positive and their logarithms normal, so the plain law
 between two positive quantities is a power, :math:`\text{element} \propto x^b`: stiffness and damping of a fingertip
@@ -32,7 +32,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods, holm
+from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods
 from bayes_impedance.diagnosis.heterogeneity.reml import (
     AdditiveCovariance,
     Fit,
@@ -40,16 +40,34 @@ from bayes_impedance.diagnosis.heterogeneity.reml import (
     centred_fit,
     fit_normal_population,
 )
+from bayes_impedance.diagnosis.multiple_testing import bonferroni, holm
 from bayes_impedance.errors import InputError
 
 ALPHA = 0.005
+"""Corrected p-value below which a covariate joins those beside which the others are tested."""
+
 MINIMUM_PERSONS = 5
 """With fewer, a slope has hardly any degree of freedom left, and nothing is tested."""
 
 _CELSIUS = ("_c", "_degc", "_celsius")
+"""Endings of the names of covariates whose zero is arbitrary: no logarithm is taken."""
+
 _START_RHO, _START_OMEGA = 0.05, 0.01
+"""Dispersion between repetitions, and of slopes per repetition, at which the fit of a drift begins."""
+
 _OFFSET_SD = 1.0
-_LARGEST_SLOPE_SD = 1.0  # of one standard deviation of the covariate: a factor e is more than anybody asks for
+"""Prior standard deviation of everybody's offset: flat beside deviations of some per cent."""
+
+_LARGEST_SLOPE_SD = 1.0
+"""Largest standard error with which a slope is tested, in log elements per standard deviation of the covariate (per
+repetition for a drift): an error by a factor e says that the element is not determined."""
+
+_SPARE_PERSONS = 3
+"""Persons who must be left when each covariate has taken one: mean, and two degrees of freedom for the variance."""
+
+_COLLINEAR = 0.1
+"""Smallest singular value of the standardised covariates, per root of the persons: below, a covariate is the others'
+combination to within 10 %, and no recording could tell which of them it is."""
 
 
 @dataclass(frozen=True)
@@ -204,7 +222,7 @@ def find_covariates(
         rows = {q: search.slopes([b for b in beside if b != q], q) for q in regressors}
         tried = sum(len(r) for r in rows.values())
         best = {q: min((t.p_value for t in r), default=1.0) for q, r in rows.items() if q not in beside}
-        if not best or min(best.values()) * tried > alpha:
+        if not best or bonferroni(min(best.values()), tried) > alpha:
             break
         beside.append(min(best, key=lambda q: best[q]))
     remarks += [f"covariate '{q}' has too few persons, or does not differ from others" for q in rows if not rows[q]]
@@ -262,15 +280,15 @@ class _Search:
         columns = np.array([self.regressors[q][0] for q in [*beside, name]]).T
         rows = np.all(np.isfinite(columns), axis=1)
         n, k = int(rows.sum()), columns.shape[1]
-        if n < max(MINIMUM_PERSONS, k + 3):
+        if n < max(MINIMUM_PERSONS, k + _SPARE_PERSONS):
             return []
         x = columns[rows]
         sd = x.std(axis=0)
         if not np.all(sd > 0):
             return []
         z = np.hstack([np.ones((n, 1)), (x - x.mean(axis=0)) / sd])
-        if np.linalg.svd(z, compute_uv=False)[-1] < 0.1 * np.sqrt(n):
-            return []  # almost the same as those beside it: no recording could tell which it is
+        if np.linalg.svd(z, compute_uv=False)[-1] < _COLLINEAR * np.sqrt(n):
+            return []
         p = len(self.likelihoods.elements)
         design = np.einsum("nk,pq->npkq", z, np.eye(p)).reshape(n, p, -1)
         fit = fit_normal_population(self.likelihoods.persons(rows), design, FullCovariance(self.covariance))

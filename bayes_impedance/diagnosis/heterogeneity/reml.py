@@ -1,4 +1,4 @@
-r"""The population that makes everybody's quadratic likelihood most likely: restricted maximum likelihood.
+r"""Restricted maximum likelihood (REML) of a normal population from everybody's quadratic likelihood.
 
 The derivative of a person's log marginal likelihood (:mod:`bayes_impedance.diagnosis.heterogeneity.person_likelihoods`)
 with respect to the population's mean is the *pull* :math:`u_i = (I + H_iT)^{-1} (b_i - H_i m_i)`. It is :math:`N(0,
@@ -34,12 +34,23 @@ from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import DETERMINE
 COEFFICIENT_SD = 10.0
 """Standard deviation of the normal prior of every coefficient around the centre: flat, but never singular."""
 
-_PRIOR_PERSONS = 2.0
+PRIOR_PERSONS = 2.0
+"""Number of persons without correlations as which the LKJ(2) prior of the correlations counts."""
+
 _START_DISPERSION = 0.3
+"""Standard deviation of the log elements at which the fit begins: what people usually differ by."""
+
 _MAX_ITERATIONS, _MAX_HALVINGS = 60, 12
-_LONGEST_STEP = 1.5  # in the logarithm of a variance
-_CONVERGED = 1e-5  # of log likelihood still to be gained
-_DAMPING = 1e-4  # of the information: little, or variances that are zero take many steps to get there
+"""Limits of the iteration, which usually ends by itself, and of the line search: what is left then is rounding."""
+
+_LONGEST_STEP = 1.5
+"""Largest change of the logarithm of a variance in one step, a factor of 4.5."""
+
+_CONVERGED = 1e-5
+"""Log likelihood still to be gained at which the fit ends."""
+
+_DAMPING = 1e-4
+"""Added to the information. It is small, because variances that go to zero take many steps with more."""
 
 
 class Covariance(Protocol):
@@ -93,14 +104,14 @@ class FullCovariance:
         variance = np.sum(factor**2, axis=1)
         value = 2 * np.sum(np.log(np.diag(factor))) - np.sum(np.log(variance))
         slope = np.eye(variance.size) - factor.T @ (factor / variance[:, None])
-        return 0.5 * _PRIOR_PERSONS * float(value), _PRIOR_PERSONS * slope
+        return 0.5 * PRIOR_PERSONS * float(value), PRIOR_PERSONS * slope
 
     def curvature(self, factor: np.ndarray) -> np.ndarray:
         """Of that logarithm, where the step is zero."""
         rows = factor / np.linalg.norm(factor, axis=1, keepdims=True)
         turned = rows @ self.directions(factor)  # (A, D, D)
         along = np.einsum("apq,pq->ap", turned, rows)
-        return np.asarray(0.5 * _PRIOR_PERSONS * (np.tensordot(turned, turned, ([1, 2], [1, 2])) - along @ along.T))
+        return np.asarray(0.5 * PRIOR_PERSONS * (np.tensordot(turned, turned, ([1, 2], [1, 2])) - along @ along.T))
 
 
 @dataclass(frozen=True)
@@ -205,7 +216,7 @@ class Fit:
         return 0.5 * np.tensordot(e, g, ([1, 2], [0, 1])), 0.5 * _traces(self.weight, e)
 
     def mean_correction(self) -> np.ndarray:
-        """By how much the means, being estimated, make pulls too small: sum of L^T W X V X^T W L, shape (D, D)."""
+        """Correction of the pulls' squares for the estimated means, sum of L^T W X V X^T W L, shape (D, D)."""
         y = self.weight @ self.white_design
         return np.asarray(np.tensordot(y @ self.variance, y, ([0, 2], [0, 2])))
 

@@ -1,4 +1,4 @@
-r"""Whether some people differ from the others as a group.
+r"""Test of a subgroup: two normal populations with a common covariance against one.
 
 One population :math:`\theta_i \sim N(\mu, T)` is compared with two of the same covariance,
 
@@ -27,9 +27,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayes_impedance.diagnosis.fit.two_group_mixture import log_mixture, membership, share_of
 from bayes_impedance.diagnosis.heterogeneity.bootstrap import Residuals, replicates, tail_probability
-from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods, log_marginal
-from bayes_impedance.diagnosis.heterogeneity.reml import Fit, centred_fit
+from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import NORMAL_Q95, PersonLikelihoods, log_marginal
+from bayes_impedance.diagnosis.heterogeneity.reml import PRIOR_PERSONS, Fit, centred_fit
 from bayes_impedance.diagnosis.heterogeneity.two_groups import (
     SMALLEST_GROUP,
     SMALLEST_SHARE,
@@ -37,15 +38,26 @@ from bayes_impedance.diagnosis.heterogeneity.two_groups import (
     along_any,
     along_elements,
 )
+from bayes_impedance.diagnosis.multiple_testing import bonferroni
 
 REPLICATES = 200
+"""Twenty replicates lie in the highest tenth, from which the tail is extrapolated
+(:func:`~bayes_impedance.diagnosis.heterogeneity.bootstrap.tail_probability`)."""
+
 MINIMUM_PERSONS = 12
 """With fewer, two groups of at least three differ by chance too often for any shift to stand out."""
 
 _BATCH = 40
-_ENOUGH_ABOVE = 6  # replicates of each batch with a larger statistic: p is above 0.1, which is all one wants to know
+"""Replicates at a time: after each batch it is decided whether more are needed."""
+
+_ENOUGH_ABOVE = 6
+"""Replicates of each batch with a larger statistic from which on no more are made: p is above 0.1, not significant."""
+
 _ROUNDS = 60
-_PRIOR_PERSONS = 2.0
+"""Of expectation-maximisation of the reported groups, begun at the best mixture of the search."""
+
+_AXIS_LEVEL = 0.01
+"""Level at which a change of all elements must be better than that of one for all to be reported."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,29 +155,29 @@ def find_subgroup(
     shape = every[:, [element]]
     groups, free = _Groups.of(fit, one.best(1)).maximised(shape), _Groups.of(fit, anything).maximised(every)
     # Freedom to change the other elements too raises twice the log likelihood by chi-square(P - 1) if only one does.
-    axis = 2 * (free.log_likelihood() - groups.log_likelihood()) < chi2.isf(0.01, max(len(elements) - 1, 1))
+    axis = 2 * (free.log_likelihood() - groups.log_likelihood()) < chi2.isf(_AXIS_LEVEL, max(len(elements) - 1, 1))
     groups, shape = (groups, shape) if axis else (free, every)
     shift, sd, share_sd = groups.shift, *groups.errors(shape)
-    logit = np.log(groups.share / (1 - groups.share)) + 1.645 * min(share_sd, 400.0) * np.array([-1, 0, 1])
-    share, membership = 1 / (1 + np.exp(-logit)), groups.membership()
+    logit = np.log(groups.share / (1 - groups.share)) + NORMAL_Q95 * min(share_sd, 400.0) * np.array([-1, 0, 1])
+    share, belongs = 1 / (1 + np.exp(-logit)), groups.membership()
     if groups.share > 0.5:
-        shift, share, membership = -shift, 1 - share[::-1], 1 - membership
+        shift, share, belongs = -shift, 1 - share[::-1], 1 - belongs
     return Subgroup(
         element=elements[element] if axis else "",
         shift=shift,
-        shift_q05=shift - 1.645 * sd,
-        shift_q95=shift + 1.645 * sd,
+        shift_q05=shift - NORMAL_Q95 * sd,
+        shift_q95=shift + NORMAL_Q95 * sd,
         share=float(share[1]),
         share_q05=float(share[0]),
         share_q95=float(share[2]),
         separation=float(np.sqrt(shift @ np.linalg.solve(groups.covariance, shift))),
         statistic=float(real[int(np.argmin(p))]),
         p_value=min(p),
-        p_corrected=min(1.0, 2 * min(p)),
+        p_corrected=bonferroni(min(p), 2),
         tried=kept.size + 1,
         persons=n,
         replicates=len(null),
-        membership=membership,
+        membership=belongs,
         reason="",
         remarks=remarks,
     )
@@ -196,19 +208,19 @@ class _Groups:
         return cls(fit.problem.likelihoods, mean, shift * along, covariance, float(mixture.share[0, 0]))
 
     def both(self) -> tuple[np.ndarray, np.ndarray]:
-        """Log likelihood of each person as a member of either group, with the shares: shapes (N,)."""
+        """Log likelihood of each person as a member of either group, both shape (N,)."""
         first = log_marginal(self.likelihoods, self.mean, self.covariance)
-        second = log_marginal(self.likelihoods, self.mean + self.shift, self.covariance)
-        return first + np.log(1 - self.share), second + np.log(self.share)
+        return first, log_marginal(self.likelihoods, self.mean + self.shift, self.covariance)
 
     def log_likelihood(self) -> float:
         """Of all persons."""
-        return float(np.sum(np.logaddexp(*self.both())))
+        first, second = self.both()
+        return float(np.sum(first + log_mixture(second - first, self.share)))
 
     def membership(self) -> np.ndarray:
         """Probability of the second group, shape (N,)."""
         first, second = self.both()
-        return np.asarray(1 / (1 + np.exp(-np.clip(second - first, -700, 700))))
+        return membership(second - first, self.share)
 
     def maximised(self, shape: np.ndarray) -> _Groups:
         """After rounds of expectation-maximisation, the shift being shape (P, K) times anything."""
@@ -231,9 +243,9 @@ class _Groups:
             for centre, part in ((mean, 1 - r), (mean + shift, r)):
                 away = np.einsum("npq,nq->np", rest, self.likelihoods.around(centre).linear)
                 total = total + (part[:, None] * away).T @ away
-            total = 0.5 * (total + total.T) + _PRIOR_PERSONS * np.diag(np.diag(covariance))
-            share = float(np.clip(r.mean(), least, 1 - least))
-            groups = _Groups(self.likelihoods, mean, shift, total / (n + _PRIOR_PERSONS), share)
+            total = 0.5 * (total + total.T) + PRIOR_PERSONS * np.diag(np.diag(covariance))
+            share = float(share_of(r, least))
+            groups = _Groups(self.likelihoods, mean, shift, total / (n + PRIOR_PERSONS), share)
         return groups
 
     def weights(self) -> tuple[np.ndarray, np.ndarray]:

@@ -1,7 +1,7 @@
-"""What the population's structure leaves out: elements that follow a covariate, drift, or differ in a group of people.
+"""All tests of the population: covariates, drift, subgroups, correlations, as entries of the verdict.
 
-The tests are those of :mod:`bayes_impedance.diagnosis.heterogeneity.regression` and its neighbours; here everybody's
-quadratic likelihood is made for them from a fit, and what they find is put into the words of the verdict.
+The tests themselves are in the other modules of this room. Here their input, everybody's quadratic likelihood, is made
+from a fit, and significant results are written as entries.
 """
 
 from __future__ import annotations
@@ -27,14 +27,24 @@ from bayes_impedance.diagnosis.heterogeneity.subgroups import Subgroup, find_sub
 from bayes_impedance.recordings.files import Recordings
 
 ALPHA = 0.003
-"""Corrected level of each family of tests: they are several, and together must stay below the search's own."""
+"""Corrected level of each family of tests. There are four families; by the union bound they raise 1.2 % false alarms
+together, about as many as the search for missing physics (1 %)."""
+
+_SMALLEST_RHO = 1e-3
+"""Dispersion between repetitions, of log elements, below which it is set to this: a precision must be finite."""
+
+_MEMBER = 0.5
+"""Probability of membership above which a person is named as one of a subgroup."""
+
+_REPORTED_PAIR = 0.05
+"""Corrected p-value below which a pair of elements is named once the correlations as a whole are significant."""
 
 
 def person_likelihoods(fit: Refit) -> PersonLikelihoods:
     """Everybody's likelihood of the log elements, deviations between repetitions integrated out."""
     h, linear = _recordings(fit)
     e = fit.model.n_elements
-    precision = np.maximum(fit.population.rho[:e], 1e-3) ** -2.0
+    precision = np.maximum(fit.population.rho[:e], _SMALLEST_RHO) ** -2.0
     pulled = np.linalg.solve(h + np.diag(precision), np.concatenate([h, linear[..., None]], axis=2))
     information = h - np.einsum("mpq,mqr->mpr", h, pulled[..., :-1])
     reduced = linear - np.einsum("mpq,mq->mp", h, pulled[..., -1])
@@ -112,7 +122,7 @@ def _subgroup_entry(group: Subgroup, elements: tuple[str, ...]) -> dict[str, Any
         "shift": _row("", group.shift[strongest], group.shift_q05[strongest], group.shift_q95[strongest]),
     }
     entry = _structure("body.subgroup", group.element or elements[strongest], parameters)
-    entry["subjects"] = np.flatnonzero(group.membership > 0.5).tolist()
+    entry["subjects"] = np.flatnonzero(group.membership > _MEMBER).tolist()
     entry["elements"] = [entry["place"]]
     entry["evidence"] = _evidence(group.statistic, group.p_corrected, 0.5 * group.statistic - 2.0)
     return entry
@@ -122,7 +132,7 @@ def _correlation_entry(test: CorrelationTest) -> dict[str, Any]:
     parameters = {
         f"correlation of {pair.first} and {pair.second}": _row("", pair.estimate, pair.q05, pair.q95)
         for pair in test.pairs
-        if pair.p_corrected < 0.05
+        if pair.p_corrected < _REPORTED_PAIR
     }
     first = test.pairs[0].first
     entry = _structure("body.correlation", first, parameters)
@@ -160,7 +170,7 @@ def _structure(kind: str, place: str, parameters: dict[str, Any]) -> dict[str, A
 def _entry(
     kind: str, rows: list[Trend], parameter: str, covariate: str | None, gain: tuple[float, float]
 ) -> dict[str, Any]:
-    """Entry for elements that follow a covariate or the repetitions, the surest first."""
+    """Entry for elements that follow a covariate or the repetitions, smallest p-value first."""
     unit = (
         "per repetition" if kind == "body.drift" else "" if rows[0].transform == "log" else f"per unit of {covariate}"
     )

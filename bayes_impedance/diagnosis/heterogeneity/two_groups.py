@@ -1,4 +1,4 @@
-r"""Two groups along given directions, against one: likelihood ratios for many directions and populations at once.
+r"""Mixtures of two groups along given directions: likelihood ratios to one group, for many directions at once.
 
 If the groups differ by a shift along v, all that the data say about the groups is in the projections of everybody's
 pull and weight, :math:`s_i = v^Tu_i` and :math:`I_i = v^TW_iv`. Together they are one measurement
@@ -23,15 +23,27 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from bayes_impedance.diagnosis.fit.two_group_mixture import log_mixture, membership, share_of
 from bayes_impedance.diagnosis.heterogeneity.bootstrap import Residuals
 
 SMALLEST_SHARE, SMALLEST_GROUP = 0.05, 3.0
-"""A group has at least this share of the persons, and at least so many."""
+"""A group has at least this share of the persons, and at least so many: fewer are outliers, not a group."""
 
 _SPLITS = (0.1, 0.35, 0.65, 0.9)
-_FIRST, _MORE, _REFINEMENTS, _STARTS = 6, 24, 6, 3
-_SMALLEST_SPREAD = 0.02  # of the variance along v that one group has
+"""Quantiles of the persons, ordered along a direction, at which a start splits them: small, medium and large groups."""
+
+_FIRST, _MORE = 6, 24
+"""Rounds of expectation-maximisation that tell which start or direction is best, and those that follow from there. The
+replicates are treated in the same way, so that what has not converged does not bias the p-value."""
+
+_REFINEMENTS, _STARTS = 6, 3
+"""How often a direction follows the difference between its groups, and how many directions do."""
+
+_SMALLEST_SPREAD = 0.02
+"""Smallest variance within the groups, of the variance that one group has along v: two points would have none."""
+
 _RIDGE = 1e-3
+"""Added to the mean weight, so that directions that nobody sees have an inverse."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +103,7 @@ def along_elements(residuals: Residuals, elements: np.ndarray) -> Mixture:
 
 
 def along_any(residuals: Residuals, first: Mixture) -> Mixture:
-    """The best mixture along any direction, searched from the best of some and from where the data are least normal.
+    """The best mixture along any direction, searched from the best elements and from the least normal directions.
 
     Two groups make the distribution along the line between them flat, or skewed if they are unequal. So eigenvectors of
     the fourth moments, and the third moment, are further starts (Tyler, Critchley, Dümbgen and Oja, J. R. Statist. Soc.
@@ -182,15 +194,14 @@ def _maximise(
         weighted, weighted_other = np.sum(w * x, axis=-1), np.sum(second * x, axis=-1)
         middle = (weighted - weighted_other) / np.maximum(total - other, 1e-12)
         shift = weighted_other / np.maximum(other, 1e-12) - middle
-        share = np.clip(np.mean(belongs, axis=-1), least, 1 - least)
+        share = share_of(belongs, least)
         away = x - middle[..., None]
         gain = shift[..., None] * (shift[..., None] - 2 * away)
         excess = w * (w * (away * away + belongs * gain) - 1)
         spread = spread + np.sum(excess, axis=-1) / np.maximum(np.sum(w * w, axis=-1), 1e-12)
         spread = np.maximum(spread, smallest)
         w = information / (1 + information * (spread[..., None] - 1))
-        odds = np.clip(np.log(share / (1 - share))[..., None] - 0.5 * w * gain, -700, 700)
-        belongs = 1 / (1 + np.exp(-odds))
+        belongs = membership(-0.5 * w * gain, share)
     return middle, spread, shift, share, belongs
 
 
@@ -207,8 +218,7 @@ def _log_likelihood(
     w = information / stretch
     away = x - middle[..., None]
     gain = 0.5 * w * shift[..., None] * (2 * away - shift[..., None])
-    both = np.logaddexp(np.log1p(-share)[..., None], np.log(share)[..., None] + gain)
-    return np.asarray(np.sum(both - 0.5 * np.log(stretch) - 0.5 * w * away * away, axis=-1))
+    return np.asarray(np.sum(log_mixture(gain, share) - 0.5 * np.log(stretch) - 0.5 * w * away * away, axis=-1))
 
 
 def _unit(direction: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-r"""Hum of the mains as an analyser with a finite averaging time sees it: no line, but a window with skirts.
+r"""Spectral leakage of mains hum: with a finite averaging time a line is spread over the analyser's window.
 
 A lock-in that averages K periods of its own frequency f takes of a hum at :math:`f_h`, with the phase that it happens
 to have, the part :math:`\operatorname{sinc}(K(f_h/f - 1))`. So hum of the random phase that an unsynchronised sweep
@@ -24,18 +24,32 @@ from scipy.interpolate import BSpline
 from scipy.special import digamma, polygamma
 
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
-from bayes_impedance.diagnosis.hum.line import HARMONICS, LINES_HZ, Hum
+from bayes_impedance.diagnosis.hum.line import CHI_SQUARE_Q90, HARMONICS, LINES_HZ, Hum
 from bayes_impedance.diagnosis.hum.neighbours import projected
+from bayes_impedance.diagnosis.multiple_testing import bonferroni
 
 PERIODS = (3.0, 5.0, 7.0, 10.0, 14.0, 20.0)
+"""Averaging times in periods of the excitation: with fewer the window covers an octave, with more it is a line."""
+
 _DECAYS = (0.0, 1.0)
+"""Exponents gamma: harmonics of equal strength, and falling as 1/h."""
+
 _AMPLITUDES = np.geomspace(0.03, 3000.0, 36)
+"""Values of a, hum over background variance, 39 % apart: from what no population shows to what hides all else."""
+
 _FIRST_HZ = np.geomspace(33.0, 90.0, 101)
+"""First harmonics that compete with those of the mains, 1 % apart."""
+
 _OF_MAINS = 0.03
-"""The best first harmonic may be this far from the mains'."""
+"""The best first harmonic may be this far from the mains', three steps of its grid."""
+
 _AFFECTED = 3.0
 """Points whose noise is doubled are left out; less is covered by the noise as it is estimated."""
+
 _FEWEST_FREEDOM, _FEWEST_POINTS = 30.0, 30
+"""Degrees of freedom at every point, with which the logarithm of a mean square is nearly normal, and points, of which
+spline and pattern take a dozen."""
+
 _REACH = (0.38, 13.0)
 """What is looked at, in multiples of the first harmonics: noise that grows below is none of it."""
 
@@ -89,7 +103,7 @@ def find_skirts(residuals: Sequence[PersonResiduals], alpha: float = 0.01) -> Hu
     tried = len(LINES_HZ) * len(PERIODS) * len(_DECAYS)
     from scipy.stats import norm
 
-    p_value = min(float(norm.sf(np.sqrt(max(without - least, 0.0) / rough))) * tried, 1.0)
+    p_value = bonferroni(float(norm.sf(np.sqrt(max(without - least, 0.0) / rough))), tried)
     if abs(first / line - 1) > _OF_MAINS or p_value > alpha:
         return None
     return _hum(grid, felt, line, periods, amplitude, p, y, misfit, rough, p_value)
@@ -150,7 +164,7 @@ def _hum(
     """Amplitude at the strongest point in the impedance's unit, from the profile of a."""
     fine = np.geomspace(amplitude / 10, amplitude * 10, 401)
     found = misfit(y - np.log1p(fine[:, None] * p))
-    inside = fine[found < found.min() + 2.706 * rough]
+    inside = fine[found < found.min() + CHI_SQUARE_Q90 * rough]
     values = np.array([fine[int(np.argmin(found))], inside[0], inside[-1]])
     strongest = int(np.argmax(p * (np.abs(grid / line - 1) < 0.5)))
     own = np.abs(grid / grid[strongest] - 1) < 0.2

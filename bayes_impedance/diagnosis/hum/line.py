@@ -22,6 +22,7 @@ import numpy as np
 
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
 from bayes_impedance.diagnosis.hum.neighbours import Excess, Neighbourhood, around, excess, predicted, projected
+from bayes_impedance.diagnosis.multiple_testing import bonferroni
 from bayes_impedance.errors import InputError
 from bayes_impedance.recordings.files import Recordings
 
@@ -36,7 +37,13 @@ _MAINS_ACCURACY = 0.01
 """On a dense grid, hum may be this far from where it should be; on others, as far as the next point."""
 
 _COMBINED = (2, 3, 5, 10)
+"""Numbers of harmonics whose p-values are combined: hum with few harmonics, and with many."""
+
 _AFFECTED_P = 0.01
+"""Level at which a harmonic counts as affected once the combination is significant."""
+
+CHI_SQUARE_Q90, _NORMAL_Q95 = 2.706, 1.645
+"""Quantiles that make 90 % intervals: fall of twice the log likelihood, and half the width in standard errors."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,8 +138,8 @@ def find_mains(residuals: Sequence[PersonResiduals], alpha: float = 0.01, absolu
     affected: dict[float, list[_Test]] = {}
     for line in LINES_HZ:
         p_value, members = min(combined[line], key=lambda c: c[0], default=(1.0, []))
-        members = members if p_value * tried < alpha else []
-        affected[line] = [t for t in tests[line] if t.excess.p_value * tried < alpha or t in members]
+        members = members if bonferroni(p_value, tried) < alpha else []
+        affected[line] = [t for t in tests[line] if bonferroni(t.excess.p_value, tried) < alpha or t in members]
 
     def evidence(line: float) -> tuple[float, int]:
         # 300 and 600 Hz are harmonics of both: the line with the lower harmonic has them if nothing else tells.
@@ -155,7 +162,7 @@ def find_mains(residuals: Sequence[PersonResiduals], alpha: float = 0.01, absolu
         q05=q05,
         q95=q95,
         coherent=min(strongest, key=lambda t: t.excess.p_value).coherent,
-        p_value=float(min(smallest * tried, 1.0)),
+        p_value=float(bonferroni(smallest, tried)),
     )
 
 
@@ -214,7 +221,7 @@ def _amplitude(tests: Sequence[_Test]) -> tuple[float, float, float]:
         if test.coherent:
             weight = np.sum(left / sd**2, axis=1)
             size = float(np.linalg.norm(np.sum(parts / sd, axis=1) / weight))
-            error = 1.645 * float(np.sqrt(level / weight.mean()))
+            error = _NORMAL_Q95 * float(np.sqrt(level / weight.mean()))
             squares.append((size**2 / 2, max(size - error, 0.0) ** 2 / 2, (size + error) ** 2 / 2))
         else:
             squares.append(_variance(parts**2 / level, left, level * sd**2, test.excess.freedom))
@@ -250,14 +257,14 @@ def _variance(energy: np.ndarray, left: np.ndarray, variance: np.ndarray, freedo
 
     top = float(np.log(np.max(energy / left**2 * variance) / unit + 1.0)) + 1.0
     best = float(minimize_scalar(deviance, bounds=(-12.0, top), method="bounded").x)
-    limit = deviance(best) + 2.706
+    limit = deviance(best) + CHI_SQUARE_Q90
 
     def beyond(log_a: float) -> float:
         return deviance(log_a) - limit
 
     ends = [brentq(beyond, best, end) if beyond(end) > 0 else end for end in (-16.0, top + 3.0)]
     a, low, high = (float(np.exp(v)) * unit for v in (best, *ends))
-    level = 1.645 * np.sqrt(2 / freedom) * unit
+    level = _NORMAL_Q95 * np.sqrt(2 / freedom) * unit
     return a, a - float(np.hypot(a - low, level)), a + float(np.hypot(high - a, level))
 
 

@@ -1,4 +1,4 @@
-r"""Whether the points nearest to one frequency stand out of those around it.
+r"""F test of the points nearest to one frequency against their neighbours in frequency.
 
 All recordings are aligned at that point. With white residuals r, h their leverage and Q what the elements absorb, a
 column k has the mean square
@@ -23,14 +23,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
-from bayes_impedance.diagnosis.residuals.nodes import contrast_matrix
+from bayes_impedance.diagnosis.residuals.nodes import MINIMUM_CONTRASTS, contrast_matrix
 
 _LEAST_COLUMNS, _MOST_COLUMNS = 40, 300
+"""Points that are looked at on either side: of coarse grids more than the neighbours, of dense ones not all."""
+
 _REACH_OCTAVES = (0.5, 1.0, 1.5)
+"""How far neighbours reach, the first that has enough of them: the further, the less the noise there is the same."""
+
 _FEWEST_NEIGHBOURS = 8
-_FEWEST_CONTRASTS = 10
+"""Neighbours in each recording: a parabola takes three, and the rest tell the scatter."""
+
 _FLANK, _FLANK_P, _FLANK_RATIO = 2, 0.01, 30.0
+"""Points on either side that must not stand out at this level, unless the point itself has so many times their mean
+square: the window of an analyser lets strong hum leak into them."""
+
 _SAME_P = 0.01
+"""Level at which people's means must exceed the contrasts for the contrasts alone to be used."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -90,7 +99,7 @@ class Neighbourhood:
 
         known = np.isfinite(self.value[:, column])
         matrix = contrast_matrix(self.owner[known])
-        if matrix.shape[0] < _FEWEST_CONTRASTS:
+        if matrix.shape[0] < MINIMUM_CONTRASTS:
             return None
         value, left = self.value[known, column], self.left[:, known, column].sum(axis=0)
         contrast, n = float(np.sum(np.abs(matrix @ value) ** 2)), float(np.sum(matrix**2 @ left))
@@ -123,7 +132,7 @@ def around(
     near: float,
     excluded_hz: np.ndarray,
 ) -> Neighbourhood | None:
-    """What lies around a frequency.
+    """Align all recordings at the point nearest to a frequency.
 
     Parameters
     ----------
@@ -177,7 +186,7 @@ def around(
 
 
 def predicted(table: Neighbourhood, frequency: float) -> Neighbourhood:
-    """The same over the noise that the neighbours predict."""
+    """The same, whitened by the noise that a parabola through the neighbours predicts."""
     u = np.nan_to_num(np.log(table.frequency_hz / frequency))
     scale = np.max(np.abs(u) * table.neighbour)
     u = np.clip(u, -scale, scale)  # what is further away is not used

@@ -1,4 +1,4 @@
-r"""Which further measurement would tell two explanations apart, from the curvature alone.
+r"""Expected separation of two explanations by further measurements, from a linearised fit of virtual recordings.
 
 The winner is taken to be true. It says what would be recorded in each of several experiments that nobody has made yet:
 on a wider band, with a contactor that is heavier by a known mass, under another preload, at another position of the
@@ -46,18 +46,28 @@ from bayes_impedance.person.likelihood import SCALE_SHAPE
 KINDS = ("none", "wider_high", "wider_low", "contactor_mass", "preload", "position")
 
 WIDER = 3.0
-"""By this factor a band is extended."""
+"""Factor by which a band is extended: half a decade, which many analysers have to spare."""
 
 ENOUGH = 5.0
-"""Difference in natural logarithms from which two explanations count as told apart."""
+"""Difference in natural logarithms from which two explanations count as told apart: odds of 150 to one."""
 
-_MASSES = (0.3, 1.0, 3.0)  # in units of the mass whose impedance is that of the finger at the upper end of the band
-_STIFFER = {"m": 0.0, "n": -np.log(1.5), "r": np.log(1.3)}  # change of log elements with the preload
+_MASSES = (0.3, 1.0, 3.0)
+"""Known masses, in units of the mass whose impedance is that of the finger at the upper end of the band."""
+
+_STIFFER = {"m": 0.0, "n": -np.log(1.5), "r": np.log(1.3)}
+"""Change of log elements under about three times the preload: stiffness and damping grow as its power 0.35 or less."""
+
 _OTHER_POSITION_SD = 0.3
+"""Standard deviation by which log elements differ at another position of the finger: about as between people."""
+
 _POSITION_SEED = 20
-_STEPS = 8
-_LONGEST_STEP = 1.0
+"""Fixed, so that proposals do not depend on anything drawn before."""
+
+_STEPS, _LONGEST_STEP = 8, 1.0
+"""Gauss-Newton steps, and the largest change of any parameter in one: they begin at fits of similar recordings."""
+
 _NEGLIGIBLE = 0.01
+"""Separation below which a ratio of separations is not formed, in natural logarithms."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +131,7 @@ def separation(winner: Refit, alias: Refit, people: int = 8) -> tuple[Proposal, 
 
 
 def best_sentence(proposals: Sequence[Proposal]) -> str:
-    """What to measure next, and what to expect of it.
+    """Name the best further measurement and its expected separation.
 
     A measurement is worth naming if it tells the two apart and brings more than the same recordings once more.
     """
@@ -196,7 +206,7 @@ def _parameters(fit: Refit, recording: Recording) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _State:
-    """Parameters while they follow: elements (R, E), additions of everybody (n, A) and means (V,)."""
+    """Parameters during the fit: elements (R, E), additions of everybody (n, A) and means (V,)."""
 
     elements: np.ndarray
     own: np.ndarray
@@ -230,7 +240,7 @@ class _Step:
 
 
 class _Follower:
-    """A fitted model that follows recordings as well as it can.
+    """A fitted model that is fitted again to virtual recordings.
 
     Parameters
     ----------
@@ -332,7 +342,7 @@ class _Follower:
         return np.concatenate([state.elements[k], state.own[self.owner[k]]])
 
     def _apart(self, state: _State) -> np.ndarray:
-        """What holds everybody's coefficients to the means, shape (n,)."""
+        """Prior term of everybody's coefficients, squared distance to the means over the variance, shape (n,)."""
         return np.asarray(np.sum(((state.own[:, self.varying] - state.mean) / self.tau) ** 2, axis=1))
 
     def _common(self, state: _State) -> np.ndarray:
@@ -342,7 +352,7 @@ class _Follower:
         return float(np.sum(self.prior * (self._common(state) - self._common(self.start)) ** 2))
 
     def _prior(self, state: _State) -> tuple[np.ndarray, np.ndarray]:
-        """Precision and pull of the priors, and of what holds everybody's coefficients to the means."""
+        """Precision and linear term of the priors of means, shared parameters and everybody's coefficients."""
         c, v, n = self.prior.size, self.varying.size, self.n
         precision, right = np.zeros((c + n * v,) * 2), np.zeros(c + n * v)
         precision[range(c), range(c)] = self.prior

@@ -1,4 +1,4 @@
-"""Recordings that nobody has made yet: of the same people, in an experiment that is not the present one."""
+"""Virtual recordings of the same people in other experiments: wider band, heavier contactor, changed elements."""
 
 from __future__ import annotations
 
@@ -11,8 +11,11 @@ from bayes_impedance.diagnosis.fit.model import Model
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.operations import Operation
 
-_POINTS_PER_DECADE = 20.0  # of a recording with a single frequency
+_POINTS_PER_DECADE = 20.0
+"""Density of a wider band where the present recording has a single frequency, and thus none of its own."""
+
 _KNOWN = "known mass"
+"""Name of the known mass among the kernel's parameters."""
 
 
 @dataclass(frozen=True, kw_only=True)

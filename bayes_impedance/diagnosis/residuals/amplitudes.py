@@ -1,33 +1,44 @@
-r"""Who carries a structure that was found, whether it drifts over the repetitions, and what it follows.
+r"""Which people have a structure that was found: tests of everybody's amplitude, and whether only a minority has it.
 
-The structure is the span of the templates A that were found. With t the scores of A and M their covariance,
-:math:`t_i^T M_i^{-1} t_i` is chi-square with K degrees of freedom for a person i without structure. The main direction
-u of all whitened scores gives everybody one signed amplitude z_i, standard normal without structure. Where structure
-was found as energy only, the energy takes the amplitude's place.
+The structure is the span of the K templates A that were found. With :math:`t_i` the scores of A in the recordings of
+person i and :math:`M_i` their covariance, :math:`t_i^T M_i^{-1} t_i` is chi-square with K degrees of freedom if the
+person has none of it. The principal direction of all whitened scores gives everybody one signed amplitude
+:math:`z_i`, standard normal without structure. A structure that was found as excess energy has no template; its energy
+takes the amplitude's place.
 
-Two descriptions of the z_i compete: everybody has some, :math:`z_i \sim N(\mu, 1 + \tau^2)` (or log-normal amplitudes,
-which are skew), and only a share :math:`\pi` has any, :math:`z_i \sim (1 - \pi) N(0, 1) + \pi N(\mu, 1 + \tau^2)`.
-People are named only if the second is much better, they are the smaller half, and each of them is significant.
+Two models of the amplitudes are compared. Either everybody has the structure, :math:`z_i \sim N(\mu, 1 + \tau^2)` (or
+amplitudes are log-normal, which is skew), or a share :math:`\pi` of the people has it,
+:math:`z_i \sim (1 - \pi)\, N(0, 1) + \pi\, N(\mu, 1 + \tau^2)`. People are named only if the second model is much
+more likely, if they are a minority, and if each of them is significant.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from bayes_impedance.diagnosis.fit.two_group_mixture import log_mixture, membership, share_of
+from bayes_impedance.diagnosis.multiple_testing import holm
 from bayes_impedance.diagnosis.residuals.nodes import Pooled
 from bayes_impedance.diagnosis.residuals.windows import normal_score
-from bayes_impedance.errors import InputError
 
-_FEWEST = 6
-"""Persons among whom a minority can be told."""
+_MINIMUM_PERSONS = 6
+"""With fewer, the mixture has nearly as many parameters (share, mean, spread) as a minority has people."""
 
-_GAIN = 5.0
-"""Log likelihood by which `some` must beat `all`; it has one parameter more."""
+_LEAST_GAIN = 5.0
+"""Log likelihood by which "some have it" must exceed "everybody has it". The mixture has one parameter more and three
+forms of the rival are tried, so chance alone gains one or two; amplitudes that merely vary must name nobody."""
 
-_FEWEST_VALUES = 5
+_SMALLEST_SHARE = 1e-3
+"""Less than one person of any population that was recorded: it only keeps logarithms finite."""
+
+_ROUNDS = 100
+"""Of expectation-maximisation from each start: groups whose gain matters are well separated and need few."""
+
+_LEAST_COVERAGE = 0.05
+"""A person whose recordings see less than this part of the mean person's information about a structure has no
+amplitude: dividing by it would give any number."""
 
 
 @dataclass(frozen=True)
@@ -36,35 +47,25 @@ class Amplitudes:
 
     Attributes
     ----------
-    owner : ndarray of int, shape (R,)
-        Person of each recording.
-    recording : ndarray, shape (R,)
-        Amplitude in each recording, NaN where it does not cover the structure.
-    person : ndarray, shape (N,)
-        The same of everybody's mean.
     z : ndarray, shape (N,)
-        In standard deviations of the noise.
+        Amplitude in standard deviations of the noise; NaN where the person's recordings do not cover the structure.
     p_value : ndarray, shape (N,)
-        That a person has nothing, not corrected.
+        Of the hypothesis that the person has nothing, not corrected; 1 where the structure is not covered.
     """
 
-    owner: np.ndarray
-    recording: np.ndarray
-    person: np.ndarray
     z: np.ndarray
     p_value: np.ndarray
 
 
 def pattern_amplitudes(pooled: Pooled, templates: np.ndarray) -> Amplitudes:
-    """Amplitudes along the main direction of the span of templates (2 G, K)."""
+    """Amplitudes along the principal direction of the span of templates (2 G, K)."""
     from scipy.stats import chi2
 
     k = templates.shape[1]
     absorbed = pooled.basis.transpose(0, 2, 1) @ templates
     covariance = np.einsum("rg,gk,gl->rkl", pooled.count, templates, templates, optimize=True)
     covariance -= absorbed.transpose(0, 2, 1) @ absorbed
-    score = pooled.scores @ templates
-    m, t = pooled.by_person(covariance), pooled.by_person(score)
+    m, t = pooled.by_person(covariance), pooled.by_person(pooled.scores @ templates)
     mean = m.mean(axis=0)
     m = m + 1e-9 * np.trace(mean) * np.eye(k)
     factor = np.linalg.cholesky(mean + 1e-9 * np.trace(mean) * np.eye(k))
@@ -73,75 +74,67 @@ def pattern_amplitudes(pooled: Pooled, templates: np.ndarray) -> Amplitudes:
     direction *= 1.0 if np.sum(white @ direction) >= 0 else -1.0
     weight = np.linalg.solve(factor.T, direction)
     v = np.einsum("k,nkl,l->n", weight, m, weight)
-    v_recording = np.maximum(np.einsum("k,nkl,l->n", weight, covariance, weight), 1e-300)
-    covered = v > 0.05 * v.mean()
+    covered = v > _LEAST_COVERAGE * v.mean()
     energy = np.sum(t * np.linalg.solve(m, t[:, :, None])[:, :, 0], axis=1)
     return Amplitudes(
-        pooled.owner,
-        np.where(covered[pooled.owner], score @ weight / v_recording, np.nan),
-        np.where(covered, t @ weight / v, np.nan),
         np.where(covered, t @ weight / np.sqrt(v), np.nan),
         np.where(covered, chi2.sf(energy, k), 1.0),
     )
 
 
 def energy_amplitudes(pooled: Pooled, inside: np.ndarray, noise: float) -> Amplitudes:
-    """Amplitudes from the energy at nodes (2 G,), relative to the noise; `noise` is its variance over the assumed."""
+    """Amplitudes from the energy at nodes (2 G,), relative to the noise.
+
+    Parameters
+    ----------
+    pooled : Pooled
+    inside : ndarray, shape (2 G,)
+        1 at the nodes that count, else 0.
+    noise : float
+        Variance of the noise over the assumed one.
+    """
     from scipy.stats import norm
 
-    def ratio(scores: np.ndarray, count: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        seen = np.where(count > 0, inside, 0.0) / np.maximum(count, 1.0)
-        freedom = np.sum(variance * seen, axis=1)
-        return np.sum(scores**2 * seen, axis=1) / np.maximum(freedom * noise, 1e-300), freedom
-
-    node = pooled.node_variance()
-    recording, _ = ratio(pooled.scores, pooled.count, node)
-    person, freedom = ratio(*(pooled.by_person(a) for a in (pooled.scores, pooled.count, node)))
-    covered = freedom > 0.05 * freedom.mean()
-    z = normal_score(person, freedom, np.full(freedom.size, np.inf))
-    return Amplitudes(
-        pooled.owner,
-        np.where(covered[pooled.owner], recording - 1, np.nan),
-        np.where(covered, person - 1, np.nan),
-        np.where(covered, z, np.nan),
-        np.where(covered, norm.sf(z), 1.0),
-    )
-
-
-def holm(p_values: np.ndarray) -> np.ndarray:
-    """P-values (N,) corrected by Holm's method."""
-    order = np.argsort(p_values)
-    corrected = np.minimum(np.maximum.accumulate(p_values[order] * np.arange(p_values.size, 0, -1)), 1.0)
-    result = np.empty(p_values.size)
-    result[order] = corrected
-    return result
+    scores, count, variance = (pooled.by_person(a) for a in (pooled.scores, pooled.count, pooled.node_variance()))
+    seen = np.where(count > 0, inside, 0.0) / np.maximum(count, 1.0)
+    freedom = np.sum(variance * seen, axis=1)
+    ratio = np.sum(scores**2 * seen, axis=1) / np.maximum(freedom * noise, 1e-300)
+    covered = freedom > _LEAST_COVERAGE * freedom.mean()
+    z = normal_score(ratio, freedom, np.full(freedom.size, np.inf))
+    return Amplitudes(np.where(covered, z, np.nan), np.where(covered, norm.sf(z), 1.0))
 
 
 def carriers(amplitudes: Amplitudes, alpha: float) -> tuple[np.ndarray, float]:
-    """Whether only some people have the structure.
+    """Name the people who have the structure, if only a minority has it.
+
+    Parameters
+    ----------
+    amplitudes : Amplitudes
+    alpha : float
+        Corrected level at which each of them must be significant.
 
     Returns
     -------
     who : ndarray of int
-        Their indices; empty if everybody may have it.
+        Their indices; empty unless a minority has it.
     p_value : float
         Largest corrected p-value among them; 1 if nobody is named.
     """
     known = np.flatnonzero(np.isfinite(amplitudes.z))
     nobody = np.zeros(0, dtype=int), 1.0
-    if known.size < _FEWEST:
+    if known.size < _MINIMUM_PERSONS:
         return nobody
     z = amplitudes.z[known]
     gain, posterior = _mixture_gain(z)
     corrected = holm(amplitudes.p_value)[known]
     named = (posterior > 0.5) & (corrected < alpha)
-    if gain < _GAIN or not 0 < np.sum(named) <= known.size / 2:
+    if gain < _LEAST_GAIN or not 0 < np.sum(named) <= known.size / 2:
         return nobody
     return known[named], float(corrected[named].max())
 
 
 def _mixture_gain(z: np.ndarray) -> tuple[float, np.ndarray]:
-    """Log likelihood by which `some` beats `all` for z (N,), and everybody's probability of being a carrier."""
+    """Log likelihood ratio of "some have it" to "everybody has it" for z (N,), and everybody's membership."""
     nothing = _log_normal_density(z, 0.0, 1.0)
     everybody = float(np.sum(_log_normal_density(z, z.mean(), max(z.var(), 1.0))))
     everybody = max(everybody, _skew_log_likelihood(z), _skew_log_likelihood(-z))
@@ -150,15 +143,15 @@ def _mixture_gain(z: np.ndarray) -> tuple[float, np.ndarray]:
     for size in {1, max(z.size // 8, 1), max(z.size // 4, 1), z.size // 2}:
         member = np.zeros(z.size)
         member[order[:size]] = 1.0
-        for _ in range(100):
-            share, weight = np.clip(member.mean(), 1e-3, 1 - 1e-3), max(member.sum(), 1e-9)
+        for _ in range(_ROUNDS):
+            share, weight = share_of(member, _SMALLEST_SHARE), max(member.sum(), 1e-9)
             centre = float(member @ z) / weight
             spread = max(float(member @ (z - centre) ** 2) / weight, 1.0)
-            with_it = np.log(share) + _log_normal_density(z, centre, spread)
-            total = np.logaddexp(with_it, np.log1p(-share) + nothing)
-            member = np.exp(with_it - total)
-        if total.sum() > best:
-            best, posterior = float(total.sum()), member
+            log_ratio = _log_normal_density(z, centre, spread) - nothing
+            member = membership(log_ratio, share)
+        value = float(np.sum(nothing + log_mixture(log_ratio, share)))
+        if value > best:
+            best, posterior = value, member
     return best - everybody, posterior
 
 
@@ -176,84 +169,3 @@ def _skew_log_likelihood(z: np.ndarray) -> float:
     log_density = _log_normal_density(z, amplitude[..., None], 1.0)
     density = np.einsum("q,msqn->msn", weights / weights.sum(), np.exp(np.maximum(log_density, -600.0)))
     return float(np.log(density).sum(axis=2).max())
-
-
-@dataclass(frozen=True)
-class Trend:
-    """How structure changes from one repetition to the next.
-
-    Attributes
-    ----------
-    change : float
-        Of the amplitude per repetition, relative to its mean: positive where it grows.
-    p_value : float
-        Of Student's test of everybody's slope against zero.
-    """
-
-    change: float
-    p_value: float
-
-
-def trend(amplitudes: Amplitudes, signed: bool) -> Trend | None:
-    """Trend over the number of the repetition, in the order in which recordings are listed.
-
-    Parameters
-    ----------
-    amplitudes : Amplitudes
-    signed : bool
-        Whether the amplitude has the same sign in everybody; if not, growing is growing away from zero.
-
-    Returns
-    -------
-    Trend or None
-        None if fewer than three persons have two repetitions.
-    """
-    from scipy.stats import ttest_1samp
-
-    slopes, sizes = [], []
-    for i in range(amplitudes.person.size):
-        a = amplitudes.recording[amplitudes.owner == i]
-        if a.size < 2 or not np.all(np.isfinite(a)):
-            continue
-        centred = np.arange(a.size) - 0.5 * (a.size - 1)
-        sign = 1.0 if signed else float(np.sign(a.mean()))
-        slopes.append(sign * float(centred @ a) / float(centred @ centred))
-        sizes.append(sign * float(a.mean()))
-    if len(slopes) < 3:
-        return None
-    p_value = float(ttest_1samp(slopes, 0.0).pvalue)
-    direction = float(np.sign(np.mean(sizes)))
-    size = max(abs(float(np.mean(sizes))), 1e-300)
-    return Trend(direction * float(np.mean(slopes)) / size, p_value)
-
-
-def correlations(amplitudes: Amplitudes, covariates: Mapping[str, np.ndarray]) -> dict[str, float]:
-    """P-values of rank correlations between the amplitude and each covariate, corrected for their number.
-
-    Parameters
-    ----------
-    amplitudes : Amplitudes
-    covariates : mapping of str to ndarray, shape (N,)
-        NaN where unknown.
-
-    Returns
-    -------
-    dict of str to float
-        1 for a covariate that is known of fewer than five persons or the same in all of them.
-    """
-    from scipy.stats import spearmanr
-
-    p_values = []
-    for name, values in covariates.items():
-        values = np.asarray(values, dtype=float)
-        if values.shape != amplitudes.person.shape:
-            raise InputError(
-                f"covariate '{name}' has {values.size} values for {amplitudes.person.size} persons: "
-                "give one per person, NaN where it is unknown"
-            )
-        known = np.isfinite(values) & np.isfinite(amplitudes.person)
-        if known.sum() < _FEWEST_VALUES or np.ptp(values[known]) == 0:
-            p_values.append(1.0)
-        else:
-            p_values.append(float(spearmanr(values[known], amplitudes.person[known]).pvalue))
-    return dict(zip(covariates, holm(np.array(p_values)).tolist(), strict=True))

@@ -1,8 +1,8 @@
-r"""Where structure is left: at which frequencies, in magnitude or phase, in whom, when, and following what.
+r"""Bands of frequency in which residuals have structure, in magnitude or phase, and the people who have it.
 
-:mod:`~bayes_impedance.diagnosis.residuals.windows` says how significant each of many windows is. Here they become an
-answer. The most significant window explains a part of the structure; with its template A absorbed from the pooled sums
-x,
+:mod:`~bayes_impedance.diagnosis.residuals.windows` says how significant each of many windows is. Here the significant
+ones are selected one after the other. The most significant window explains a part of the structure; with its template A
+absorbed from the pooled sums x,
 
 .. math:: x \leftarrow x - C A (A^T C A)^{-1} A^T x, \qquad C \leftarrow C - C A (A^T C A)^{-1} A^T C,
 
@@ -17,23 +17,16 @@ large are masked.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
-from bayes_impedance.diagnosis.residuals.amplitudes import (
-    Amplitudes,
-    Trend,
-    carriers,
-    correlations,
-    energy_amplitudes,
-    pattern_amplitudes,
-    trend,
-)
-from bayes_impedance.diagnosis.residuals.nodes import Pooled, pool, turn
+from bayes_impedance.diagnosis.multiple_testing import bonferroni
+from bayes_impedance.diagnosis.residuals.amplitudes import Amplitudes, carriers, energy_amplitudes, pattern_amplitudes
+from bayes_impedance.diagnosis.residuals.nodes import MINIMUM_CONTRASTS, Pooled, pool, turn
 from bayes_impedance.diagnosis.residuals.windows import (
     Null,
     Ratios,
@@ -52,13 +45,20 @@ Noise = Literal["repetitions", "assumed"]
 
 _PARTS: tuple[Literal["magnitude"], Literal["phase"]] = ("magnitude", "phase")
 _MOST_WINDOWS = 12
+"""Of one kind; a structure in more windows is described by those that explain most of it."""
+
 _LEAST_SHARE = {"coherent": 0.01, "incoherent": 0.05}
-"""A further window must explain this part of the most that one does: the rest is how templates differ from reality."""
+"""Part of the largest gain that a further window must explain: less is how templates differ from the true shape."""
 
 _NEARLY = 0.8
-"""Part of the energy's statistic that a template must reach to be preferred: it says more."""
+"""Part of the energy's statistic from which on a template is preferred: unlike energy, it has a shape and a sign."""
 
-_FEWEST_CONTRASTS = 10
+_VISIBLE = 0.1
+"""Part of a template's variance that must be left, after windows found before, for it to be tested again."""
+
+_ONE_PART = 0.8
+"""Share of the structure from which on it is said to be in magnitude alone, or in phase alone."""
+
 _EXCESS = {"repetitions": 1.02, "assumed": 1.3}
 """Variance between persons that is not called structure: rounding of a linear theory, and what one can know of the
 noise without repetitions."""
@@ -95,39 +95,26 @@ class Location:
 
     Attributes
     ----------
-    mismatch : bool
-        Whether there is any.
     p_value : float
-        That there is none, corrected for everything that was tried.
+        Of the hypothesis that there is none, corrected for everything that was tried.
     bands : tuple of MismatchBand
-        Most significant first; disjoint within a part and kind; empty if there is no mismatch.
+        Most significant first; disjoint within a part and kind; empty if there is no significant structure.
     part : {"magnitude", "phase", "both"}
-        Which has more than four fifths of the structure.
+        Which has more than four fifths of the structure; "both" if neither has.
     magnitude_share : float
         Part of the structure, as chi-square, that is in magnitude; NaN if there is none.
     subjects : "all" or tuple of str
         The few who have it.
     subjects_p_value : float
         Largest corrected p-value of a named person; 1 if nobody is named.
-    repetitions : Trend or None
-        None with fewer than three persons who have two repetitions.
-    covariates : dict of str to float
-        Corrected p-values of what the amplitude follows.
-    noise : {"repetitions", "assumed"}
-        What incoherent structure was compared with. With ``assumed`` it must exceed the noise by a third, because
-        noise that was taken too small looks the same.
     """
 
-    mismatch: bool
     p_value: float
     bands: tuple[MismatchBand, ...]
     part: Literal["magnitude", "phase", "both"]
     magnitude_share: float
     subjects: Literal["all"] | tuple[str, ...]
     subjects_p_value: float
-    repetitions: Trend | None
-    covariates: dict[str, float]
-    noise: Noise
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,7 +136,6 @@ def locate(
     residuals: Sequence[PersonResiduals],
     seed: int,
     alpha: float = 0.01,
-    covariates: Mapping[str, np.ndarray] | None = None,
     draws: int = 500,
 ) -> Location:
     """Find where structure is left in everybody's residuals.
@@ -162,15 +148,13 @@ def locate(
         Of the Monte-Carlo draws.
     alpha : float
         Probability of a mismatch where there is none.
-    covariates : mapping of str to ndarray, shape (N,), optional
-        NaN where unknown.
     draws : int
         Of the null distribution.
 
     Raises
     ------
     InputError
-        If there is nobody, or a covariate has another number of values.
+        If there is nobody.
     """
     if not residuals:
         raise InputError("there are no residuals to locate structure in: give at least one person's")
@@ -179,38 +163,33 @@ def locate(
     covariance = pooled.covariance()
     usable = visible(pooled, scan, covariance)
     pairs = pooled.owner.size - pooled.persons
-    noise: Noise = "repetitions" if pairs >= _FEWEST_CONTRASTS else "assumed"
+    noise: Noise = "repetitions" if pairs >= MINIMUM_CONTRASTS else "assumed"
     rng = np.random.default_rng(seed)
     nulls = null_distributions(pooled, scan, usable, pairs if noise == "repetitions" else 0, rng, draws)
     kinds = 1 if pooled.persons == 1 else 2
 
     limits = [null.threshold(alpha / kinds) for null in nulls]
     ratios = scatter_ratios(pooled, scan, use_contrasts=noise == "repetitions")
-    coherent, p_coherent, top = _coherent(pooled, scan, covariance, usable, ratios, nulls[0], limits[0], kinds)
-    found, p_value = coherent, kinds * p_coherent
+    coherent, p_coherent = _coherent(pooled, scan, covariance, usable, ratios, nulls[0], limits[0], kinds)
+    found, p_value = coherent, bonferroni(p_coherent, kinds)
     if kinds == 2:
         templates = [f.template for f in coherent if f.template is not None]
         left = pooled.without(np.array(templates).T) if templates else pooled
         ratios = scatter_ratios(left, scan, use_contrasts=noise == "repetitions") if templates else ratios
         largest = max((f.gain for f in coherent), default=0.0)
         incoherent, p_incoherent = _incoherent(left, scan, usable, ratios, nulls[1], limits[1], noise, largest)
-        found, p_value = coherent + incoherent, min(p_value, kinds * p_incoherent, 1.0)
+        found, p_value = coherent + incoherent, min(p_value, bonferroni(p_incoherent, kinds))
 
-    amplitudes, signed = _amplitudes(pooled, found, top)
-    named, p_named = carriers(amplitudes, alpha) if found else (np.zeros(0, dtype=int), 1.0)
+    named, p_named = carriers(_amplitudes(pooled, found), alpha) if found else (np.zeros(0, dtype=int), 1.0)
     total = sum(f.gain for f in found)
     share = sum(f.gain for f in found if f.part == 0) / total if total > 0 else float("nan")
     return Location(
-        mismatch=bool(found),
         p_value=float(p_value),
         bands=_bands(found, pooled.frequency_hz),
-        part="magnitude" if share > 0.8 else "phase" if share < 0.2 else "both",
+        part="magnitude" if share > _ONE_PART else "phase" if share < 1 - _ONE_PART else "both",
         magnitude_share=float(share),
         subjects=tuple(residuals[int(i)].name for i in named) or "all",
         subjects_p_value=p_named,
-        repetitions=trend(amplitudes, signed),
-        covariates=correlations(amplitudes, covariates or {}),
-        noise=noise,
     )
 
 
@@ -223,8 +202,8 @@ def _coherent(
     null: Null,
     limit: float,
     kinds: int,
-) -> tuple[list[_Found], float, np.ndarray]:
-    """Coherent windows, the p-value of the first whether significant or not, and its template (2 G,)."""
+) -> tuple[list[_Found], float]:
+    """Coherent windows, and the p-value of the first, whether significant or not."""
     templates = scan.templates()
     usable = usable[: templates.shape[1]]
     scatter = np.ones(usable.size)
@@ -232,11 +211,11 @@ def _coherent(
         scatter = np.maximum((ratios.excess * ratios.noise)[: usable.size], 1.0)
     whole = np.sum(templates * (covariance @ templates), axis=0)
     found: list[_Found] = []
-    p_first, top = 1.0, templates[:, 0]
+    p_first = 1.0
     sums, left = pooled.scores.sum(axis=0), covariance
     for _ in range(_MOST_WINDOWS):
         variance = np.sum(templates * (left @ templates), axis=0)
-        seen = usable & (variance > 0.1 * whole)
+        seen = usable & (variance > _VISIBLE * whole)
         z = np.where(seen, templates.T @ sums / np.sqrt(np.where(seen, variance, 1.0)), 0.0)
         c = np.abs(z) / np.sqrt(scatter)
 
@@ -248,10 +227,10 @@ def _coherent(
         best, low, high, template = refined(pooled, scan, np.where(c >= min(limit, c.max()), z**2, 0.0), explained)
         gain = float(explained(template[:, None])[0])
         if not found:
-            p_first, top = null.p_value(float(c.max())), template
+            p_first = null.p_value(float(c.max()))
         if c.max() < limit or (found and gain < _LEAST_SHARE["coherent"] * max(f.gain for f in found)):
             break
-        p_value, statistic = kinds * null.p_value(float(c[best])), float(np.sign(z[best]) * c[best])
+        p_value, statistic = bonferroni(null.p_value(float(c[best])), kinds), float(np.sign(z[best]) * c[best])
         part = best // scan.window.size
         found.append(
             _Found(
@@ -269,7 +248,7 @@ def _coherent(
         direction /= np.sqrt(template @ direction)
         sums = sums - direction * (template @ sums) / np.sqrt(template @ left @ template)
         left = left - np.outer(direction, direction)
-    return found, p_first, top
+    return found, p_first
 
 
 def _incoherent(
@@ -311,7 +290,7 @@ def _incoherent(
         gain = float((excess[best] - 1) * ratios.freedom[best])
         if gain < _LEAST_SHARE["incoherent"] * max([largest, *(f.gain for f in found)]):
             break
-        p_value = 2 * null.p_value(float(score[best]))
+        p_value = bonferroni(null.p_value(float(score[best])), 2)
         found.append(
             _Found(low=low, high=high, part=int(part[best]), kind="incoherent", statistic=float(score[best]),
             p_value=p_value, gain=gain, template=shape,
@@ -325,19 +304,16 @@ def _incoherent(
     return found, p_first
 
 
-def _amplitudes(pooled: Pooled, found: list[_Found], top: np.ndarray) -> tuple[Amplitudes, bool]:
-    """Everybody's amplitude of what was found (or of the best template, if nothing was), and whether it is signed."""
-    if not found:
-        return pattern_amplitudes(pooled, top[:, None]), True
+def _amplitudes(pooled: Pooled, found: list[_Found]) -> Amplitudes:
+    """Everybody's amplitude of what was found: of its templates, or of its energy if that is the larger part."""
     main = max(found, key=lambda f: f.gain)
     if main.template is not None:
-        templates = np.array([f.template for f in found if f.template is not None]).T
-        return pattern_amplitudes(pooled, templates), main.kind == "coherent"
+        return pattern_amplitudes(pooled, np.array([f.template for f in found if f.template is not None]).T)
     inside = np.zeros((2, pooled.frequency_hz.size))
     for f in found:
         if f.kind == "incoherent":
             inside[f.part, f.low : f.high] = 1.0
-    return energy_amplitudes(pooled, inside.ravel(), max(main.noise, 1.0)), True
+    return energy_amplitudes(pooled, inside.ravel(), max(main.noise, 1.0))
 
 
 def _bands(found: list[_Found], frequency_hz: np.ndarray) -> tuple[MismatchBand, ...]:

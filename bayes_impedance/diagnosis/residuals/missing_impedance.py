@@ -1,4 +1,4 @@
-r"""The missing one-port: what would have to stand at a place to close the gap there.
+r"""The missing one-port at a place of the network: the relative change of its impedance that explains the residuals.
 
 If the impedance of place p changed by the part :math:`\rho(\omega)`, the port would feel :math:`a_p z_p \rho`. The
 ratio is the same complex curve for everybody, written in K bumps over log frequency,
@@ -23,7 +23,14 @@ from bayes_impedance.diagnosis.residuals.sensitivity import local_impedances
 from bayes_impedance.diagnosis.types import OnePort
 
 _BUMPS = 12
+"""Basis functions over the band, four per decade between 5 Hz and 5 kHz: noise is averaged, broad resonances stay."""
+
 _POINTS = 60
+"""Frequencies at which the ratio is reported, five for each basis function."""
+
+_BUMP_WIDTH = 0.7
+"""Standard deviation of a bump in units of their distance: their sum is flat, and neighbours are still distinct."""
+
 _RIDGE = 1.0
 """Prior standard deviation of each coefficient: a change by the impedance itself."""
 
@@ -80,5 +87,5 @@ def missing_one_ports(fit: Refit, residuals: Sequence[PersonResiduals]) -> tuple
 def _bumps(frequency_hz: np.ndarray, low: float, high: float) -> np.ndarray:
     """Gaussian bumps over log frequency that sum to one, shape (K, F)."""
     x = np.log(frequency_hz / low) / np.log(high / low) * (_BUMPS - 1)
-    weight = np.exp(-0.5 * ((x - np.arange(_BUMPS)[:, None]) / 0.7) ** 2)
+    weight = np.exp(-0.5 * ((x - np.arange(_BUMPS)[:, None]) / _BUMP_WIDTH) ** 2)
     return np.asarray(weight / weight.sum(axis=0))

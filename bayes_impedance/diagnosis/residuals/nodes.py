@@ -1,4 +1,4 @@
-r"""Everybody's residuals on common nodes.
+r"""Residuals of all people pooled on common frequency nodes, as errors of magnitude and of phase.
 
 White residuals are turned by :math:`e^{-i\arg Z}`, so that their first half is an error of magnitude and the second one
 of phase, projected, and summed over the points nearest to a node. With B the turned and summed basis of what the
@@ -18,6 +18,10 @@ import numpy as np
 
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
 from bayes_impedance.person.noise import contrasts
+
+MINIMUM_CONTRASTS = 10
+"""Contrasts between repetitions from which on the noise is estimated from them: its variance is then known to 45 % at
+one real point, and better over a window; with fewer, the noise as assumed is the better guess."""
 
 
 @dataclass(frozen=True)
@@ -68,10 +72,7 @@ class Pooled:
         return np.add.reduceat(values, np.flatnonzero(np.diff(self.owner, prepend=-1)), axis=0)
 
     def without(self, templates: np.ndarray) -> Pooled:
-        """Let the elements of every recording absorb templates (2 G, K), too.
-
-        What is left is what the templates do not explain, with whatever amplitude in each recording.
-        """
+        """Project templates (2 G, K) out of every recording, with a free amplitude in each, besides the elements."""
         root = np.sqrt(self.count)[:, :, None]
         inverse = np.divide(1.0, root, out=np.zeros_like(root), where=root > 0)
         old = self.basis * inverse

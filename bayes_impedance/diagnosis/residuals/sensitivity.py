@@ -1,4 +1,4 @@
-r"""The impedance at every place of a network, and how the port feels a change of it.
+r"""Local impedance at every place of a network, and its adjoint sensitivity: the derivative of the port's impedance.
 
 From the leaves to the port impedances are added up; from the port back to the leaves the derivative
 :math:`a_p = \partial z_\text{port}/\partial z_p` is handed down:

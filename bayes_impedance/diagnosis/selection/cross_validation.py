@@ -21,9 +21,10 @@ import numpy as np
 
 from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter
 from bayes_impedance.diagnosis.fit.normal_equations import Population
+from bayes_impedance.diagnosis.folds import FOLDS, person_folds
 from bayes_impedance.person.likelihood import Likelihood
 
-FOLDS, BLOCKS = 5, 8
+BLOCKS = 8
 _ROUNDS = 12
 _FEWEST = 10
 
@@ -66,7 +67,7 @@ def held_out(refitter: Refitter, before: Refit, after: Refit, seed: int, blocks:
     folds = n >= _FEWEST
     people = people_se = None
     if folds:
-        fold = np.random.default_rng(seed).permutation(n) % FOLDS
+        fold = person_folds(n, seed)
         difference = _people(refitter, after, fold) - _people(refitter, before, fold)
         people, people_se = float(difference.sum()), _se(difference)
     if folds and not blocks:
@@ -78,7 +79,7 @@ def held_out(refitter: Refitter, before: Refit, after: Refit, seed: int, blocks:
 
 def people_gain(refitter: Refitter, before: Refit, after: Refit, seed: int) -> tuple[float, float | None]:
     """Gain on held-out people alone, with its standard error."""
-    fold = np.random.default_rng(seed).permutation(len(refitter.data)) % FOLDS
+    fold = person_folds(len(refitter.data), seed)
     difference = _people(refitter, after, fold) - _people(refitter, before, fold)
     return float(difference.sum()), _se(difference)
 

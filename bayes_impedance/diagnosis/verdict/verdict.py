@@ -12,7 +12,8 @@ import numpy as np
 from bayes_impedance.diagnosis.fit.baseline import Fitted
 from bayes_impedance.diagnosis.fit.fitter import Refit
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
-from bayes_impedance.diagnosis.heterogeneity.gain import FOLDS, HELD_OUT
+from bayes_impedance.diagnosis.folds import FOLDS
+from bayes_impedance.diagnosis.heterogeneity.gain import HELD_OUT
 from bayes_impedance.diagnosis.hum.line import Hum
 from bayes_impedance.diagnosis.residuals.locate import Location
 from bayes_impedance.diagnosis.selection.cross_validation import HeldOut
@@ -237,8 +238,7 @@ def make_verdict(recordings: Recordings, fitted: Fitted, evidence: Evidence, see
 
 
 def _located(location: Location) -> dict[str, Any]:
-    """Where structure was left before anything was added: every band by itself, repetitions and covariates."""
-    trend = location.repetitions
+    """Where structure was left before anything was added: every band by itself."""
     return {
         "p_value": location.p_value,
         "bands": [
@@ -254,8 +254,6 @@ def _located(location: Location) -> dict[str, Any]:
         ],
         "magnitude_share": location.magnitude_share if np.isfinite(location.magnitude_share) else None,
         "subjects_p_value": location.subjects_p_value,
-        "repetitions": None if trend is None else {"change": trend.change, "p_value": trend.p_value},
-        "covariates": dict(location.covariates),
     }
 
 

@@ -15,7 +15,7 @@ from bayes_impedance.diagnosis.fit.extend import extended_start
 from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter, _with_dispersions
 from bayes_impedance.diagnosis.fit.interpolated_density import Explored, explored
 from bayes_impedance.diagnosis.fit.model import Addition, build
-from bayes_impedance.diagnosis.fit.profile_posterior import FEWEST, from_evidence
+from bayes_impedance.diagnosis.fit.profile_posterior import MINIMUM_PERSONS, from_evidence
 
 
 def both(fit: Refit, seed: int = 1) -> tuple[CoefficientPosterior, CoefficientPosterior]:
@@ -60,7 +60,9 @@ def test_relaxing_skin_is_not_said_to_be_known_better_than_it_is() -> None:
     assert np.sum(np.abs(z) < 1.645) >= binom.ppf(0.001, len(z), 0.9)
 
 
-@pytest.mark.parametrize(("name", "n", "pooling"), [("body.mass", FEWEST - 1, "varying"), ("rig.mass", 16, "shared")])
+@pytest.mark.parametrize(
+    ("name", "n", "pooling"), [("body.mass", MINIMUM_PERSONS - 1, "varying"), ("rig.mass", 16, "shared")]
+)
 def test_too_few_people_and_the_rig_keep_their_expansion(name: str, n: int, pooling: str) -> None:
     fit = recovered(toy(*TOY, seed=1, n=n, hidden=with_mass(DISPERSION)), entry(name), "port", pooling)
     quadratic, evidence = both(fit)

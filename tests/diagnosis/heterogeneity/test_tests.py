@@ -1,0 +1,144 @@
+"""Person likelihoods that are made from a fit, against direct formulas, and the verdict's entries from recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from experiments import TOY, Experiment, toy
+
+from bayes_impedance.diagnosis.heterogeneity.tests import (
+    covariates_of,
+    person_likelihoods,
+    repetition_likelihoods,
+    structure_entries,
+)
+from bayes_impedance.recordings.dataset import Recordings, Subject
+
+N = 36
+FORCE = np.exp(np.random.default_rng(9).normal(0, 0.5, N))
+
+
+def damper_times(factor: Callable[[int], np.ndarray]) -> Callable[..., tuple[np.ndarray, np.ndarray]]:
+    """Everybody's damper multiplied by a factor (J,) of the person's number."""
+
+    def hidden(_s: np.ndarray, z: np.ndarray, _rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        factors = np.array([factor(i) * np.ones(z.shape[1]) for i in range(len(z))])
+        return z + z.real * (factors[..., None] - 1), factors[:, 0]
+
+    return hidden
+
+
+def recordings(experiment: Experiment, force: np.ndarray | None = None) -> Recordings:
+    """An experiment's data as recordings."""
+    subjects = []
+    for i, d in enumerate(experiment.data):
+        subjects.append(
+            Subject(
+                name=f"P{i}",
+                frequency_hz=d.omega / (2 * np.pi),
+                z=d.z[:, 0] + 1j * d.z[:, 1],
+                repetitions=tuple(str(j) for j in range(len(d.z))),
+                covariates={} if force is None else {"contact_force_n": float(force[i])},
+            )
+        )
+    return Recordings(title="", unit="N s/m", network=None, source="", licence="", subjects=tuple(subjects))
+
+
+def entries(experiment: Experiment, force: np.ndarray | None = None, diagonal: bool = False):
+    fit = experiment.refitter.fit(experiment.model, experiment.u, experiment.population, 80)
+    return structure_entries(fit, recordings(experiment, force), diagonal, 1)
+
+
+def test_deviations_between_repetitions_are_integrated_out() -> None:
+    """A person's information is the sum of (H^-1 + R)^-1 over the recordings, its mode their weighted mean."""
+    fit = toy(*TOY, seed=1, n=4, repetitions=3, rho=0.08).fit()
+    found = person_likelihoods(fit)
+    spread = np.diag(fit.population.rho**2)
+    for i in range(4):
+        total, pull = np.zeros((2, 2)), np.zeros(2)
+        for row in np.flatnonzero(fit.owner == i):
+            h = fit.weight[i] * fit.equations.information[row]
+            mode = fit.u[row] - np.linalg.solve(h, fit.weight[i] * fit.equations.gradient[row])
+            own = np.linalg.inv(np.linalg.inv(h) + spread)
+            total, pull = total + own, pull + own @ mode
+        np.testing.assert_allclose(found.information[i], total, rtol=1e-8)
+        np.testing.assert_allclose(found.linear[i], pull, rtol=1e-8)
+
+
+def test_repetitions_are_likelihoods_of_the_deviation_from_the_person() -> None:
+    experiment = toy(*TOY, seed=2, n=5, repetitions=3)
+    fit = experiment.fit()
+    found = repetition_likelihoods(fit)
+    assert [order.tolist() for order in found.order] == [[0, 1, 2]] * 5
+    for i in range(5):
+        mode = np.linalg.solve(found.information[i], found.linear[i][..., None])[..., 0]
+        truth = experiment.u[fit.owner == i] - fit.persons[i]
+        sd = np.sqrt(np.einsum("jpp->jp", np.linalg.inv(found.information[i])))
+        assert np.all(np.abs(mode - truth) < 4.5 * sd)
+
+
+def test_where_nothing_is_missing_there_is_no_entry() -> None:
+    found, remarks = entries(toy(*TOY, seed=3, n=N, repetitions=3), FORCE, diagonal=True)
+    assert found == []
+    assert remarks == []
+
+
+def test_an_element_that_follows_a_covariate_is_an_entry() -> None:
+    found, _ = entries(toy(*TOY, seed=4, n=N, hidden=damper_times(lambda i: FORCE[i] ** 0.5)), FORCE)
+    (entry,) = found
+    assert (entry["id"], entry["place"], entry["covariate"]) == ("body.covariate", "r1", "contact_force_n")
+    assert entry["name"] == "r1 follows contact_force_n"
+    assert entry["elements"] == ["r1"]
+    slope = entry["parameters"]["slope"]
+    assert slope["q05"] < 0.5 < slope["q95"]
+    assert slope["unit"] == ""
+    evidence = entry["evidence"]
+    assert evidence["p_value"] < 0.003
+    assert evidence["elpd_gain"] > 2 * evidence["elpd_gain_se"] > 0
+
+
+def test_a_drift_over_the_repetitions_is_an_entry() -> None:
+    drifting = damper_times(lambda i: np.exp(0.1 * np.arange(3)))
+    found, _ = entries(toy(*TOY, seed=5, n=N, repetitions=3, hidden=drifting))
+    (entry,) = found
+    assert (entry["id"], entry["place"], entry["covariate"]) == ("body.drift", "r1", None)
+    trend = entry["parameters"]["trend"]
+    assert trend["q05"] < 0.1 < trend["q95"]
+    assert trend["unit"] == "per repetition"
+
+
+def test_a_group_is_an_entry_with_its_people() -> None:
+    found, _ = entries(toy(*TOY, seed=6, n=N, hidden=damper_times(lambda i: 4.0 if i < 10 else 1.0)))
+    (entry,) = found
+    assert (entry["id"], entry["place"]) == ("body.subgroup", "r1")
+    assert entry["subjects"] == list(range(10))
+    shift, fraction = entry["parameters"]["shift"], entry["parameters"]["fraction"]
+    assert abs(shift["median"] - np.log(4)) < 3 * (shift["q95"] - shift["q05"]) / 3.29
+    assert fraction["q05"] < 10 / N < fraction["q95"]
+
+
+def test_elements_that_vary_together_are_an_entry_only_against_a_diagonal_claim() -> None:
+    def together(s: np.ndarray, z: np.ndarray, _rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """Everybody's damper is divided by the person's own compliance, to the power of 0.9."""
+        compliance = 1 / np.mean((z * s).real, axis=(1, 2))
+        factor = (compliance / np.median(compliance)) ** 0.9
+        return z + z.real * (factor[:, None, None] - 1), factor
+
+    experiment = toy(*TOY, seed=7, n=N, hidden=together)
+    assert entries(experiment)[0] == []
+    (entry,) = entries(experiment, diagonal=True)[0]
+    assert entry["id"] == "body.correlation"
+    assert entry["parameters"]["correlation of n1 and r1"]["q05"] > 0.2
+
+
+def test_covariates_are_collected_by_name_with_nan_where_unknown() -> None:
+    given = recordings(toy(*TOY, seed=8, n=3), np.array([1.0, np.nan, 3.0]))
+    found = covariates_of(given)
+    assert list(found) == ["contact_force_n"]
+    np.testing.assert_array_equal(found["contact_force_n"], [1.0, np.nan, 3.0])
+
+
+def test_what_cannot_be_tested_is_remarked_upon() -> None:
+    _, remarks = entries(toy(*TOY, seed=9, n=4), np.ones(4))
+    assert remarks == ["Covariates: 4 persons, and at least 5 are needed"]
