@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayes_impedance.errors import InputError
+from bayes_impedance.runtime.atomic_files import write_json, write_text
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -193,8 +194,8 @@ def compare_dataset(
     out.mkdir(parents=True, exist_ok=True)
     identity = {"seed": options.seed, "data_sha256": recordings.sha256, "version": version("bayes_impedance")}
     summary = {**comparison.summary(), **identity}
-    _write_text(out / "comparison.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
-    _write_text(out / "comparison.csv", comparison.csv())
+    write_json(out / "comparison.json", summary)
+    write_text(out / "comparison.csv", comparison.csv())
     write_comparison(comparison, out)
     return comparison
 
@@ -254,7 +255,7 @@ def diagnose_dataset(
     out.mkdir(parents=True, exist_ok=True)
     progress("pictures and report", 0, 1)
     write_diagnosis_report(diagnosis, out)
-    _write_text(out / VERDICT_FILE, json.dumps(_plain(diagnosis.verdict), indent=2, allow_nan=False) + "\n")
+    write_json(out / VERDICT_FILE, _plain(diagnosis.verdict))
     progress("pictures and report", 1, 1)
     return diagnosis
 
@@ -314,7 +315,7 @@ def simulate_dataset(
         people = replace(people, noise=noise)
     simulation = simulate_recordings(people, n_subjects, n_repetitions, np.geomspace(low, high, n_points), seed)
     write_recordings(simulation.recordings, out, significant_digits=6, compress=True)
-    _write_text(out / TRUTH_FILE, json.dumps(simulation.truth, indent=2) + "\n")
+    write_json(out / TRUTH_FILE, simulation.truth)
     return simulation.truth
 
 
@@ -409,9 +410,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return value
-
-
-def _write_text(file: Path, text: str) -> None:
-    temporary = file.with_name(file.name + ".tmp")
-    temporary.write_text(text, encoding="utf-8")
-    temporary.replace(file)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from bayes_impedance.design.circuits.transfer_functions import described, writte
 from bayes_impedance.design.representatives import Representatives
 from bayes_impedance.design.users import PERCENTILES, UserPopulation, Users, percentile_curves
 from bayes_impedance.errors import InputError
+from bayes_impedance.runtime.atomic_files import write_json, write_text
 
 
 def write_users(
@@ -83,9 +83,9 @@ def write_users(
     curves = np.column_stack([frequency_hz, magnitude.T, phase.T])
     names = ["frequency_hz", *(f"magnitude_{p}" for p in shown), *(f"phase_deg_{p}" for p in shown)]
     return [
-        _write(folder / "users.csv", _csv(header, rows)),
-        _write(folder / "users.json", _json(table)),
-        _write(folder / "curves.csv", _csv(names, [[_digits(v) for v in row] for row in curves])),
+        write_text(folder / "users.csv", _csv(header, rows)),
+        write_json(folder / "users.json", table, indent=1),
+        write_text(folder / "curves.csv", _csv(names, [[_digits(v) for v in row] for row in curves])),
     ]
 
 
@@ -113,8 +113,8 @@ def write_transfer(folder: Path, users: Users, chosen: Users) -> list[Path]:
             "unlike each other; export SPICE, whose elements keep it passive"
         )
     return [
-        _write(folder / "transfer.json", _json(table)),
-        _write(folder / "transfer.txt", written(chosen, range(len(chosen)))),
+        write_json(folder / "transfer.json", table, indent=1),
+        write_text(folder / "transfer.txt", written(chosen, range(len(chosen)))),
     ]
 
 
@@ -126,9 +126,9 @@ def write_spice(
     if not positive_elements(everybody).all():
         raise InputError("a user has an element of no size or of infinite size: check the assumed values")
     return [
-        _write(folder / "users.lib", spice.library(everybody)),
-        _write(folder / "monte_carlo.lib", spice.monte_carlo(population)),
-        _write(folder / "sweep.cir", spice.sweep(everybody, "users.lib", band_hz, "sweep.txt", points=20)),
+        write_text(folder / "users.lib", spice.library(everybody)),
+        write_text(folder / "monte_carlo.lib", spice.monte_carlo(population)),
+        write_text(folder / "sweep.cir", spice.sweep(everybody, "users.lib", band_hz, "sweep.txt", points=20)),
     ]
 
 
@@ -155,9 +155,9 @@ def write_stability(folder: Path, answer: DesignAnswer) -> list[Path]:
     ]
     each = [[name, _digits(k), _digits(f)] for name, k, f in zip(m.users.names, limit.each, limit.each_hz, strict=True)]
     files = [
-        _write(folder / "stability.json", _json(answer.described())),
-        _write(folder / "stability.csv", _csv(header, rows)),
-        _write(folder / "limits.csv", _csv(["user", "stiffness_limit_n_per_m", "oscillation_hz"], each)),
+        write_json(folder / "stability.json", answer.described(), indent=1),
+        write_text(folder / "stability.csv", _csv(header, rows)),
+        write_text(folder / "limits.csv", _csv(["user", "stiffness_limit_n_per_m", "oscillation_hz"], each)),
     ]
     felt = answer.transparency
     if felt is not None:
@@ -169,7 +169,8 @@ def write_stability(folder: Path, answer: DesignAnswer) -> list[Path]:
             *(f"velocity_error_{p}" for p in shown),
         ]
         values = np.column_stack([felt.frequency_hz, ratio.T, error.T])
-        files.append(_write(folder / "transparency.csv", _csv(names, [[_digits(v) for v in row] for row in values])))
+        table = _csv(names, [[_digits(v) for v in row] for row in values])
+        files.append(write_text(folder / "transparency.csv", table))
     return files
 
 
@@ -183,15 +184,3 @@ def _csv(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     writer.writerow(header)
     writer.writerows(rows)
     return text.getvalue()
-
-
-def _json(table: dict[str, Any]) -> str:
-    return json.dumps(table, indent=1, allow_nan=False) + "\n"
-
-
-def _write(file: Path, text: str) -> Path:
-    """Complete or absent: under a temporary name first."""
-    file.parent.mkdir(parents=True, exist_ok=True)
-    temporary = file.with_name(file.name + ".tmp")
-    temporary.write_text(text, encoding="utf-8")
-    return temporary.replace(file)

@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from bayes_impedance.runtime.atomic_files import replacing
+
 
 def _modern() -> bool:
     return int(version("arviz").split(".")[0]) >= 1
@@ -64,7 +66,7 @@ def save(
     coords: Mapping[str, Any],
     attributes: Mapping[str, Any],
 ) -> None:
-    """Write groups of arrays as an ArviZ netCDF file, to a temporary name first.
+    """Write groups of arrays as an ArviZ netCDF file that is complete or absent.
 
     Parameters
     ----------
@@ -82,8 +84,7 @@ def save(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import arviz
-    temporary = file.with_name(file.name + ".tmp")
-    with warnings.catch_warnings():
+    with replacing(file) as temporary, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         if _modern():
             data = arviz.from_dict(
@@ -104,7 +105,6 @@ def save(
                 data[name].attrs.pop("created_at", None)  # equal runs give equal files
             data.attrs.pop("created_at", None)
             data.to_netcdf(str(temporary), engine="h5netcdf", compress=True)
-    temporary.replace(file)
 
 
 def load_groups(file: Path) -> tuple[dict[str, dict[str, np.ndarray]], dict[str, Any], dict[str, Any]]:

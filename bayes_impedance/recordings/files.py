@@ -26,6 +26,7 @@ from bayes_impedance.recordings.metadata import SIGNS, Metadata, parse_metadata
 from bayes_impedance.recordings.out_of_core import StoredRows, StoredSubject
 from bayes_impedance.recordings.parquet import SUFFIX, parquet_table, partitions
 from bayes_impedance.recordings.repetitions import signed_factor, subjects_of
+from bayes_impedance.runtime.atomic_files import write_together
 
 __all__ = ["Recordings", "Subject", "read_recordings", "write_recordings"]
 
@@ -260,21 +261,12 @@ def write_recordings(
     if not recordings.subjects:
         raise InputError(f"{folder}: there are no subjects to write")
     target = Path(folder)
-    target.mkdir(parents=True, exist_ok=True)
     table = _recordings_csv(recordings, significant_digits).encode()
     contents = {RECORDINGS_FILES[compress]: _gzip(table) if compress else table}
     if any(subject.covariates for subject in recordings.subjects):
         contents[SUBJECTS_FILE] = _subjects_csv(recordings).encode()
     contents[METADATA_FILE] = _metadata_toml(recordings).encode()
-    temporary = {name: target / f".{name}.{os.getpid()}.tmp" for name in contents}
-    try:
-        for name, content in contents.items():
-            temporary[name].write_bytes(content)
-        for name, path in temporary.items():
-            path.replace(target / name)
-    finally:
-        for path in temporary.values():
-            path.unlink(missing_ok=True)
+    write_together({target / name: content for name, content in contents.items()})
     # Files of an earlier dataset would be read together with the new ones.
     for name in {*RECORDINGS_FILES, SUBJECTS_FILE} - contents.keys():
         (target / name).unlink(missing_ok=True)

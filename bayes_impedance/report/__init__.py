@@ -13,6 +13,7 @@ from bayes_impedance.plots.access import is_electrical, is_simulated, subjects, 
 from bayes_impedance.report import fit_tables
 from bayes_impedance.report.schematic import schematic
 from bayes_impedance.results.result import Result
+from bayes_impedance.runtime.atomic_files import write_text
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -66,11 +67,7 @@ def write_report(
     if pictures is None:
         pictures = write_pictures(result, folder / "pictures")
     text = _environment().get_template(_TEMPLATE).render(**_context(result, list(findings), pictures))
-    file = folder / REPORT_FILE
-    temporary = file.with_name(file.name + ".tmp")
-    temporary.write_text(text, encoding="utf-8")
-    temporary.replace(file)
-    return file
+    return write_text(folder / REPORT_FILE, text)
 
 
 def _environment() -> Environment:

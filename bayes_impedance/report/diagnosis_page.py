@@ -39,6 +39,7 @@ from bayes_impedance.report.findings import (
 )
 from bayes_impedance.report.fit_tables import hertz
 from bayes_impedance.report.schematic import schematic
+from bayes_impedance.runtime.atomic_files import write_text
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -96,11 +97,7 @@ def write_diagnosis_report(diagnosis: Diagnosis, folder: Path, pictures: Mapping
     if pictures is None:
         pictures = write_diagnosis_pictures(diagnosis, folder / "pictures")
     text = _environment().get_template(_TEMPLATE).render(**_context(diagnosis, pictures))
-    file = folder / REPORT_FILE
-    temporary = file.with_name(file.name + ".tmp")
-    temporary.write_text(text, encoding="utf-8")
-    temporary.replace(file)
-    return file
+    return write_text(folder / REPORT_FILE, text)
 
 
 def _context(diagnosis: Diagnosis, pictures: Mapping[str, Path]) -> dict[str, object]:

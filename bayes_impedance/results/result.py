@@ -20,6 +20,7 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.network.elements import kind_of
 from bayes_impedance.population.fit import PopulationFit, too_few_for_correlations
 from bayes_impedance.results.predictive import PROBABILITIES, Predictive
+from bayes_impedance.runtime.atomic_files import write_json
 
 SCHEMA = 1
 RESULT_FILE, SUMMARY_FILE = "result.nc", "summary.json"
@@ -340,9 +341,7 @@ def save_result(result: Result, folder: Path) -> None:
     present = {name for group in result.groups.values() for name in group}
     dims = {name: axes for name, axes in DIMS.items() if name in present}
     save(folder / RESULT_FILE, result.groups, dims, result.coords, result.attributes)
-    temporary = folder / (SUMMARY_FILE + ".tmp")
-    temporary.write_text(json.dumps(result.summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    temporary.replace(folder / SUMMARY_FILE)
+    write_json(folder / SUMMARY_FILE, result.summary)
 
 
 def load_result(folder: Path) -> Result:

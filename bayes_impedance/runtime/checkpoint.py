@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from bayes_impedance.errors import InputError
-from bayes_impedance.runtime.atomic_files import load_arrays, save_arrays
+from bayes_impedance.runtime.atomic_files import load_arrays, save_arrays, write_text
 
 _NAME = "belongs_to.txt"
 _MOST_PIECES, _SMALLEST_PIECE = 64, 16
@@ -50,10 +50,7 @@ def claim(folder: Path, digests: Iterable[str], *settings: object) -> None:
                 "or with another folder)"
             )
         return
-    folder.mkdir(parents=True, exist_ok=True)
-    temporary = file.with_name(file.name + ".tmp")
-    temporary.write_text(owner, encoding="utf-8")
-    temporary.replace(file)
+    write_text(file, owner)
 
 
 def in_pieces(folder: Path | None, name: str, n: int, rows_from: Callable[[int], Iterator[Row]]) -> Iterator[Row]:
