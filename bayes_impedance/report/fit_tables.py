@@ -25,8 +25,8 @@ from bayes_impedance.plots.access import (
     variable,
     who,
 )
-from bayes_impedance.plots.quantities import scale_for, signed, significant, typeset, with_interval
 from bayes_impedance.results.result import MISFIT_SCALE, Result
+from bayes_impedance.units import hertz, scale_for, signed, significant, typeset, with_interval
 
 NOT_DETERMINED = "not determined by these recordings"
 _WITHHELD = "withheld"
@@ -75,12 +75,6 @@ def population_name(result: Result) -> str:
     n = len(subjects(result))
     adjective = "simulated " if is_simulated(result) else ""
     return f"{'one' if n == 1 else n} {adjective}{who(result, n)}"
-
-
-def hertz(value: float) -> str:
-    """Frequency with its prefix."""
-    scale = scale_for(value, "Hz")
-    return f"{value:.3g} Hz" if scale.unit == "Hz" or value < 1000 else f"{value / 1000:.3g} kHz"
 
 
 def answer(result: Result) -> list[str]:

@@ -27,7 +27,7 @@ from bayes_impedance.diagnosis.catalogue.effect import (
     unregister,
 )
 from bayes_impedance.diagnosis.catalogue.population_structure import STRUCTURES
-from bayes_impedance.diagnosis.fit.coefficient_posterior import coefficient_posterior, unit_of
+from bayes_impedance.diagnosis.fit.coefficient_posterior import coefficient_posterior
 from bayes_impedance.diagnosis.fit.model import Addition, Model, build, inner_places, scales_of
 from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
 from bayes_impedance.diagnosis.residuals.sensitivity import INSIDE, local_impedances
@@ -40,6 +40,7 @@ from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import PAPER_NETWORK, Element, Network, Parallel, Place, Series, parse
 from bayes_impedance.network.operations import Operation
 from bayes_impedance.recordings.files import Recordings, Subject
+from bayes_impedance.units import unit_of
 
 NETWORK = parse(PAPER_NETWORK)
 FREQUENCY = np.geomspace(5, 5000, 31)

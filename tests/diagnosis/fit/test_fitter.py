@@ -27,7 +27,6 @@ from bayes_impedance.diagnosis.catalogue.effect import Effect
 from bayes_impedance.diagnosis.fit.coefficient_posterior import (
     coefficient_posterior,
     reported,
-    unit_of,
     verdict_on_side,
 )
 from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter
@@ -669,24 +668,6 @@ def test_power_laws_are_reported_per_second() -> None:
     said = report(entry("body.springpot", "power"), "shared", {}, [0.2], [0.0], "n1")
     found = said["coefficient"].median * s ** (said["exponent"].median - 1)
     assert found == pytest.approx((s / middle) ** 0.2 / (s * 1e-3))
-
-
-@pytest.mark.parametrize(
-    ("unit", "impedance", "expected"),
-    [
-        ("m", "N s/m", "kg"),
-        ("n", "N s/m", "m/N"),
-        ("r", "ohm", "ohm"),
-        ("k", "N s/m", "N/m"),
-        ("k", "ohm", "1/F"),
-        ("k", "Pa s/m", "Pa s/m/s"),
-        ("c", "N s/m", "N s/m s^(a-1)"),
-        ("Hz", "N s/m", "Hz"),
-        ("", "N s/m", ""),
-    ],
-)
-def test_units(unit: str, impedance: str, expected: str) -> None:
-    assert unit_of(unit, impedance) == expected
 
 
 def test_side_from_draws_of_the_dispersion() -> None:
