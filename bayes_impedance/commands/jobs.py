@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import math
 import shutil
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -19,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from bayes_impedance.errors import InputError
 from bayes_impedance.runtime.atomic_files import write_json, write_text
+from bayes_impedance.runtime.clock import Clock
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -338,9 +338,9 @@ def _fit(
     """Read, fit, predict, save; the recordings are handed on so that nobody reads them twice."""
     from bayes_impedance.recordings.files import read_recordings
 
-    started = time.perf_counter()
-    recordings = _selected(read_recordings(dataset), options)
-    reading = time.perf_counter() - started
+    clock = Clock()
+    with clock.measure("read"):
+        recordings = _selected(read_recordings(dataset), options)
 
     from bayes_impedance.population.fit import fit_population
     from bayes_impedance.results.predictive import predict
@@ -373,12 +373,12 @@ def _fit(
         from bayes_impedance.plots import prepare
 
         helper.submit(prepare)
-    started = time.perf_counter()
-    progress("predictions", 0, 1)
-    predictive = predict(fit, seed=options.seed)
-    progress("predictions", 1, 1)
-    seconds = {"read": reading, **fit.seconds, "predictive": time.perf_counter() - started}
-    result = make_result(fit, predictive, seconds)
+    clock.seconds.update(fit.seconds)
+    with clock.measure("predictive"):
+        progress("predictions", 0, 1)
+        predictive = predict(fit, seed=options.seed)
+        progress("predictions", 1, 1)
+    result = make_result(fit, predictive, clock.seconds)
     save_result(result, out)
     shutil.rmtree(checkpoint)
     return result, recordings
