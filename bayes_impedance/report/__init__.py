@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Protocol
 from bayes_impedance.network.notation import parse
 from bayes_impedance.plots import write_pictures
 from bayes_impedance.plots.access import is_electrical, is_simulated, subjects, who
-from bayes_impedance.report import fit_tables
+from bayes_impedance.report import fit_sentences, fit_tables
 from bayes_impedance.report.schematic import schematic
 from bayes_impedance.results.result import Result
 from bayes_impedance.runtime.atomic_files import write_text
@@ -104,7 +104,7 @@ def _context(result: Result, findings: list[FindingLike], pictures: Mapping[str,
         "remarks": result.summary["remarks"],
         "findings": findings,
         "reading_warnings": fit_tables.reading_warnings(result),
-        "answer": fit_tables.answer(result),
+        "answer": fit_sentences.answer(result),
         "recordings": fit_tables.recording_rows(result),
         "network": result.attributes["network"],
         "schematic": Markup(drawing),
@@ -113,7 +113,7 @@ def _context(result: Result, findings: list[FindingLike], pictures: Mapping[str,
         "slopes": fit_tables.slope_rows(result),
         "error_unit": unit,
         "errors": errors,
-        "replication": fit_tables.replication_sentence(result),
+        "replication": fit_sentences.replication_sentence(result),
         "coverage": {level: f"{100 * share:.0f} %" for level, share in result.summary["coverage"].items()},
         "outliers": fit_tables.outlier_rows(result),
         "checks": fit_tables.checks(result),
