@@ -11,7 +11,6 @@ import gzip
 import hashlib
 import io
 import json
-import math
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -264,7 +263,7 @@ def write_recordings(
     table = _recordings_csv(recordings, significant_digits).encode()
     contents = {RECORDINGS_FILES[compress]: _gzip(table) if compress else table}
     if any(subject.covariates for subject in recordings.subjects):
-        contents[SUBJECTS_FILE] = _subjects_csv(recordings).encode()
+        contents[SUBJECTS_FILE] = recordings.subjects_table().to_csv(lineterminator="\n").encode()
     contents[METADATA_FILE] = _metadata_toml(recordings).encode()
     write_together({target / name: content for name, content in contents.items()})
     # Files of an earlier dataset would be read together with the new ones.
@@ -291,17 +290,6 @@ def _recordings_csv(recordings: Recordings, significant_digits: int | None) -> s
                 columns.append(map(str, [""] * len(frequencies)))
             names = ([name] * len(frequencies) for name in (subject.name, repetition))
             writer.writerows(zip(*names, frequencies, *columns, strict=True))
-    return text.getvalue()
-
-
-def _subjects_csv(recordings: Recordings) -> str:
-    covariates = list(dict.fromkeys(name for subject in recordings.subjects for name in subject.covariates))
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["subject", *covariates])
-    for subject in recordings.subjects:
-        values = [float(subject.covariates.get(name, math.nan)) for name in covariates]
-        writer.writerow([subject.name, *("" if math.isnan(value) else repr(value) for value in values)])
     return text.getvalue()
 
 

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from bayes_impedance.network.elements import kind_of
 from bayes_impedance.population.fit import PopulationFit, too_few_for_correlations
 from bayes_impedance.results.predictive import PROBABILITIES, Predictive
 from bayes_impedance.runtime.atomic_files import write_json
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 SCHEMA = 1
 RESULT_FILE, SUMMARY_FILE = "result.nc", "summary.json"
@@ -65,6 +68,18 @@ class Result:
     def element_unit(self, element: str) -> str:
         """Unit of an element's value."""
         return kind_of(element).unit(self.attributes["unit"])
+
+    def elements_table(self) -> pd.DataFrame:
+        """The population's elements: :func:`bayes_impedance.results.tables.elements_table`."""
+        from bayes_impedance.results.tables import elements_table
+
+        return elements_table(self)
+
+    def persons_table(self) -> pd.DataFrame:
+        """Everybody's own elements and fit: :func:`bayes_impedance.results.tables.persons_table`."""
+        from bayes_impedance.results.tables import persons_table
+
+        return persons_table(self)
 
 
 DIMS: dict[str, list[str]] = {
