@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from bayes_impedance.results.result import Result
 
 DONE, FAILED, BAD_INPUT = 0, 1, 2
+"""Exit status; argparse leaves with 2 as well if the arguments are wrong."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -34,6 +34,8 @@ CHECKPOINT_FOLDER, PICTURE_FOLDER = "checkpoint", "pictures"
 VERDICT_FILE = "verdict.json"
 
 _THREADS = 2
+"""Of this process, if nothing is said: two cores are what a machine has at least, and the shipped dataset is done
+sooner than processes have started."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -32,8 +32,9 @@ __all__ = ["Recordings", "Subject", "read_recordings", "write_recordings"]
 RECORDINGS_FILES = ("recordings.csv", "recordings.csv.gz", "recordings.parquet")
 SUBJECTS_FILE = "subjects.csv"
 METADATA_FILE = "dataset.toml"
-#: Above this part of points with Re z of the wrong sign, the sign convention itself is taken to be wrong.
 WRONG_SIGN = 0.6
+"""Above this part of points with Re z of the wrong sign, the sign convention itself is taken to be wrong: noise around
+zero gives half at most."""
 
 
 def read_recordings(path: str | os.PathLike[str]) -> Recordings:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from bayes_impedance.mcmc.ensemble import QUICK
+from bayes_impedance.mcmc.ensemble import QUICK, SamplerSettings
 from bayes_impedance.network.elements import kind_of
 from bayes_impedance.network.notation import Network, parse
 from bayes_impedance.plots.access import (
@@ -25,6 +25,8 @@ from bayes_impedance.plots.access import (
     variable,
     who,
 )
+from bayes_impedance.population.diagnostics import PARETO_LIMIT, RHAT_LIMIT, VARIANCE_LIMIT
+from bayes_impedance.population.posterior import VARIANCE_WANTED
 from bayes_impedance.results.result import Result
 from bayes_impedance.units import hertz, scale_for, signed, significant, typeset, with_interval
 
@@ -38,6 +40,8 @@ _ELECTRICAL = {
     "r": ("resistance", "Loss: voltage in proportion to current, energy turned into heat."),
 }
 _CORRELATIONS = 12
+"""At most so many pairs are listed: those that a reader takes in."""
+_RHAT_WANTED = SamplerSettings().rhat
 _OUTLIERS = 3
 """How many subjects are listed for each reason to stand out."""
 
@@ -249,8 +253,8 @@ def checks(result: Result) -> list[Check]:
         Check(
             "R-hat, worst",
             f"{s['rhat_max']:.3f}",
-            "below 1.01; refused above 1.05",
-            s["rhat_max"] <= 1.01,
+            f"below {_RHAT_WANTED}; refused above {RHAT_LIMIT}",
+            s["rhat_max"] <= _RHAT_WANTED,
             "Ensembles start and adapt independently. 1 means that they found the same distribution.",
         ),
         Check(
@@ -270,16 +274,16 @@ def checks(result: Result) -> list[Check]:
         Check(
             "Variance of the log-likelihood",
             f"{s['log_likelihood_variance']:.2g}",
-            "below 0.25; refused above 1",
-            s["log_likelihood_variance"] <= 0.25,
+            f"below {VARIANCE_WANTED}; refused above {VARIANCE_LIMIT:g}",
+            s["log_likelihood_variance"] <= VARIANCE_WANTED,
             f"The likelihood is a Monte-Carlo average over each {who(result, 1)}'s draws; this is its squared error.",
         ),
         Check(
             "Pareto k, worst",
             f"{s['pareto_k_max']:.2f}",
-            "below 0.7",
-            s["pareto_k_max"] <= 0.7,
-            f"Tail of the weights of a {who(result, 1)}'s draws. Above 0.7 few draws carry all the weight.",
+            f"below {PARETO_LIMIT}",
+            s["pareto_k_max"] <= PARETO_LIMIT,
+            f"Tail of the weights of a {who(result, 1)}'s draws. Above {PARETO_LIMIT} few draws carry all the weight.",
         ),
         Check(
             "Effective draws, worst",

@@ -28,7 +28,11 @@ if TYPE_CHECKING:
 SCHEMA = 1
 RESULT_FILE, SUMMARY_FILE = "result.nc", "summary.json"
 MISFIT_SCALE = 1.5
-"""Above this ratio of residual to noise, the network is said to miss something in a person's recordings."""
+"""Above this ratio of residual to noise, the network is said to miss something in a person's recordings: what is
+unexplained is then as large as the noise."""
+FEW_PERSONS = 10
+"""With fewer persons, dispersions rest on the prior as much as on the data: a standard deviation of nine values is
+known to a quarter at best."""
 
 _PACKAGES = ("bayes_impedance", "numpy", "scipy", "numba", "emcee", "arviz", "xarray", "pandas")
 
@@ -325,7 +329,7 @@ def _remarks(fit: PopulationFit, predictive: Predictive) -> list[str]:
         )
     if fit.one_person:
         remarks.append("There is one subject: the values are this subject's, and no dispersion can be estimated.")
-    elif n < 10:
+    elif n < FEW_PERSONS:
         remarks.append(f"There are only {n} subjects: dispersions rest on the prior as much as on the data.")
     if not fit.one_person and too_few_for_correlations(n, len(fit.kernel.elements)):
         remarks.append(

@@ -674,14 +674,10 @@ def test_importing_is_light() -> None:
     assert not {"pandas", "scipy", "numba", "emcee", "arviz", "matplotlib"} & set(modules)
 
 
-def test_large_dataset_is_read_quickly(tmp_path: Path) -> None:
+def test_a_dataset_of_the_papers_size_comes_back(tmp_path: Path) -> None:
     data = recordings(*(subject(f"S{i:02d}", 3, 401) for i in range(71)))
     write_recordings(data, tmp_path, compress=True)
-    start = time.perf_counter()
-    again = read_recordings(tmp_path)
-    # A fifth of a second on an ordinary machine; the limit leaves room for a busy one.
-    assert time.perf_counter() - start < 2.0
-    assert_same(data, again)
+    assert_same(data, read_recordings(tmp_path))
 
 
 @pytest.mark.skipif(not os.environ.get("BAYES_IMPEDANCE_REAL_DATA"), reason="BAYES_IMPEDANCE_REAL_DATA is not set")
