@@ -11,10 +11,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from bayes_impedance.design import PHANTOM, design_answer, limit_of, population_of
-from bayes_impedance.design.answer import three
 from bayes_impedance.plots import save_figure, style
 from bayes_impedance.plots.design import felt, stability, worst_user
 from bayes_impedance.results.result import load_result
+from bayes_impedance.units import rounded
 
 
 def main(result: Path, out: Path) -> None:
@@ -44,9 +44,10 @@ def main(result: Path, out: Path) -> None:
         for damping in (0.0, 2.0, 5.0):
             device = replace(PHANTOM, delay_s=delay)
             limit = limit_of(population, users, device, damping)
-            interval = f"{three(limit.stiffness)} ({three(limit.low)} to {three(limit.high)})"
+            interval = f"{rounded(limit.stiffness)} ({rounded(limit.low)} to {rounded(limit.high)})"
             kept = f"{100 * (limit.each >= limit.mean_user).mean():.0f} %"
-            cells = [f"{1e3 * delay:g}", f"{damping:g}", interval, three(limit.mean_user), kept, three(limit.classical)]
+            mean_user, classical = rounded(limit.mean_user), rounded(limit.classical)
+            cells = [f"{1e3 * delay:g}", f"{damping:g}", interval, mean_user, kept, classical]
             rows.append("| " + " | ".join(cells) + " |")
     table = "\n".join(rows)
     print(table)

@@ -21,11 +21,9 @@ SIT                      a rational function of the network's orders with its po
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -44,6 +42,9 @@ from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.results.curve_errors import ErrorCurves, common_grid, error_curves, lookup_table, on_grid
 from bayes_impedance.results.result import Result
 from bayes_impedance.runtime.progress import Progress
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 MAGNITUDES, PHASES, TABLES = "fitted to magnitudes", "fitted to phases", "look-up table"
 RATIONAL, COMPLEX, OURS = "rational function", "fitted to complex values", "population posterior"
@@ -145,13 +146,27 @@ class MethodComparison:
         return {m.id: m for m in self.methods}[id]
 
     def csv(self) -> str:
-        """One line for each method."""
-        columns = ("id", "label", "in_the_paper", "family", *next(iter(self.methods)).errors.summary(), "positive_real")
-        text = io.StringIO()
-        writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
-        writer.writeheader()
-        writer.writerows({k: "" if v is None else v for k, v in m.summary().items()} for m in self.methods)
-        return text.getvalue()
+        """The table as text, one line for each method."""
+        return self.to_dataframe().to_csv(lineterminator="\n")
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The table of methods.
+
+        Returns
+        -------
+        DataFrame
+            One row for each method, whose id is the index. Columns label, in_the_paper and family; mean and standard
+            deviation over frequency of the errors of eq. 5, with their units in ``attrs["units"]``; positive_real
+            (whether the curve belongs to a passive port), missing where a method has no rational function.
+        """
+        import pandas as pd
+
+        errors = list(self.methods[0].errors.summary())
+        columns = ["id", "label", "in_the_paper", "family", *errors, "positive_real"]
+        frame = pd.DataFrame([m.summary() for m in self.methods], columns=columns).set_index("id")
+        frame = frame.astype({"positive_real": "boolean"})
+        frame.attrs["units"] = {name: "deg" if "phase" in name else self.unit for name in errors}
+        return frame
 
     def summary(self) -> dict[str, Any]:
         """For ``comparison.json``."""

@@ -48,6 +48,7 @@ from bayes_impedance.classical.pole_residue import PoleResidue
 from bayes_impedance.classical.real_part import AxisPole, RealPart, on_axis, real_part
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.rational import TransferFunction
+from bayes_impedance.units import hertz
 
 # A dip below zero counts from this share of |z|: roots of polynomials are no more exact, and touching zero is passive.
 _TOLERANCE = 1e-9
@@ -151,14 +152,8 @@ def check_passivity(model: PoleResidue | TransferFunction, *, unit: str = "") ->
     )
 
 
-def _hertz(value: float) -> str:
-    if np.isinf(value):
-        return "infinity"
-    return f"{value:.3g} Hz" if value < 1000 else f"{value / 1000:.3g} kHz"
-
-
 def _violation_sentence(violation: Violation, unit: str) -> str:
-    low, high, worst = (_hertz(f) for f in (violation.low_hz, violation.high_hz, violation.worst_hz))
+    low, high, worst = (hertz(f) for f in (violation.low_hz, violation.high_hz, violation.worst_hz))
     value = f"{violation.real_part:.3g} {unit}".strip()
     return (
         f"Re z is negative from {low} to {high}, at worst {value} at {worst} ({100 * violation.relative:.2g} % of |z|)"
@@ -166,7 +161,7 @@ def _violation_sentence(violation: Violation, unit: str) -> str:
 
 
 def _residue_sentence(wrong: AxisPole) -> str:
-    place = "infinity" if np.isinf(wrong.pole) else _hertz(abs(wrong.pole) / (2 * np.pi))
+    place = hertz(abs(wrong.pole) / (2 * np.pi))
     if np.isnan(wrong.residue):
         return f"the pole on the imaginary axis at {place} is multiple"
     residue = wrong.residue.real if wrong.residue.imag == 0 else wrong.residue

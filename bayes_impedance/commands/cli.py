@@ -1,4 +1,4 @@
-"""The command line: arguments in, one job, a short text out. Nothing heavy is imported before it is needed."""
+"""The command line: one job for each command, and a short text. Nothing heavy is imported before it is needed."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import argparse
 import math
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bayes_impedance.commands.arguments import parser_of_commands
 from bayes_impedance.commands.progress_bars import Bars
 from bayes_impedance.errors import InputError, WorkerError
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from bayes_impedance.results.result import Result
 
 DONE, FAILED, BAD_INPUT = 0, 1, 2
+"""Exit status; argparse leaves with 2 as well if the arguments are wrong."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -26,9 +27,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         0 done, 1 failed (or a result that must not be used), 2 bad input.
     """
-    options = _parser().parse_args(arguments)
+    options = parser_of_commands().parse_args(arguments)
     try:
-        return int(options.job(options))
+        return _JOBS[options.command](options)
     except InputError as error:
         _tell(f"error: {error}", sys.stderr)
         return BAD_INPUT
@@ -44,154 +45,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
             sys.stderr,
         )
         return FAILED
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="bayes-impedance",
-        description="Population parameters of mechanical impedance networks, with honest uncertainty.",
-        epilog="Exit status: 0 done, 1 failed or result not reliable, 2 bad input.",
-    )
-    parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
-    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-
-    run = commands.add_parser("run", help="everything: check, fit, pictures and one report")
-    _dataset(run)
-    _fit_arguments(run)
-    run.set_defaults(job=_run)
-
-    check = commands.add_parser("check", help="what a dataset holds and what is odd about it")
-    _dataset(check)
-    check.set_defaults(job=_check)
-
-    fit = commands.add_parser("fit", help="fit only: result.nc and summary.json")
-    _dataset(fit)
-    _fit_arguments(fit)
-    fit.set_defaults(job=_fit)
-
-    compare = commands.add_parser("compare", help="the paper's methods and the population network in one table")
-    _dataset(compare)
-    _fit_arguments(compare)
-    compare.add_argument("--result", type=Path, metavar="FOLDER", help="finished fit of the same recordings to use")
-    compare.add_argument("--full", dest="quick", action="store_false", help="as many draws as 'run'; default: --quick")
-    compare.set_defaults(job=_compare, quick=True)
-
-    diagnose = commands.add_parser("diagnose", help="what the network leaves out: verdict.json and a report")
-    _dataset(diagnose)
-    _diagnose_arguments(diagnose)
-    diagnose.set_defaults(job=_diagnose)
-
-    report = commands.add_parser("report", help="pictures and report of a finished fit")
-    report.add_argument("out", type=Path, metavar="OUT", help="folder that 'run' or 'fit' has written")
-    report.add_argument("--dataset", type=Path, help="the recordings, to list what is odd about them")
-    report.set_defaults(job=_report)
-
-    export = commands.add_parser("export", help="design inputs from a finished fit: users, transfer, SPICE, stability")
-    _export_arguments(export)
-    export.set_defaults(job=_export)
-
-    simulate = commands.add_parser("simulate", help="virtual recordings with known truth")
-    simulate.add_argument("-o", "--out", type=Path, required=True, help="folder for the new dataset")
-    simulate.add_argument("--population", type=Path, help="summary.json of a fit or truth.json (default: fingertips)")
-    simulate.add_argument("--subjects", type=_count, default=71, metavar="N", help="default: 71")
-    simulate.add_argument("--repetitions", type=_count, default=3, metavar="J", help="default: 3")
-    simulate.add_argument("--points", type=_count, default=401, metavar="F", help="frequencies; default: 401")
-    simulate.add_argument("--band", type=float, nargs=2, default=(5.0, 5000.0), metavar=("LOW", "HIGH"), help="in Hz")
-    simulate.add_argument("--noise", type=float, help="relative noise of each part (default: 0.01)")
-    simulate.add_argument("--seed", type=_seed, default=1, help="default: 1")
-    simulate.set_defaults(job=_simulate)
-    return parser
-
-
-def _dataset(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("dataset", type=Path, metavar="DATASET", help="folder with recordings.csv, or one CSV file")
-
-
-def _fit_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("-o", "--out", type=Path, default=Path("out"), help="folder for the results (default: out)")
-    parser.add_argument("--network", help='for instance "(n3|r3)-(m2|r1|n1)"; default: the one in dataset.toml')
-    parser.add_argument("--covariance", choices=("full", "diagonal"), default="full", help="between persons")
-    parser.add_argument(
-        "--covariate", action="append", default=[], metavar="NAME", help="elements follow it; repeatable"
-    )
-    parser.add_argument("--subject", action="append", default=[], metavar="NAME", help="use only this one; repeatable")
-    parser.add_argument("--seed", type=_seed, default=1, help="default: 1; the same seed gives the same result")
-    parser.add_argument("--quick", action="store_true", help="fewer draws: a first look")
-    parser.add_argument("--resume", action="store_true", help="continue a fit that was interrupted")
-    _worker_arguments(parser)
-
-
-def _diagnose_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("-o", "--out", type=Path, default=Path("out"), help="folder for the results (default: out)")
-    parser.add_argument("--network", help="the network as claimed; default: the one in dataset.toml")
-    parser.add_argument(
-        "--simulation", type=Path, metavar="DATASET", help="simulated population that claims to describe the recordings"
-    )
-    parser.add_argument(
-        "--covariance", choices=("full", "diagonal"), default="full", help="claim about people; default: full"
-    )
-    parser.add_argument("--subject", action="append", default=[], metavar="NAME", help="use only this one; repeatable")
-    parser.add_argument("--seed", type=_seed, default=1, help="default: 1; the same seed gives the same verdict")
-    parser.add_argument("--quick", action="store_true", help="without held-out frequencies and without proposals")
-    _worker_arguments(parser)
-
-
-def _worker_arguments(parser: argparse.ArgumentParser) -> None:
-    """Who does what is done person by person; the result is the same."""
-    parser.add_argument(
-        "--workers", type=_count, metavar="N", help="local processes that fit people (default: two threads of this one)"
-    )
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="Dask scheduler, whose workers fit people (extra: dask)")
-
-
-def _export_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("result", type=Path, metavar="RESULT", help="folder that 'run' or 'fit' has written")
-    parser.add_argument("-o", "--out", type=Path, default=Path("design"), help="folder for the files (default: design)")
-    parser.add_argument(
-        "--what",
-        action="append",
-        choices=("users", "transfer", "spice", "stability"),
-        help="repeatable (default: all of them)",
-    )
-    parser.add_argument("--users", type=_count, default=1000, metavar="N", help="virtual users (default: 1000)")
-    parser.add_argument("--spanning", type=_count, default=8, metavar="N", help="users who span the 95 %% region")
-    parser.add_argument("--one-touch", action="store_true", help="users as in one touch, not as the mean of many")
-    parser.add_argument(
-        "--assume", action="append", default=[], metavar="NAME=VALUE", help="of an element not determined; repeatable"
-    )
-    parser.add_argument("--device", type=Path, metavar="TOML", help="device to be held (default: a PHANTOM 1.0)")
-    parser.add_argument(
-        "--damping", type=float, default=0.0, metavar="B", help="of the virtual wall, N s/m (default: 0)"
-    )
-    parser.add_argument("--share", type=float, default=0.99, help="of users who must be stable (default: 0.99)")
-    parser.add_argument("--grid", type=_count, default=40, metavar="N", help="gains on each axis (default: 40)")
-    parser.add_argument("--no-pictures", dest="pictures", action="store_false", help="tables only")
-    parser.add_argument("--seed", type=_seed, default=1, help="default: 1; the same seed gives the same users")
-    parser.add_argument("--workers", type=_count, default=2, metavar="N", help="threads of the map (default: 2)")
-
-
-def _count(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{value} is not at least 1")
-    return value
-
-
-def _seed(text: str) -> int:
-    value = int(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError("a seed is not negative")
-    return value
-
-
-class _Version(argparse.Action):
-    """Print the version; looking it up costs time that other commands need not spend."""
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
-        from importlib.metadata import version
-
-        _tell(f"bayes-impedance {version('bayes_impedance')}")
-        parser.exit()
 
 
 # -------------------------------------------------------------------- jobs
@@ -325,7 +178,7 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _simulate(options: argparse.Namespace) -> int:
-    from bayes_impedance.commands.jobs import simulate_dataset
+    from bayes_impedance.commands.simulate import simulate_dataset
 
     simulate_dataset(
         options.out,
@@ -339,6 +192,18 @@ def _simulate(options: argparse.Namespace) -> int:
     )
     _tell(f"{options.subjects} virtual subjects in {options.out}, the truth in {options.out / 'truth.json'}")
     return DONE
+
+
+_JOBS = {
+    "run": _run,
+    "check": _check,
+    "fit": _fit,
+    "compare": _compare,
+    "diagnose": _diagnose,
+    "report": _report,
+    "export": _export,
+    "simulate": _simulate,
+}
 
 
 def _fit_options(options: argparse.Namespace) -> Any:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 PRODUCTS = ("users", "transfer", "spice", "stability")
 _POINTS = 201
+"""Logarithmic grid of exported curves: 67 to a decade of the paper's band."""
 
 
 @dataclass(frozen=True, kw_only=True)

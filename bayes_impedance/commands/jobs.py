@@ -7,10 +7,8 @@ it is started again with the same arguments, and gives the same numbers as one t
 
 from __future__ import annotations
 
-import json
 import math
 import shutil
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -18,6 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayes_impedance.errors import InputError
+from bayes_impedance.runtime.atomic_files import write_json, write_text
+from bayes_impedance.runtime.clock import Clock
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -25,16 +25,17 @@ if TYPE_CHECKING:
     from bayes_impedance.classical import MethodComparison
     from bayes_impedance.diagnosis import Diagnosis
     from bayes_impedance.population.fit import FitSettings
-    from bayes_impedance.population.simulate import VirtualPopulation
     from bayes_impedance.quality.checks import Finding
     from bayes_impedance.recordings.files import Recordings
     from bayes_impedance.results.result import Result
     from bayes_impedance.runtime.progress import Progress
 
-CHECKPOINT_FOLDER, PICTURE_FOLDER, TRUTH_FILE = "checkpoint", "pictures", "truth.json"
+CHECKPOINT_FOLDER, PICTURE_FOLDER = "checkpoint", "pictures"
 VERDICT_FILE = "verdict.json"
 
 _THREADS = 2
+"""Of this process, if nothing is said: two cores are what a machine has at least, and the shipped dataset is done
+sooner than processes have started."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,8 +194,8 @@ def compare_dataset(
     out.mkdir(parents=True, exist_ok=True)
     identity = {"seed": options.seed, "data_sha256": recordings.sha256, "version": version("bayes_impedance")}
     summary = {**comparison.summary(), **identity}
-    _write_text(out / "comparison.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
-    _write_text(out / "comparison.csv", comparison.csv())
+    write_json(out / "comparison.json", summary)
+    write_text(out / "comparison.csv", comparison.csv())
     write_comparison(comparison, out)
     return comparison
 
@@ -254,7 +255,7 @@ def diagnose_dataset(
     out.mkdir(parents=True, exist_ok=True)
     progress("pictures and report", 0, 1)
     write_diagnosis_report(diagnosis, out)
-    _write_text(out / VERDICT_FILE, json.dumps(_plain(diagnosis.verdict), indent=2, allow_nan=False) + "\n")
+    write_json(out / VERDICT_FILE, _plain(diagnosis.verdict))
     progress("pictures and report", 1, 1)
     return diagnosis
 
@@ -268,78 +269,15 @@ def check_dataset(dataset: Path) -> tuple[dict[str, Any], tuple[str, ...], tuple
     return describe(recordings), recordings.warnings, check_recordings(recordings)
 
 
-def simulate_dataset(
-    out: Path,
-    population: Path | None,
-    n_subjects: int,
-    n_repetitions: int,
-    n_points: int,
-    band_hz: tuple[float, float],
-    noise: float | None,
-    seed: int,
-) -> dict[str, Any]:
-    """Write a virtual population as a dataset, the truth beside it.
-
-    Parameters
-    ----------
-    out : Path
-        Folder of the new dataset.
-    population : Path or None
-        ``summary.json`` of a fit or ``truth.json`` of a simulation whose population is to be drawn from; None for the
-        virtual fingertips.
-    n_subjects, n_repetitions, n_points : int
-    band_hz : (float, float)
-        Lowest and highest frequency.
-    noise : float or None
-        Relative noise; None for the population's own.
-    seed : int
-
-    Returns
-    -------
-    dict
-        The truth.
-    """
-    from dataclasses import replace
-
-    import numpy as np
-
-    from bayes_impedance.population.simulate import FINGERTIP, simulate_recordings
-    from bayes_impedance.recordings.files import write_recordings
-
-    low, high = band_hz
-    if not 0 < low < high or n_points < 3:
-        raise InputError(f"band {low} to {high} Hz with {n_points} points: give 0 < low < high and at least 3 points")
-    people = FINGERTIP if population is None else _population(population)
-    if noise is not None:
-        people = replace(people, noise=noise)
-    simulation = simulate_recordings(people, n_subjects, n_repetitions, np.geomspace(low, high, n_points), seed)
-    write_recordings(simulation.recordings, out, significant_digits=6, compress=True)
-    _write_text(out / TRUTH_FILE, json.dumps(simulation.truth, indent=2) + "\n")
-    return simulation.truth
-
-
-def _population(file: Path) -> VirtualPopulation:
-    """A population to draw from, as a fit or an earlier simulation describes it."""
-    from bayes_impedance.population.simulate import population_from
-
-    try:
-        described = json.loads(file.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{file}: there is no such file; give a summary.json or truth.json") from None
-    except (ValueError, OSError) as error:
-        raise InputError(f"{file}: cannot be read as JSON ({error}); give a summary.json or truth.json") from None
-    return population_from(described, str(file))
-
-
 def _fit(
     dataset: Path, out: Path, options: FitOptions, resume: bool, progress: Progress, helper: Executor | None = None
 ) -> tuple[Result, Recordings]:
     """Read, fit, predict, save; the recordings are handed on so that nobody reads them twice."""
     from bayes_impedance.recordings.files import read_recordings
 
-    started = time.perf_counter()
-    recordings = _selected(read_recordings(dataset), options)
-    reading = time.perf_counter() - started
+    clock = Clock()
+    with clock.measure("read"):
+        recordings = _selected(read_recordings(dataset), options)
 
     from bayes_impedance.population.fit import fit_population
     from bayes_impedance.results.predictive import predict
@@ -372,12 +310,12 @@ def _fit(
         from bayes_impedance.plots import prepare
 
         helper.submit(prepare)
-    started = time.perf_counter()
-    progress("predictions", 0, 1)
-    predictive = predict(fit, seed=options.seed)
-    progress("predictions", 1, 1)
-    seconds = {"read": reading, **fit.seconds, "predictive": time.perf_counter() - started}
-    result = make_result(fit, predictive, seconds)
+    clock.seconds.update(fit.seconds)
+    with clock.measure("predictive"):
+        progress("predictions", 0, 1)
+        predictive = predict(fit, seed=options.seed)
+        progress("predictions", 1, 1)
+    result = make_result(fit, predictive, clock.seconds)
     save_result(result, out)
     shutil.rmtree(checkpoint)
     return result, recordings
@@ -409,9 +347,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return value
-
-
-def _write_text(file: Path, text: str) -> None:
-    temporary = file.with_name(file.name + ".tmp")
-    temporary.write_text(text, encoding="utf-8")
-    temporary.replace(file)

@@ -21,6 +21,7 @@ from bayes_impedance.design.loop.stability import (
 from bayes_impedance.design.loop.transparency import Transparency, transparency
 from bayes_impedance.design.users import UserPopulation, Users
 from bayes_impedance.runtime.progress import Progress
+from bayes_impedance.units import rounded
 
 _GRID_LOW = 0.02
 """Lowest stiffness of the map as a share of the highest, where no stiffness is known at which all are stable. By
@@ -67,11 +68,11 @@ class DesignAnswer:
         main = self.reason.elements[0]
         more = "more" if self.reason.change[0] > 0 else "less"
         return (
-            f"{self.map.device.name}: {at} it is stable for {share} up to K = {three(limit.stiffness)} N/m "
-            f"(90 % interval {three(limit.low)} to {three(limit.high)}), limited by an oscillation at "
+            f"{self.map.device.name}: {at} it is stable for {share} up to K = {rounded(limit.stiffness)} N/m "
+            f"(90 % interval {rounded(limit.low)} to {rounded(limit.high)}), limited by an oscillation at "
             f"{limit.each_hz[limit.worst]:.0f} Hz in users with {more} {main}; with the worst of {len(limit.each)}, "
-            f"{worst}, up to {three(limit.each[limit.worst])} N/m. The mean user alone would have promised "
-            f"{three(limit.mean_user)} N/m, the classical bound {three(limit.classical)} N/m."
+            f"{worst}, up to {rounded(limit.each[limit.worst])} N/m. The mean user alone would have promised "
+            f"{rounded(limit.mean_user)} N/m, the classical bound {rounded(limit.classical)} N/m."
         )
 
     def described(self) -> dict[str, Any]:
@@ -175,11 +176,6 @@ def gains(population: UserPopulation, device: Device, grid: int, lowest: float) 
     highest = max(1.2 * max(limits), 1.0)
     low = min(lowest, limits[0] / 2) if lowest > 0 else _GRID_LOW * highest
     return np.geomspace(max(low, 1e-4 * highest), highest, grid), damping
-
-
-def three(value: float) -> str:
-    """Three significant digits, without a power of ten where it can be avoided."""
-    return f"{float(f'{value:.3g}'):g}"
 
 
 def _finite(value: float) -> float | None:

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import json
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,6 +14,10 @@ from bayes_impedance.design.circuits.transfer_functions import described, writte
 from bayes_impedance.design.representatives import Representatives
 from bayes_impedance.design.users import PERCENTILES, UserPopulation, Users, percentile_curves
 from bayes_impedance.errors import InputError
+from bayes_impedance.runtime.atomic_files import write_json, write_text
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 def write_users(
@@ -49,10 +49,7 @@ def write_users(
     everybody = chosen.users + users
     if not positive_elements(everybody).all():
         raise InputError("a user has an element of no size or of infinite size: check the assumed values")
-    header = ["user", *(f"{e} ({unit})" for e, unit in users.units.items())]
-    rows = [
-        [name, *map(_digits, row)] for name, row in zip(everybody.names, np.exp(everybody.log_elements), strict=True)
-    ]
+    with_units = {e: f"{e} ({unit})" for e, unit in users.units.items()}
     elements = population.network.elements
     free = [e for e in elements if e not in population.fixed]
     deviation = np.sqrt(np.diag(population.covariance))
@@ -80,12 +77,12 @@ def write_users(
     }
     magnitude, phase = percentile_curves(users, frequency_hz)
     shown = [f"p{100 * p:02.0f}" for p in PERCENTILES]
-    curves = np.column_stack([frequency_hz, magnitude.T, phase.T])
-    names = ["frequency_hz", *(f"magnitude_{p}" for p in shown), *(f"phase_deg_{p}" for p in shown)]
+    curves = np.column_stack([magnitude.T, phase.T])
+    names = [*(f"magnitude_{p}" for p in shown), *(f"phase_deg_{p}" for p in shown)]
     return [
-        _write(folder / "users.csv", _csv(header, rows)),
-        _write(folder / "users.json", _json(table)),
-        _write(folder / "curves.csv", _csv(names, [[_digits(v) for v in row] for row in curves])),
+        write_text(folder / "users.csv", _csv(everybody.to_dataframe().rename(columns=with_units))),
+        write_json(folder / "users.json", table, indent=1),
+        write_text(folder / "curves.csv", _csv(_over_frequency(frequency_hz, curves, names))),
     ]
 
 
@@ -113,8 +110,8 @@ def write_transfer(folder: Path, users: Users, chosen: Users) -> list[Path]:
             "unlike each other; export SPICE, whose elements keep it passive"
         )
     return [
-        _write(folder / "transfer.json", _json(table)),
-        _write(folder / "transfer.txt", written(chosen, range(len(chosen)))),
+        write_json(folder / "transfer.json", table, indent=1),
+        write_text(folder / "transfer.txt", written(chosen, range(len(chosen)))),
     ]
 
 
@@ -126,72 +123,60 @@ def write_spice(
     if not positive_elements(everybody).all():
         raise InputError("a user has an element of no size or of infinite size: check the assumed values")
     return [
-        _write(folder / "users.lib", spice.library(everybody)),
-        _write(folder / "monte_carlo.lib", spice.monte_carlo(population)),
-        _write(folder / "sweep.cir", spice.sweep(everybody, "users.lib", band_hz, "sweep.txt", points=20)),
+        write_text(folder / "users.lib", spice.library(everybody)),
+        write_text(folder / "monte_carlo.lib", spice.monte_carlo(population)),
+        write_text(folder / "sweep.cir", spice.sweep(everybody, "users.lib", band_hz, "sweep.txt", points=20)),
     ]
 
 
 def write_stability(folder: Path, answer: DesignAnswer) -> list[Path]:
     """``stability.json``, ``stability.csv`` (the map), ``limits.csv`` (everybody) and ``transparency.csv``."""
+    import pandas as pd
+
     m, limit = answer.map, answer.limit
-    rows = [
-        [
-            *map(_digits, (k, b, m.probability[i, j], m.low[i, j], m.high[i, j])),
-            int(m.mean_user[i, j]),
-            int(k < m.classical[i]),
-        ]
-        for i, b in enumerate(m.damping)
-        for j, k in enumerate(m.stiffness)
-    ]
-    header = [
-        "stiffness_n_per_m",
-        "damping_ns_per_m",
-        "share_stable",
-        "q05",
-        "q95",
-        "mean_user_stable",
-        "classical_bound",
-    ]
-    each = [[name, _digits(k), _digits(f)] for name, k, f in zip(m.users.names, limit.each, limit.each_hz, strict=True)]
+    gains = {
+        "stiffness_n_per_m": np.tile(m.stiffness, m.damping.size),
+        "damping_ns_per_m": np.repeat(m.damping, m.stiffness.size),
+    }
+    stable = {
+        "share_stable": m.probability,
+        "q05": m.low,
+        "q95": m.high,
+        "mean_user_stable": m.mean_user.astype(int),
+        "classical_bound": (m.stiffness < m.classical[:, None]).astype(int),
+    }
+    table = pd.DataFrame(gains | {name: values.ravel() for name, values in stable.items()})
+    each = pd.DataFrame(
+        {"stiffness_limit_n_per_m": limit.each, "oscillation_hz": limit.each_hz},
+        index=pd.Index(m.users.names, name="user", dtype=object),
+    )
     files = [
-        _write(folder / "stability.json", _json(answer.described())),
-        _write(folder / "stability.csv", _csv(header, rows)),
-        _write(folder / "limits.csv", _csv(["user", "stiffness_limit_n_per_m", "oscillation_hz"], each)),
+        write_json(folder / "stability.json", answer.described(), indent=1),
+        write_text(folder / "stability.csv", _csv(table)),
+        write_text(folder / "limits.csv", _csv(each)),
     ]
     felt = answer.transparency
     if felt is not None:
         ratio, error = felt.band()
         shown = [f"p{100 * p:02.0f}" for p in PERCENTILES]
         names = [
-            "frequency_hz",
             *(f"transmitted_by_desired_{p}" for p in shown),
             *(f"velocity_error_{p}" for p in shown),
         ]
-        values = np.column_stack([felt.frequency_hz, ratio.T, error.T])
-        files.append(_write(folder / "transparency.csv", _csv(names, [[_digits(v) for v in row] for row in values])))
+        felt_by = _over_frequency(felt.frequency_hz, np.column_stack([ratio.T, error.T]), names)
+        files.append(write_text(folder / "transparency.csv", _csv(felt_by)))
     return files
 
 
-def _digits(value: float) -> str:
-    return f"{value:.17g}" if np.isfinite(value) else ""
+def _over_frequency(frequency_hz: np.ndarray, values: np.ndarray, names: list[str]) -> pd.DataFrame:
+    """Columns of values (F, C) over frequencies (F,)."""
+    import pandas as pd
+
+    return pd.DataFrame(values, index=pd.Index(frequency_hz, name="frequency_hz"), columns=names)
 
 
-def _csv(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows(rows)
-    return text.getvalue()
-
-
-def _json(table: dict[str, Any]) -> str:
-    return json.dumps(table, indent=1, allow_nan=False) + "\n"
-
-
-def _write(file: Path, text: str) -> Path:
-    """Complete or absent: under a temporary name first."""
-    file.parent.mkdir(parents=True, exist_ok=True)
-    temporary = file.with_name(file.name + ".tmp")
-    temporary.write_text(text, encoding="utf-8")
-    return temporary.replace(file)
+def _csv(table: pd.DataFrame) -> str:
+    """All digits of a double; an empty cell for what is not finite."""
+    named = table if table.index.name is None else table.reset_index()
+    finite = named.replace([np.inf, -np.inf], np.nan)
+    return finite.to_csv(index=False, float_format="%.17g", lineterminator="\n")

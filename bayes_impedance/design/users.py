@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +29,9 @@ from bayes_impedance.network.elements import kind_of
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Network, parse
 from bayes_impedance.results.result import Result
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 PERCENTILES = (0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
 """Of the curves that are exported."""
@@ -80,6 +84,15 @@ class Users:
     def of(self, row: int) -> dict[str, float]:
         """Elements of one user in their units."""
         return dict(zip(self.elements, np.exp(self.log_elements[row]).tolist(), strict=True))
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Elements of everybody: one row for each user, whose name is the index; ``attrs["units"]`` holds units."""
+        import pandas as pd
+
+        values = np.exp(self.log_elements)
+        frame = pd.DataFrame(values, index=pd.Index(self.names, name="user", dtype=object), columns=list(self.elements))
+        frame.attrs["units"] = self.units
+        return frame
 
     def impedance(self, frequency_hz: npt.ArrayLike) -> np.ndarray:
         """Z of everybody, complex, shape (N, F)."""

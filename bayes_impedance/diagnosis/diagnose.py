@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -36,6 +35,7 @@ from bayes_impedance.diagnosis.verdict.verdict import FEW_PEOPLE, Evidence, make
 from bayes_impedance.network.notation import Network
 from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.results.curve_errors import on_grid
+from bayes_impedance.runtime.clock import Clock
 from bayes_impedance.runtime.executors import executor_of
 from bayes_impedance.runtime.progress import Progress
 
@@ -106,7 +106,7 @@ def diagnose(
     """
     from threadpoolctl import threadpool_limits
 
-    clock = _Clock()
+    clock = Clock()
     candidates = tuple(registered() if effects is None else effects)
     own = executor_of(workers) if executor is None else nullcontext(executor)
     with threadpool_limits(1), own as executor:
@@ -123,7 +123,7 @@ def _diagnose(
     network: Network | str | None,
     claimed: Claim | None,
     job: _Job,
-    clock: _Clock,
+    clock: Clock,
 ) -> Diagnosis:
     seed, executor, progress = job.seed, job.executor, job.progress
     given = recordings
@@ -247,7 +247,7 @@ class _Look:
         return log_evidence(final)
 
 
-def _look(fitted: Fitted, base: Refit, begin: Refit | None, job: _Job, clock: _Clock) -> _Look:
+def _look(fitted: Fitted, base: Refit, begin: Refit | None, job: _Job, clock: Clock) -> _Look:
     """Search for names, locate what they leave, and take back those that do not hold."""
     seed, executor, progress = job.seed, job.executor, job.progress
     names = fitted.recordings.names
@@ -292,16 +292,3 @@ def _entries(fitted: Fitted, found: Found, job: _Job) -> list[dict[str, Any]]:
             entry["aliases"] = aliases(step, job.quick)
         entries.append(entry)
     return entries
-
-
-class _Clock:
-    """Seconds of each named step."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-
-    @contextmanager
-    def measure(self, name: str) -> Iterator[None]:
-        started = time.perf_counter()
-        yield
-        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - started

@@ -1,7 +1,11 @@
 """Everything that is asked of ArviZ, in one place, for its 0.x and 1.x versions.
 
-ArviZ takes seconds to import, so it is imported inside the functions. The two generations differ in the container
-(InferenceData or DataTree), in the shape of ``from_dict`` and in where the statistics live.
+ArviZ 1.x needs Python 3.12 and this package supports 3.11, so both generations stay. They differ in the container
+(InferenceData or DataTree), in the shape of ``from_dict`` and in where the statistics live. No other module, test,
+analysis or benchmark asks which one is installed: what is read back of a file are plain arrays (:func:`load_groups`),
+and what others do with the container is what both have in common (``data["posterior"]``, ``summary``).
+
+ArviZ takes seconds to import, so it is imported inside the functions.
 """
 
 from __future__ import annotations
@@ -13,6 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from bayes_impedance.runtime.atomic_files import replacing
 
 
 def _modern() -> bool:
@@ -64,7 +70,7 @@ def save(
     coords: Mapping[str, Any],
     attributes: Mapping[str, Any],
 ) -> None:
-    """Write groups of arrays as an ArviZ netCDF file, to a temporary name first.
+    """Write groups of arrays as an ArviZ netCDF file that is complete or absent.
 
     Parameters
     ----------
@@ -82,8 +88,7 @@ def save(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import arviz
-    temporary = file.with_name(file.name + ".tmp")
-    with warnings.catch_warnings():
+    with replacing(file) as temporary, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         if _modern():
             data = arviz.from_dict(
@@ -104,7 +109,6 @@ def save(
                 data[name].attrs.pop("created_at", None)  # equal runs give equal files
             data.attrs.pop("created_at", None)
             data.to_netcdf(str(temporary), engine="h5netcdf", compress=True)
-    temporary.replace(file)
 
 
 def load_groups(file: Path) -> tuple[dict[str, dict[str, np.ndarray]], dict[str, Any], dict[str, Any]]:
@@ -137,14 +141,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, bytes):
         return value.decode()
     return value.item() if isinstance(value, np.generic) else value
-
-
-def load(file: Path) -> Any:
-    """Read a netCDF file back as ArviZ's own container, everything in memory."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        import arviz
-
-        data: Any = arviz.from_netcdf(str(file), engine="h5netcdf")  # type: ignore[no-untyped-call,unused-ignore]
-        data.load()
-    return data

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from bayes_impedance.errors import InputError
+from bayes_impedance.runtime.atomic_files import replacing
 
 _BURN_IN, _ADAPTED = "burn_in", ("mean", "covariance", "coordinates")
 
@@ -29,24 +30,21 @@ def write_chain(file: Path, backend: Any, adapted: dict[str, Any]) -> None:
     """
     import emcee
 
-    file.parent.mkdir(parents=True, exist_ok=True)
-    temporary = file.with_name(file.name + ".tmp")
-    temporary.unlink(missing_ok=True)  # of a run that was killed while it wrote
-    kept = emcee.backends.HDFBackend(temporary)
-    kept.reset(*backend.shape)
-    kept.grow(backend.iteration, None)
-    with kept.open("a") as opened:
-        group = opened[kept.name]
-        if backend.iteration:
-            group["chain"][...], group["log_prob"][...] = backend.chain, backend.log_prob
-            group["accepted"][...] = backend.accepted
-            _put_random_state(group, backend.random_state)
-        group.attrs["iteration"] = backend.iteration
-        group = opened.create_group(_BURN_IN)
-        for name in _ADAPTED:
-            group[name] = adapted[name]
-        _put_random_state(group, adapted["random_state"])
-    temporary.replace(file)
+    with replacing(file) as temporary:
+        kept = emcee.backends.HDFBackend(temporary)
+        kept.reset(*backend.shape)
+        kept.grow(backend.iteration, None)
+        with kept.open("a") as opened:
+            group = opened[kept.name]
+            if backend.iteration:
+                group["chain"][...], group["log_prob"][...] = backend.chain, backend.log_prob
+                group["accepted"][...] = backend.accepted
+                _put_random_state(group, backend.random_state)
+            group.attrs["iteration"] = backend.iteration
+            group = opened.create_group(_BURN_IN)
+            for name in _ADAPTED:
+                group[name] = adapted[name]
+            _put_random_state(group, adapted["random_state"])
 
 
 def read_chain(file: Path, backend: Any) -> dict[str, Any] | None:

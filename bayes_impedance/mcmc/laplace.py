@@ -17,8 +17,11 @@ from collections.abc import Callable
 import numpy as np
 
 _ITERATIONS = 3
+"""Newton steps: the start is close (a point estimate), and each step measures the widths for the next."""
 _BATCH = 128
+"""Evaluations at once, about as many as an ensemble has walkers: the density's memory grows with it."""
 _STEP = 0.5
+"""Of the differences, in standard deviations (see above)."""
 
 
 def normal_approximation(

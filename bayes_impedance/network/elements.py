@@ -25,6 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bayes_impedance.errors import InputError
+from bayes_impedance.units import unit_of
 
 
 @dataclass(frozen=True)
@@ -77,10 +78,7 @@ class Kind:
 
     def unit(self, impedance_unit: str) -> str:
         """Unit of the element's value, given the unit of the impedance."""
-        known = _UNITS.get(impedance_unit)
-        if known is not None:
-            return known[self.letter]
-        return {"m": f"{impedance_unit} s", "n": f"s/({impedance_unit})", "r": impedance_unit}[self.letter]
+        return unit_of(self.letter, impedance_unit)
 
 
 MASS = Kind("m", "mass", +1, +1, "Inertia: what moves along with the port and resists being accelerated.")
@@ -88,13 +86,6 @@ COMPLIANCE = Kind("n", "compliance", -1, -1, "Springiness: how far the tissue gi
 DAMPER = Kind("r", "damper", +1, 0, "Viscous loss: force in proportion to velocity, energy turned into heat.")
 
 KINDS: dict[str, Kind] = {kind.letter: kind for kind in (MASS, COMPLIANCE, DAMPER)}
-
-# Unit of m, n, r for each unit of impedance that the recordings reader normalises to.
-_UNITS: dict[str, dict[str, str]] = {
-    "N s/m": {"m": "kg", "n": "m/N", "r": "N s/m"},
-    "N m s/rad": {"m": "kg m^2", "n": "rad/(N m)", "r": "N m s/rad"},
-    "ohm": {"m": "H", "n": "F", "r": "ohm"},
-}
 
 
 def kind_of(element: str) -> Kind:

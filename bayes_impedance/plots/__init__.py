@@ -29,6 +29,7 @@ from bayes_impedance.plots.parameters import correlation, forest, overview, prio
 from bayes_impedance.plots.spectra import bands, coverage, curves, errors, noise
 from bayes_impedance.plots.style import new_figure, style
 from bayes_impedance.results.result import Result
+from bayes_impedance.runtime.atomic_files import replacing
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -285,8 +286,7 @@ def _arrange(figure: Figure) -> None:
 
 
 def _save(figure: Figure, file: Path, metadata: dict[str, Any]) -> Path:
-    """Write to a temporary name first, so that no half picture is left behind."""
-    temporary = file.with_name(file.name + ".tmp")
-    figure.savefig(temporary, format=file.suffix[1:], dpi=_DPI, metadata=metadata)
-    temporary.replace(file)
+    """Write a picture, complete or not at all."""
+    with replacing(file) as temporary:
+        figure.savefig(temporary, format=file.suffix[1:], dpi=_DPI, metadata=metadata)
     return file

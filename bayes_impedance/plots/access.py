@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from bayes_impedance.plots.quantities import Scale, scale_for
 from bayes_impedance.results.result import Result
+from bayes_impedance.units import Scale, scale_for
 
 INTERVAL = (0.05, 0.5, 0.95)
 """Quantiles of every interval that is shown: 90 %, and the median."""

@@ -6,12 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayes_impedance.design.answer import DesignAnswer, three
+from bayes_impedance.design.answer import DesignAnswer
 from bayes_impedance.design.loop.stability import loop_of
 from bayes_impedance.design.loop.transparency import loop_gain
 from bayes_impedance.design.representatives import Representatives
 from bayes_impedance.design.users import UserPopulation, Users, percentile_curves
-from bayes_impedance.plots.quantities import typeset
 from bayes_impedance.plots.style import (
     BLUE,
     GREEN,
@@ -28,6 +27,7 @@ from bayes_impedance.plots.style import (
     new_figure,
     phase_axis,
 )
+from bayes_impedance.units import rounded, typeset
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -122,9 +122,9 @@ def _limits(axes: Axes, answer: DesignAnswer) -> None:
         color=BLUE,
         lw=1.2,
         ls="--",
-        label=f"{100 * limit.share:g} % of users: {three(limit.stiffness)} N/m",
+        label=f"{100 * limit.share:g} % of users: {rounded(limit.stiffness)} N/m",
     )
-    axes.axvline(limit.mean_user, color=RED, lw=1.2, label=f"the mean user alone: {three(limit.mean_user)} N/m")
+    axes.axvline(limit.mean_user, color=RED, lw=1.2, label=f"the mean user alone: {rounded(limit.mean_user)} N/m")
     if limit.each.max() > 0:
         log_axis(axes.xaxis, *log_limits(limit.each, np.array([limit.low, limit.mean_user]), margin=0.08))
     axes.set_ylim(0, 103)
@@ -160,7 +160,7 @@ def worst_user(answer: DesignAnswer, population: UserPopulation) -> Figure:
     low, high = top.get_ylim()
     log_axis(top.yaxis, max(low, 1e-4), max(high, 2.0) * 1.5)
     top.set_ylabel("loop gain")
-    top.set_title(f"open loop at the worst user's limit, K = {three(stiffness)} N/m, B = {limit.damping:g} N s/m")
+    top.set_title(f"open loop at the worst user's limit, K = {rounded(stiffness)} N/m, B = {limit.damping:g} N s/m")
     top.legend()
     phase_axis(middle)
     why = answer.reason
@@ -196,7 +196,7 @@ def felt(answer: DesignAnswer) -> Figure | None:
     top.plot(frequency, rows[1], color=BLUE, label="transmitted (median and 90 % of users)")
     log_axis(top.yaxis, *log_limits(np.abs(found.desired), rows))
     top.set_ylabel("impedance (N s/m)")
-    top.set_title(f"K = {three(found.stiffness)} N/m, B = {found.damping:g} N s/m: what is felt")
+    top.set_title(f"K = {rounded(found.stiffness)} N/m, B = {found.damping:g} N s/m: what is felt")
     top.legend()
     error = 100 * np.quantile(found.velocity_error, (0.05, 0.25, 0.5, 0.75, 0.95), axis=0)
     bottom.fill_between(frequency, error[0], error[4], color=OUTER, lw=0, label="90 % of users")

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayes_impedance.plots.access import INTERVAL, element_scale, identified, needed, samples
-from bayes_impedance.plots.quantities import with_interval
 from bayes_impedance.plots.style import BLUE, INK, RED
 from bayes_impedance.results.result import Result
+from bayes_impedance.units import with_interval
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

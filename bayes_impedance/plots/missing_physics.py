@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayes_impedance.plots.quantities import scale_for
 from bayes_impedance.plots.style import (
     BLUE,
     GREY,
@@ -35,6 +34,7 @@ from bayes_impedance.plots.style import (
     new_figure,
     phase_axis,
 )
+from bayes_impedance.units import scale_for
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

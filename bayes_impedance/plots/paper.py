@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayes_impedance.errors import InputError
-from bayes_impedance.plots.quantities import Scale, scale_for, significant
 from bayes_impedance.plots.style import (
     BLUE,
     GREEN,
@@ -39,6 +38,7 @@ from bayes_impedance.plots.style import (
     phase_axis,
     row_median,
 )
+from bayes_impedance.units import Scale, scale_for, significant
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,9 +9,9 @@ import numpy as np
 
 from bayes_impedance.plots.access import INTERVAL, element_scale, identified, needed, samples, subjects, variable, who
 from bayes_impedance.plots.joint import PRIOR_CENTRE_SD, PRIOR_DISPERSION_SD, half_normal_density, normal_density
-from bayes_impedance.plots.quantities import signed
 from bayes_impedance.plots.style import BLUE, ENSEMBLES, GREY, INK, LIGHT, ORANGE, RED, log_axis, log_limits
 from bayes_impedance.results.result import Result
+from bayes_impedance.units import signed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

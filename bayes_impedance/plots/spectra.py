@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayes_impedance.plots.access import frequency, needed, observed, subjects, who
-from bayes_impedance.plots.quantities import scale_for
 from bayes_impedance.plots.style import (
     BLUE,
     GREEN,
@@ -27,6 +26,7 @@ from bayes_impedance.plots.style import (
     row_median,
 )
 from bayes_impedance.results.result import MISFIT_SCALE, Result
+from bayes_impedance.units import scale_for
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,19 +14,22 @@ from bayes_impedance.population.sharded_likelihood import KeptDraws
 from bayes_impedance.recordings.files import Recordings
 
 VARIANCE_LIMIT = 1.0
-"""Above this Monte-Carlo variance of the log likelihood, the posterior is refused."""
+"""Above this Monte-Carlo variance of the log likelihood, the posterior is refused: its noise is then as large as the
+differences of about one that make an interval."""
 
 RHAT_LIMIT = 1.05
-"""Above this disagreement between ensembles, the posterior is refused."""
+"""Above this disagreement between ensembles, the posterior is refused. The sampler aims at 1.01 (Vehtari et al. 2021);
+between the two a result is shown with its R-hat."""
 
 SHORTEST_CHAIN = 2.0
 """Ensembles of fewer autocorrelation times than this say little, not even how long their memory is."""
 
 FEWEST_EFFECTIVE = 200.0
-"""Fewer effective samples than this give no 5 % quantile worth the name."""
+"""Fewer effective samples than this give no 5 % quantile worth the name: ten of two hundred lie below it."""
 
 CLOSE_RIVAL = 10.0
-"""A solution for the whole population whose log evidence is less than this behind is worth a remark."""
+"""A solution for the whole population whose log evidence is less than this behind is worth a remark: the evidences are
+of thinned data and normal approximations, and a difference of five is already strong (Kass and Raftery 1995)."""
 
 PARETO_LIMIT = 0.7
 """Above this tail of a person's weights, the effective number of draws means little (Vehtari et al. 2024)."""

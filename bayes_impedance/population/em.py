@@ -58,12 +58,17 @@ DETERMINED_SD = 0.3
 """An element is determined if all recordings together give its logarithm at least this well, without any prior."""
 
 _MAX_ROUNDS, _FEWEST_ROUNDS = 60, 6
+"""An anchor need not be exact: sixty rounds end it in any case. Six, as rounds 1 and 4 try others' solutions."""
 _AT_REST = -1.0
 """In place of a distance moved, once the last round from many places is made."""
 _TRIAL_ROUNDS, _TRIAL_POINTS = 10, 100
+"""Rounds from each common solution, and frequencies of a person in them: solutions that compete differ by much."""
 _TOLERANCE = 0.02
+"""Rounds end when the population moves by less than this, in standard deviations of what is known about it."""
 _PRIOR_PERSONS = 2.0
+"""The covariance counts so many persons more, with elements that vary independently: few give no singular one."""
 _SMALLEST_DISPERSION = 0.02
+"""Of logarithms between persons, at least: draws under a vanishing one lie in a point that no weight can spread."""
 
 
 @dataclass(frozen=True)

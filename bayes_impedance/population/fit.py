@@ -19,10 +19,8 @@ a killed run is resumed, draws are made anew from them, the same ones.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator
 from concurrent.futures import Executor
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib.metadata import version
@@ -44,6 +42,7 @@ from bayes_impedance.population.posterior import Posterior
 from bayes_impedance.population.starting_fits import FirstFits, default_prior, first_fits, noise_of
 from bayes_impedance.recordings.files import Recordings, Subject
 from bayes_impedance.runtime.checkpoint import claim
+from bayes_impedance.runtime.clock import Clock
 from bayes_impedance.runtime.executors import executor_of, map_persons
 from bayes_impedance.runtime.progress import Progress
 from bayes_impedance.runtime.sharded import Kept
@@ -205,7 +204,7 @@ def fit_population(
         same_for_any = replace(settings, sampler=replace(settings.sampler, workers=0))
         others = version("bayes_impedance"), str(kernel.network), same_for_any, seed, covariates.tolist()
         claim(checkpoint, (s.digest for s in recordings.subjects), *others)
-    clock = _Clock()
+    clock = Clock()
     one = len(recordings.subjects) == 1
     # The linear algebra library must not start threads of its own inside ours.
     own = executor_of(workers) if executor is None else nullcontext(executor)
@@ -283,7 +282,7 @@ def _one_person(
     point: Estimate,
     first: FirstFits,
     sampler_seed: np.random.SeedSequence,
-    clock: _Clock,
+    clock: Clock,
     progress: Progress,
     checkpoint: Path | None,
 ) -> PopulationFit:
@@ -395,16 +394,3 @@ def _likelihood(model: NoiseModel | None, n_elements: int, subject: Subject) -> 
 
 def _scaled_noise(model: NoiseModel | None, subject: Subject, scale: float) -> np.ndarray:
     return noise_of(subject, model) * scale
-
-
-class _Clock:
-    """Seconds of each named step."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-
-    @contextmanager
-    def measure(self, name: str) -> Iterator[None]:
-        started = time.perf_counter()
-        yield
-        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - started

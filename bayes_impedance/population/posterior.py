@@ -21,10 +21,16 @@ from bayes_impedance.population.parameters import Coordinates, Prior
 from bayes_impedance.population.sharded_likelihood import KeptDraws
 from bayes_impedance.runtime.progress import Progress
 
-_VARIANCE_WANTED = 0.25
+VARIANCE_WANTED = 0.25
+"""Monte-Carlo variance of the log likelihood (a noise of half a unit) below which draws are enough; a quarter of what
+is refused (:data:`bayes_impedance.population.diagnostics.VARIANCE_LIMIT`)."""
 _MORE_DRAWS = (1, 4, 8)
+"""How many times the draws of the settings are made, attempt by attempt: variance falls as one over the number, and the
+reference has moved to the posterior between attempts."""
 _PILOT = SamplerSettings(ensembles=2, burn_in=(60, 60), chunk=60, longest=60)
+"""Finds where the reference must move, which is a mean and a covariance: convergence is not asked for."""
 _LARGEST_COORDINATE = 8.0
+"""Coordinates are standard normal under the prior, of which one part in 1e15 lies beyond eight."""
 
 
 class Posterior:
@@ -157,7 +163,7 @@ class Posterior:
             nearby = np.clip(mode + pilot @ np.linalg.cholesky(normal).T, -_LARGEST_COORDINATE, _LARGEST_COORDINATE)
             variance = self.marginal.variance(self.coordinates.unpack(nearby))
             if (
-                noise_within(float(np.mean(variance)), n_persons, mode.size) < _VARIANCE_WANTED
+                noise_within(float(np.mean(variance)), n_persons, mode.size) < VARIANCE_WANTED
                 or redrawn == len(rounds) - 1
             ):
                 return

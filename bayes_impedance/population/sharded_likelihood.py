@@ -29,6 +29,8 @@ from bayes_impedance.runtime.progress import Progress
 from bayes_impedance.runtime.sharded import Kept, parts_of
 
 _SETS_AT_ONCE = 50
+"""Populations for which a part's draws are weighted at once, about half as many as the sampler's walkers: weights of
+a block of four persons are then below a megabyte."""
 
 
 @dataclass(frozen=True)

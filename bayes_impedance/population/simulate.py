@@ -31,6 +31,7 @@ _REPETITION_FORCE = 0.03
 """Half widths of the uniform contact-force errors of a person and of one repetition: together the paper's 10 %."""
 
 _SCALE_SPREAD = 0.15
+"""Standard deviation of the logarithm of each person's size of noise: an assumption."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,10 +17,10 @@ from bayes_impedance.quality import point_anomalies
 from bayes_impedance.quality.curve_anomalies import duplicates, odd_subjects, repetition_spreads, suspect_units
 from bayes_impedance.recordings.dataset import Recordings, Subject
 
-#: The same thing in more than this part of the recordings comes from the rig and is told once.
 COMMON = 0.5
-#: ... if there are at least this many recordings.
+"""The same thing in more than half of the recordings comes from the rig and is told once: people do not share it."""
 COMMON_MINIMUM = 4
+"""Of fewer recordings, two would be more than half, which chance can do."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,28 +10,33 @@ import numpy as np
 from bayes_impedance.recordings.csv_table import ComplexArray, FloatArray
 from bayes_impedance.recordings.dataset import Subject
 
-#: Copies differ by less than this part of |z| (the rounding of an export) ...
 COPY_LIMIT = 1e-6
-#: ... or by less than this part of what is usual between nearest neighbours, if there are enough to say so.
+"""Copies differ by less than this part of |z|: the rounding of an export with six or seven digits."""
 COPY_CONTRAST = 0.02
-#: Fewer subjects than this do not say what is usual.
+"""... or by less than this part of what is usual between nearest neighbours, if there are enough to say so: an export
+with fewer digits. Recordings with noise of their own are not fifty times as close as all others."""
 MINIMUM_SUBJECTS = 5
-#: Robust standard deviations that a subject, or the spread of its repetitions, must be away from the others.
+"""Fewer subjects than this do not say what is usual: a median distance needs a majority that is not odd."""
 ODD_LIMIT = 8.0
-#: ... and at least so far: a factor in magnitude, degrees in phase, a factor in spread.
-ODD_FACTOR = 2.0
-ODD_PHASE_DEG = 20.0
-SPREAD_FACTOR = 4.0
+"""Robust standard deviations that a subject, or the spread of its repetitions, must be away from the others. People are
+not normally distributed: the limit is far above the 3 that the largest of a hundred normal values reaches."""
+ODD_FACTOR, ODD_PHASE_DEG, SPREAD_FACTOR = 2.0, 20.0, 4.0
+"""... and at least so far: a factor in magnitude, degrees in phase, a factor in spread. People who are very much alike
+give a small standard deviation, of which a harmless difference is many. Choices, not measurements."""
 
-#: Measured and computed phase must differ by more than this (rms) ...
 BODE_MINIMUM_DEG = 8.0
-#: ... and by this many times what remains after conversion, before a unit is suspected.
+"""Measured and computed phase must differ by more than this (rms): what is usual within a band is a few degrees."""
 BODE_CONTRAST = 2.5
+"""... and by this many times what remains after conversion, before a unit is suspected: conversion must explain it."""
 
 _BODE_POINTS = 60
-_BODE_REACH = 5.0  # in ln f; the kernel has lost 99.7 % of its integral there
+"""Of the grid of ln f on which Bode's relation is integrated: a sixth of an octave in three decades."""
+_BODE_REACH = 5.0
+"""In ln f; the kernel has lost 99.7 % of its integral there."""
 _COMPARED_POINTS = 40
+"""Frequencies at which all pairs of curves are compared first; those that are near are compared at all."""
 _MAD_TO_SD = 1.4826
+"""Standard deviation of a normal distribution over its median distance from the median."""
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,15 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bayes_impedance.errors import InputError
 from bayes_impedance.recordings.csv_table import ComplexArray, FloatArray, has_control_character, similar
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -137,6 +141,53 @@ class Recordings:
     def in_memory(self) -> Recordings:
         """The same, with all numbers of all subjects at hand; of a dataset parted by subject they stay in its files."""
         return replace(self, subjects=tuple(replace(subject) for subject in self.subjects))
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The recordings as a long table.
+
+        Returns
+        -------
+        DataFrame
+            One row for each subject, repetition and frequency, in this order. Columns subject, repetition,
+            frequency_hz, z_re, z_im and, if any subject has it, noise_sd. ``attrs["units"]`` holds the unit of each
+            column of numbers.
+        """
+        import pandas as pd
+
+        table: dict[str, list[np.ndarray]] = {}
+        for subject in self.subjects:
+            z, sd, f = subject.z, subject.noise_sd, subject.frequency_hz
+            columns = {
+                "subject": np.full(z.size, subject.name, dtype=object),
+                "repetition": np.repeat(np.array(subject.repetitions, dtype=object), f.size),
+                "frequency_hz": np.tile(f, len(z)),
+                "z_re": z.real.ravel(),
+                "z_im": z.imag.ravel(),
+                "noise_sd": np.full(z.size, np.nan) if sd is None else sd.ravel(),
+            }
+            for name, values in columns.items():
+                table.setdefault(name, []).append(values)
+        if all(subject.noise_sd is None for subject in self.subjects):
+            table.pop("noise_sd", None)
+        frame = pd.DataFrame({name: np.concatenate(parts) for name, parts in table.items()})
+        units = {"frequency_hz": "Hz", "z_re": self.unit, "z_im": self.unit, "noise_sd": self.unit}
+        frame.attrs["units"] = {name: unit for name, unit in units.items() if name in frame}
+        return frame
+
+    def subjects_table(self) -> pd.DataFrame:
+        """What is known of everybody besides the recordings.
+
+        Returns
+        -------
+        DataFrame
+            One row for each subject, whose name is the index; one column for each covariate, NaN where it is not known.
+            A covariate's unit is part of its name, as the dataset has it.
+        """
+        import pandas as pd
+
+        covariates = list(dict.fromkeys(name for subject in self.subjects for name in subject.covariates))
+        columns = {c: [float(s.covariates.get(c, math.nan)) for s in self.subjects] for c in covariates}
+        return pd.DataFrame(columns, index=pd.Index(self.names, name="subject", dtype=object))
 
     @property
     def repetitions_max(self) -> int:

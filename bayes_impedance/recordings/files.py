@@ -11,7 +11,6 @@ import gzip
 import hashlib
 import io
 import json
-import math
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -26,14 +25,16 @@ from bayes_impedance.recordings.metadata import SIGNS, Metadata, parse_metadata
 from bayes_impedance.recordings.out_of_core import StoredRows, StoredSubject
 from bayes_impedance.recordings.parquet import SUFFIX, parquet_table, partitions
 from bayes_impedance.recordings.repetitions import signed_factor, subjects_of
+from bayes_impedance.runtime.atomic_files import write_together
 
 __all__ = ["Recordings", "Subject", "read_recordings", "write_recordings"]
 
 RECORDINGS_FILES = ("recordings.csv", "recordings.csv.gz", "recordings.parquet")
 SUBJECTS_FILE = "subjects.csv"
 METADATA_FILE = "dataset.toml"
-#: Above this part of points with Re z of the wrong sign, the sign convention itself is taken to be wrong.
 WRONG_SIGN = 0.6
+"""Above this part of points with Re z of the wrong sign, the sign convention itself is taken to be wrong: noise around
+zero gives half at most."""
 
 
 def read_recordings(path: str | os.PathLike[str]) -> Recordings:
@@ -260,21 +261,12 @@ def write_recordings(
     if not recordings.subjects:
         raise InputError(f"{folder}: there are no subjects to write")
     target = Path(folder)
-    target.mkdir(parents=True, exist_ok=True)
     table = _recordings_csv(recordings, significant_digits).encode()
     contents = {RECORDINGS_FILES[compress]: _gzip(table) if compress else table}
     if any(subject.covariates for subject in recordings.subjects):
-        contents[SUBJECTS_FILE] = _subjects_csv(recordings).encode()
+        contents[SUBJECTS_FILE] = recordings.subjects_table().to_csv(lineterminator="\n").encode()
     contents[METADATA_FILE] = _metadata_toml(recordings).encode()
-    temporary = {name: target / f".{name}.{os.getpid()}.tmp" for name in contents}
-    try:
-        for name, content in contents.items():
-            temporary[name].write_bytes(content)
-        for name, path in temporary.items():
-            path.replace(target / name)
-    finally:
-        for path in temporary.values():
-            path.unlink(missing_ok=True)
+    write_together({target / name: content for name, content in contents.items()})
     # Files of an earlier dataset would be read together with the new ones.
     for name in {*RECORDINGS_FILES, SUBJECTS_FILE} - contents.keys():
         (target / name).unlink(missing_ok=True)
@@ -299,17 +291,6 @@ def _recordings_csv(recordings: Recordings, significant_digits: int | None) -> s
                 columns.append(map(str, [""] * len(frequencies)))
             names = ([name] * len(frequencies) for name in (subject.name, repetition))
             writer.writerows(zip(*names, frequencies, *columns, strict=True))
-    return text.getvalue()
-
-
-def _subjects_csv(recordings: Recordings) -> str:
-    covariates = list(dict.fromkeys(name for subject in recordings.subjects for name in subject.covariates))
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["subject", *covariates])
-    for subject in recordings.subjects:
-        values = [float(subject.covariates.get(name, math.nan)) for name in covariates]
-        writer.writerow([subject.name, *("" if math.isnan(value) else repr(value) for value in values)])
     return text.getvalue()
 
 

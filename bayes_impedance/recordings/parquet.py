@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Collection
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote
 
 import numpy as np
 
@@ -14,7 +14,8 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.recordings.csv_table import Cells, Table, table_of
 
 SUFFIX = ".parquet"
-_NO_VALUE = "__HIVE_DEFAULT_PARTITION__"
+_IGNORED_PREFIXES = (".", "_")
+"""Names that begin so are notes of other programs, such as ``_SUCCESS``; pyarrow ignores the same by default."""
 
 
 def parquet_table(path: Path, known: Collection[str], extra: dict[str, str] | None = None) -> tuple[Table, str]:
@@ -41,27 +42,22 @@ def parquet_table(path: Path, known: Collection[str], extra: dict[str, str] | No
     InputError
         If pyarrow is not installed or the table cannot be read.
     """
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-    except ImportError:
-        raise InputError(
-            f'{path}: Parquet needs the package pyarrow: pip install "bayes_impedance[parquet]", or give CSV'
-        ) from None
+    _require_pyarrow(path)
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     digest, parts = hashlib.sha256(), []
-    for file in _files(path):
+    for file, keys in _files(path):
         try:
             data = file.read_bytes()
             table = pq.ParquetFile(pa.BufferReader(data)).read(use_threads=False)
         except (OSError, ValueError, pa.ArrowException) as error:
-            reason = (str(error).splitlines() or [type(error).__name__])[0]
-            raise InputError(f"{file}: cannot be read as Parquet ({reason}); write it anew") from None
+            raise _unreadable(file, error) from None
         digest.update(data)
         index = (table.schema.pandas_metadata or {}).get("index_columns", [])
         columns = [(name, _cells(c)) for name, c in zip(table.column_names, table.columns, strict=True)]
         parts.append([(name, cells) for name, cells in columns if name not in index])
-        given = (extra or {}) | _keys(file.parent.relative_to(path) if file != path else Path())
-        for name, value in given.items():
+        for name, value in ((extra or {}) | keys).items():
             if any(name == found and np.any(_text(cells) != value) for found, cells in columns):
                 raise InputError(
                     f'{file}: there is another {name} in it than its folder says, "{value}"; write it anew'
@@ -77,24 +73,54 @@ def partitions(path: Path, key: str) -> list[tuple[str, Path]]:
     """Values of a key and the folders that hold them, by the folders' names; none if that is not how it is parted."""
     if not path.is_dir():
         return []
-    inside = sorted(p for p in path.iterdir() if not p.name.startswith((".", "_")))
+    inside = sorted(p for p in path.iterdir() if not p.name.startswith(_IGNORED_PREFIXES))
     if not all(p.is_dir() and p.name.startswith(f"{key}=") for p in inside):
         return []
-    return [(_keys(Path(p.name))[key], p) for p in inside]
+    _require_pyarrow(path)
+    return [(_keys(p, Path(p.name), [key])[key], p) for p in inside]
 
 
-def _files(path: Path) -> list[Path]:
-    """The file itself, or all in a folder but what begins with a dot or an underscore: notes of other programs."""
+def _files(path: Path) -> list[tuple[Path, dict[str, str]]]:
+    """The file itself, or all in a folder by their names, and what the names of their folders say.
+
+    The dataset of pyarrow has an empty schema because it only lists the files: a file that cannot be read is to be
+    found when it is read, and its columns may differ from those of the others.
+    """
     if not path.is_dir():
-        return [path]
-    inside = [p for p in path.rglob("*") if p.is_file()]
-    return sorted(p for p in inside if not any(n.startswith((".", "_")) for n in p.relative_to(path).parts))
+        return [(path, {})]
+    import pyarrow as pa
+    import pyarrow.dataset as ds
+
+    listed = ds.dataset(path, schema=pa.schema([]), format="parquet", ignore_prefixes=list(_IGNORED_PREFIXES))
+    files = sorted(Path(file) for file in listed.files)
+    folders = [file.parent.relative_to(path) for file in files]
+    names = list(dict.fromkeys(part.split("=")[0] for folder in folders for part in folder.parts if "=" in part))
+    return [(file, _keys(file, folder, names)) for file, folder in zip(files, folders, strict=True)]
 
 
-def _keys(folder: Path) -> dict[str, str]:
-    """What names of folders such as ``subject=A`` say."""
-    pairs = (part.split("=", 1) for part in folder.parts if "=" in part)
-    return {name: "" if value == _NO_VALUE else unquote(value) for name, value in pairs}
+def _keys(place: Path, folder: Path, names: list[str]) -> dict[str, str]:
+    """What names of folders such as ``subject=A`` say, as text: numbers may have zeros in front."""
+    import pyarrow as pa
+    import pyarrow.dataset as ds
+
+    partitioning = ds.partitioning(pa.schema([(name, pa.string()) for name in names]), flavor="hive")
+    try:
+        found = ds.get_partition_keys(partitioning.parse(f"{folder.as_posix()}/"))
+    except pa.ArrowException as error:
+        raise _unreadable(place, error) from None
+    return {name: found[name] or "" for name in names if name in found}
+
+
+def _require_pyarrow(path: Path) -> None:
+    if find_spec("pyarrow") is None:
+        raise InputError(
+            f'{path}: Parquet needs the package pyarrow: pip install "bayes_impedance[parquet]", or give CSV'
+        )
+
+
+def _unreadable(file: Path, error: Exception) -> InputError:
+    reason = (str(error).splitlines() or [type(error).__name__])[0]
+    return InputError(f"{file}: cannot be read as Parquet ({reason}); write it anew")
 
 
 def _cells(column: Any) -> Cells:

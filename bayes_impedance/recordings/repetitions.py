@@ -14,10 +14,11 @@ from bayes_impedance.recordings.dataset import Subject
 from bayes_impedance.recordings.long_table import RecordingTable
 from bayes_impedance.recordings.metadata import SIGNS, Metadata
 
-#: Fewer frequencies than this make no curve.
 MINIMUM_POINTS = 3
-#: Repetitions of one subject must share at least this part of the frequencies of the longest.
+"""Fewer frequencies than this make no curve: a mass, a spring and a damper give three unknowns."""
 MINIMUM_COMMON = 0.5
+"""Repetitions of one subject must share at least this part of the frequencies of the longest: dropping more than half
+of a recording in silence would be another experiment."""
 
 
 def signed_factor(metadata: Metadata) -> float:

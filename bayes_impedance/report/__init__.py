@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Protocol
 from bayes_impedance.network.notation import parse
 from bayes_impedance.plots import write_pictures
 from bayes_impedance.plots.access import is_electrical, is_simulated, subjects, who
-from bayes_impedance.report import fit_tables
+from bayes_impedance.report import fit_sentences, fit_tables
 from bayes_impedance.report.schematic import schematic
 from bayes_impedance.results.result import Result
+from bayes_impedance.runtime.atomic_files import write_text
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -66,11 +67,7 @@ def write_report(
     if pictures is None:
         pictures = write_pictures(result, folder / "pictures")
     text = _environment().get_template(_TEMPLATE).render(**_context(result, list(findings), pictures))
-    file = folder / REPORT_FILE
-    temporary = file.with_name(file.name + ".tmp")
-    temporary.write_text(text, encoding="utf-8")
-    temporary.replace(file)
-    return file
+    return write_text(folder / REPORT_FILE, text)
 
 
 def _environment() -> Environment:
@@ -107,7 +104,7 @@ def _context(result: Result, findings: list[FindingLike], pictures: Mapping[str,
         "remarks": result.summary["remarks"],
         "findings": findings,
         "reading_warnings": fit_tables.reading_warnings(result),
-        "answer": fit_tables.answer(result),
+        "answer": fit_sentences.answer(result),
         "recordings": fit_tables.recording_rows(result),
         "network": result.attributes["network"],
         "schematic": Markup(drawing),
@@ -116,7 +113,7 @@ def _context(result: Result, findings: list[FindingLike], pictures: Mapping[str,
         "slopes": fit_tables.slope_rows(result),
         "error_unit": unit,
         "errors": errors,
-        "replication": fit_tables.replication_sentence(result),
+        "replication": fit_sentences.replication_sentence(result),
         "coverage": {level: f"{100 * share:.0f} %" for level, share in result.summary["coverage"].items()},
         "outliers": fit_tables.outlier_rows(result),
         "checks": fit_tables.checks(result),

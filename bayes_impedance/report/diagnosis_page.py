@@ -17,7 +17,6 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.network.notation import Network, parse
 from bayes_impedance.plots import write_diagnosis_pictures
 from bayes_impedance.plots.missing_physics import people
-from bayes_impedance.plots.quantities import signed, significant
 from bayes_impedance.report import REPORT_FILE, _embedded, _environment
 from bayes_impedance.report.findings import (
     ABSENT,
@@ -34,11 +33,11 @@ from bayes_impedance.report.findings import (
     number_text,
     p_text,
     physics,
-    scale_of,
     score_text,
 )
-from bayes_impedance.report.fit_tables import hertz
 from bayes_impedance.report.schematic import schematic
+from bayes_impedance.runtime.atomic_files import write_text
+from bayes_impedance.units import hertz, scale_for, signed, significant
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -96,11 +95,7 @@ def write_diagnosis_report(diagnosis: Diagnosis, folder: Path, pictures: Mapping
     if pictures is None:
         pictures = write_diagnosis_pictures(diagnosis, folder / "pictures")
     text = _environment().get_template(_TEMPLATE).render(**_context(diagnosis, pictures))
-    file = folder / REPORT_FILE
-    temporary = file.with_name(file.name + ".tmp")
-    temporary.write_text(text, encoding="utf-8")
-    temporary.replace(file)
-    return file
+    return write_text(folder / REPORT_FILE, text)
 
 
 def _context(diagnosis: Diagnosis, pictures: Mapping[str, Path]) -> dict[str, object]:
@@ -242,7 +237,7 @@ def ranking(diagnosis: Diagnosis) -> list[RankedRow]:
 def improvements(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
     """What changed: name, before and after with their unit."""
     entry = diagnosis.verdict.get("improvement") or {}
-    scale = scale_of(max(_finite(entry.get("delta_magnitude")), default=math.nan), diagnosis.unit)
+    scale = scale_for(max(_finite(entry.get("delta_magnitude")), default=math.nan), diagnosis.unit)
     one = "the network" if len(diagnosis.subjects) == 1 else "one network for all"
     rows = (
         (f"Magnitude error of {one} (eq. 5)", "delta_magnitude", scale.factor, f" {scale.unit}"),
@@ -264,7 +259,7 @@ def differences(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
     for d in diagnosis.differences:
         unit = d.unit if d.what == "central" else ""
         values = [x for x in (d.simulation, d.recordings) if math.isfinite(x)]
-        scale = scale_of(max(map(abs, values), default=math.nan), unit)
+        scale = scale_for(max(map(abs, values), default=math.nan), unit)
         shown = (f"{number_text(x * scale.factor)} {scale.unit}".strip() for x in (d.simulation, d.recordings))
         ratio, interval = interval_text(d.ratio, d.q05, d.q95)
         what = _QUANTITIES.get(d.what, d.what)
@@ -278,7 +273,7 @@ def limits(verdict: Mapping[str, Any]) -> list[tuple[str, str, list[tuple[str, s
     names = {}
     for entry in verdict.get("detectable") or []:
         above = number_or_nan(entry.get("above"))
-        scale = scale_of(above, str(entry.get("unit") or ""))
+        scale = scale_for(above, str(entry.get("unit") or ""))
         size = f"{significant(above * scale.factor, 2)} {scale.unit}".strip() if math.isfinite(above) else "not visible"
         grouped.setdefault(str(entry.get("id")), []).append((str(entry.get("place") or ""), size))
         names[str(entry.get("id"))] = str(entry.get("name") or "")

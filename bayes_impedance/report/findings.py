@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from bayes_impedance.plots.missing_physics import people
-from bayes_impedance.plots.quantities import Scale, scale_for, signed, significant, with_interval
-from bayes_impedance.report.fit_tables import hertz
+from bayes_impedance.units import hertz, scale_for, signed, significant, with_interval
 
 if TYPE_CHECKING:
     from bayes_impedance.diagnosis.types import Diagnosis
@@ -181,7 +180,7 @@ def _parameter(name: str, entry: Mapping[str, Any]) -> Quantity:
     middle, low, high = (number_or_nan(entry.get(key)) for key in ("median", "q05", "q95"))
     spread = _percent(entry.get("dispersion"))
     # An interval that is far wider than its middle decides the prefix.
-    scale = scale_of(max(abs(x) for x in (middle, (high - low) / 4, 0.0) if math.isfinite(x)), unit)
+    scale = scale_for(max(abs(x) for x in (middle, (high - low) / 4, 0.0) if math.isfinite(x)), unit)
     value, interval = interval_text(*(scale.factor * x for x in (middle, low, high)))
     return Quantity(name.replace("_", " "), value, interval, "" if value == ABSENT else scale.unit, spread)
 
@@ -272,8 +271,3 @@ def _plus_minus(value: float | None, error: float | None) -> str:
 def _percent(value: float | None) -> str:
     share = 100 * number_or_nan(value)
     return f"{significant(share, 2)} %" if math.isfinite(share) else ABSENT
-
-
-def scale_of(value: float, unit: str) -> Scale:
-    """As for any quantity; kilohertz are usual too."""
-    return Scale(1e-3, "kHz") if unit == "Hz" and abs(value) >= 1000 else scale_for(value, unit)

@@ -1,6 +1,6 @@
-"""Sentences and table rows of a result's page, as plain text for the template.
+"""What the page says in tables: rows made of a result, as plain text for the template.
 
-Only units, prefixes and digits are computed here. Estimates that must not be used do not appear in a sentence.
+Nothing is computed here but units, prefixes and digits. Numbers that must not be used do not get into a row.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from bayes_impedance.mcmc.ensemble import QUICK
+from bayes_impedance.mcmc.ensemble import QUICK, SamplerSettings
 from bayes_impedance.network.elements import kind_of
 from bayes_impedance.network.notation import Network, parse
 from bayes_impedance.plots.access import (
@@ -25,8 +25,10 @@ from bayes_impedance.plots.access import (
     variable,
     who,
 )
-from bayes_impedance.plots.quantities import scale_for, signed, significant, typeset, with_interval
-from bayes_impedance.results.result import MISFIT_SCALE, Result
+from bayes_impedance.population.diagnostics import PARETO_LIMIT, RHAT_LIMIT, VARIANCE_LIMIT
+from bayes_impedance.population.posterior import VARIANCE_WANTED
+from bayes_impedance.results.result import Result
+from bayes_impedance.units import hertz, scale_for, signed, significant, typeset, with_interval
 
 NOT_DETERMINED = "not determined by these recordings"
 _WITHHELD = "withheld"
@@ -38,6 +40,8 @@ _ELECTRICAL = {
     "r": ("resistance", "Loss: voltage in proportion to current, energy turned into heat."),
 }
 _CORRELATIONS = 12
+"""At most so many pairs are listed: those that a reader takes in."""
+_RHAT_WANTED = SamplerSettings().rhat
 _OUTLIERS = 3
 """How many subjects are listed for each reason to stand out."""
 
@@ -75,84 +79,6 @@ def population_name(result: Result) -> str:
     n = len(subjects(result))
     adjective = "simulated " if is_simulated(result) else ""
     return f"{'one' if n == 1 else n} {adjective}{who(result, n)}"
-
-
-def hertz(value: float) -> str:
-    """Frequency with its prefix."""
-    scale = scale_for(value, "Hz")
-    return f"{value:.3g} Hz" if scale.unit == "Hz" or value < 1000 else f"{value / 1000:.3g} kHz"
-
-
-def answer(result: Result) -> list[str]:
-    """The whole result in a few sentences."""
-    summary, n = result.summary, len(subjects(result))
-    f = frequency(result)
-    repetitions = int(summary["repetitions"])
-    times = "once" if repetitions == 1 else f"{repetitions} times" if n == 1 else f"up to {repetitions} times each"
-    if n > 1 and len(set(needed(result, "repetitions").tolist())) == 1 and repetitions > 1:
-        times = f"{repetitions} times each"
-    subject = population_name(result)
-    text = [
-        f"The impedance of {subject}, recorded {times} from {hertz(f[0])} to {hertz(f[-1])}, was described by a "
-        f"network of {len(result.elements)} elements."
-    ]
-    if result.problems:
-        return [*text, "The computation did not reach the accuracy it needs, so no number is given here."]
-    if summary["noise_scale"]["median"] > MISFIT_SCALE:
-        text.append(
-            "It leaves out something that the recordings show: what remains is "
-            f"{summary['noise_scale']['median']:.2g} times the noise, and all numbers are those of the network that "
-            "comes closest."
-        )
-    text += _values_in_words(result, n)
-    text += _quality_in_words(result, n)
-    return text
-
-
-def _values_in_words(result: Result, n: int) -> list[str]:
-    rows = element_rows(result)
-    # No line break inside of an equation.
-    known = [f"{row.name} = {row.value} {row.unit}".strip().replace(" ", "\u00a0") for row in rows if row.identified]
-    missing = [row.name for row in rows if not row.identified]
-    text = []
-    if known:
-        owner = f"this {who(result, 1)}" if n == 1 else f"the population's centre, a typical {who(result, 1)}"
-        text.append(f"The values of {owner}: {', '.join(known)}.")
-    if missing:
-        text.append(f"These recordings do not determine {' and '.join(missing)}.")
-    spreads = [e["dispersion_between_persons"]["median"] for e in result.summary["elements"].values()]
-    factors = sorted(math.exp(s) for s in spreads if s is not None)
-    if factors:
-        ends = dict.fromkeys(f"{factor:.2f}" for factor in (factors[0], factors[-1]))  # once if they are equal
-        text.append(
-            f"From one {who(result, 1)} to another the elements spread by a factor of {' to '.join(ends)} (one "
-            "standard deviation)."
-        )
-    return text
-
-
-def _quality_in_words(result: Result, n: int) -> list[str]:
-    errors, coverage = result.summary["errors"], result.summary["coverage"]
-    own = errors["subjects"]
-    middle, worst = 100 * own["relative_rms_median"], 100 * own["relative_rms_max"]
-    if n == 1:
-        text = [f"The network is {significant(middle, 2)} % off the recording (root mean square, relative)."]
-    else:
-        text = [
-            f"With values of its own for each {who(result, 1)}, the network is {significant(middle, 2)} % off the "
-            f"recordings (median; worst {significant(worst, 2)} %)."
-        ]
-        network, table = errors["population_network"], errors["lookup_median"]
-        scale = scale_for(network["delta_magnitude"], result.attributes["unit"])
-        text.append(
-            f"One network for all is {significant(network['delta_magnitude'] * scale.factor)} {scale.unit} and "
-            f"{significant(network['delta_phase_deg'], 2)}° away from an individual on average; the best that any "
-            f"single curve can do, because {who(result)} differ, is "
-            f"{significant(table['delta_magnitude'] * scale.factor)} {scale.unit} and "
-            f"{significant(table['delta_phase_deg'], 2)}°."
-        )
-        text.append(f"The predicted 90 % band contains {100 * coverage['90']:.0f} % of what was measured.")
-    return text
 
 
 def element_values(result: Result) -> dict[str, str]:
@@ -292,24 +218,6 @@ def error_table(result: Result) -> tuple[str, list[tuple[str, str, str]]]:
     return scale.unit, rows
 
 
-def replication_sentence(result: Result) -> str:
-    """Comparison of the measured population's eq. 5 with that of populations drawn from the model."""
-    entry = result.summary["errors"]["population_network"]
-    ranks = [entry["replicated_rank_magnitude"], entry["replicated_rank_phase"]]
-    shares = f"{100 * ranks[0]:.0f} % of them for the magnitude and {100 * ranks[1]:.0f} % for the phase"
-    kind = "populations" if len(subjects(result)) > 1 else "recordings"
-    if min(ranks) < 0.05:
-        verdict = "The recordings stray further from the network than the model can explain."
-    elif min(ranks) > 0.95:
-        verdict = "The model expects more scatter than the recordings have."
-    else:
-        verdict = "So the size of the error is what the model expects."
-    return (
-        f"If {kind} like this one are drawn from the fitted model, their error is at least as large as the measured "
-        f"one in {shares}. {verdict}"
-    )
-
-
 def outlier_rows(result: Result) -> list[tuple[str, str, str, str, str]]:
     """Who stands out: name, relative error, residual over noise, Pareto k, and why the subject is listed."""
     names = subjects(result)
@@ -345,8 +253,8 @@ def checks(result: Result) -> list[Check]:
         Check(
             "R-hat, worst",
             f"{s['rhat_max']:.3f}",
-            "below 1.01; refused above 1.05",
-            s["rhat_max"] <= 1.01,
+            f"below {_RHAT_WANTED}; refused above {RHAT_LIMIT}",
+            s["rhat_max"] <= _RHAT_WANTED,
             "Ensembles start and adapt independently. 1 means that they found the same distribution.",
         ),
         Check(
@@ -366,16 +274,16 @@ def checks(result: Result) -> list[Check]:
         Check(
             "Variance of the log-likelihood",
             f"{s['log_likelihood_variance']:.2g}",
-            "below 0.25; refused above 1",
-            s["log_likelihood_variance"] <= 0.25,
+            f"below {VARIANCE_WANTED}; refused above {VARIANCE_LIMIT:g}",
+            s["log_likelihood_variance"] <= VARIANCE_WANTED,
             f"The likelihood is a Monte-Carlo average over each {who(result, 1)}'s draws; this is its squared error.",
         ),
         Check(
             "Pareto k, worst",
             f"{s['pareto_k_max']:.2f}",
-            "below 0.7",
-            s["pareto_k_max"] <= 0.7,
-            f"Tail of the weights of a {who(result, 1)}'s draws. Above 0.7 few draws carry all the weight.",
+            f"below {PARETO_LIMIT}",
+            s["pareto_k_max"] <= PARETO_LIMIT,
+            f"Tail of the weights of a {who(result, 1)}'s draws. Above {PARETO_LIMIT} few draws carry all the weight.",
         ),
         Check(
             "Effective draws, worst",

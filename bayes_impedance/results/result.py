@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,11 +20,19 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.network.elements import kind_of
 from bayes_impedance.population.fit import PopulationFit, too_few_for_correlations
 from bayes_impedance.results.predictive import PROBABILITIES, Predictive
+from bayes_impedance.runtime.atomic_files import write_json
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 SCHEMA = 1
 RESULT_FILE, SUMMARY_FILE = "result.nc", "summary.json"
 MISFIT_SCALE = 1.5
-"""Above this ratio of residual to noise, the network is said to miss something in a person's recordings."""
+"""Above this ratio of residual to noise, the network is said to miss something in a person's recordings: what is
+unexplained is then as large as the noise."""
+FEW_PERSONS = 10
+"""With fewer persons, dispersions rest on the prior as much as on the data: a standard deviation of nine values is
+known to a quarter at best."""
 
 _PACKAGES = ("bayes_impedance", "numpy", "scipy", "numba", "emcee", "arviz", "xarray", "pandas")
 
@@ -64,6 +72,18 @@ class Result:
     def element_unit(self, element: str) -> str:
         """Unit of an element's value."""
         return kind_of(element).unit(self.attributes["unit"])
+
+    def elements_table(self) -> pd.DataFrame:
+        """The population's elements: :func:`bayes_impedance.results.tables.elements_table`."""
+        from bayes_impedance.results.tables import elements_table
+
+        return elements_table(self)
+
+    def persons_table(self) -> pd.DataFrame:
+        """Everybody's own elements and fit: :func:`bayes_impedance.results.tables.persons_table`."""
+        from bayes_impedance.results.tables import persons_table
+
+        return persons_table(self)
 
 
 DIMS: dict[str, list[str]] = {
@@ -309,7 +329,7 @@ def _remarks(fit: PopulationFit, predictive: Predictive) -> list[str]:
         )
     if fit.one_person:
         remarks.append("There is one subject: the values are this subject's, and no dispersion can be estimated.")
-    elif n < 10:
+    elif n < FEW_PERSONS:
         remarks.append(f"There are only {n} subjects: dispersions rest on the prior as much as on the data.")
     if not fit.one_person and too_few_for_correlations(n, len(fit.kernel.elements)):
         remarks.append(
@@ -340,9 +360,7 @@ def save_result(result: Result, folder: Path) -> None:
     present = {name for group in result.groups.values() for name in group}
     dims = {name: axes for name, axes in DIMS.items() if name in present}
     save(folder / RESULT_FILE, result.groups, dims, result.coords, result.attributes)
-    temporary = folder / (SUMMARY_FILE + ".tmp")
-    temporary.write_text(json.dumps(result.summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    temporary.replace(folder / SUMMARY_FILE)
+    write_json(folder / SUMMARY_FILE, result.summary)
 
 
 def load_result(folder: Path) -> Result:

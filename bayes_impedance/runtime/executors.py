@@ -26,6 +26,9 @@ _MOST_TASKS = 64
 """A task costs a cluster about a millisecond; sixty-four are enough to keep many workers busy to the end."""
 
 _RETRIES, _PATIENCE = 5, "15s"
+"""A task whose worker is lost is done again so often: more than a process of this machine has (three), because a
+cluster's workers go for reasons that have nothing to do with the task. Time that a scheduler has to answer: a wrong
+address should be told within seconds."""
 
 
 @contextmanager

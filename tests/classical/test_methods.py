@@ -112,6 +112,15 @@ def test_the_table_is_plain_csv_and_the_summary_plain_json(comparison):
     rows = list(csv.DictReader(io.StringIO(comparison.csv())))
     assert [r["id"] for r in rows] == [m.id for m in comparison.methods]
     assert float(rows[0]["delta_magnitude"]) == comparison.methods[0].errors.summary()["delta_magnitude"]
+    frame = comparison.to_dataframe()
+    assert frame.shape == (len(comparison.methods), len(rows[0]) - 1)
+    assert frame.attrs["units"]["delta_magnitude"] == "N s/m"
+    assert frame.attrs["units"]["delta_phase_deg_sd"] == "deg"
+    assert list(frame.index) == [r["id"] for r in rows]
+    words = {True: "True", False: "False", None: ""}
+    passive = [None if m.passivity is None else bool(m.passivity.positive_real) for m in comparison.methods]
+    assert [r["positive_real"] for r in rows] == [words[p] for p in passive]
+    assert frame.positive_real.isna().tolist() == [p is None for p in passive]
     summary = json.loads(json.dumps(comparison.summary(), allow_nan=False))
     assert summary["schema"] == 1
     assert summary["methods"][0]["in_the_paper"] == "amplitude, Mean"

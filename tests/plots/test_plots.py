@@ -15,7 +15,6 @@ from strategies import repeatable
 
 from bayes_impedance.plots import PICTURES, new_figure, style, write_pictures
 from bayes_impedance.plots.parameters import factor_axis
-from bayes_impedance.plots.quantities import Scale, scale_for, signed, significant, typeset, with_interval
 from bayes_impedance.plots.style import log_axis
 from bayes_impedance.runtime.worker_processes import Processes
 
@@ -124,66 +123,3 @@ def test_factors_label_standard_deviations(top: float) -> None:
     assert 2 <= len(ticks) <= 9
     for tick, label in zip(ticks, labels, strict=True):
         assert float(label.removeprefix("×")) == pytest.approx(math.exp(tick), rel=1e-3)
-
-
-# ---------------------------------------------------------------- numbers
-
-
-@pytest.mark.parametrize(
-    ("value", "unit", "factor", "text"),
-    [
-        (6.8e-7, "m/N", 1e6, "µm/N"),
-        (4.48e-3, "m/N", 1e3, "mm/N"),
-        (0.052, "kg", 1e3, "g"),
-        (7.8e-4, "kg", 1e3, "g"),
-        (3e-6, "kg", 1e6, "mg"),
-        (2.5, "kg", 1.0, "kg"),
-        (61.4, "N s/m", 1.0, "N s/m"),
-        (0.017, "ohm", 1e3, "mΩ"),
-        (0.2, "ohm", 1.0, "Ω"),
-        (904.0, "F", 1.0, "F"),
-        (2e4, "N s/m", 1e-3, "kN s/m"),
-        (3e-5, "kg m^2", 1e6, "mg m²"),
-        (2e-9, "m^3/Pa", 1e9, "10⁻⁹ m³/Pa"),
-        (0.0, "kg", 1.0, "kg"),
-        (float("nan"), "m/N", 1.0, "m/N"),
-    ],
-)
-def test_prefixes(value: float, unit: str, factor: float, text: str) -> None:
-    scale = scale_for(value, unit)
-    assert scale.unit == text
-    assert scale.factor == pytest.approx(factor)
-
-
-@repeatable
-@given(
-    st.floats(1e-14, 1e14), st.sampled_from(["kg", "m/N", "N s/m", "ohm", "F", "m^3/Pa", "kg m^2", "rad/(N m)", "foo"])
-)
-def test_scaled_values_are_easy_to_read(value: float, unit: str) -> None:
-    assert 0.099 <= value * scale_for(value, unit).factor < 1000.1
-
-
-def test_axis_labels() -> None:
-    assert Scale(1.0, "").label("share") == "share"
-    assert Scale(1e6, "µm/N").label("n3") == "n3 (µm/N)"
-    assert typeset("ohm m^-2") == "Ω m⁻²"
-
-
-def test_digits_follow_the_interval() -> None:
-    assert with_interval(0.68234, 0.64702, 0.72338) == ("0.682", "0.647 to 0.723")
-    assert with_interval(904.1, 674.06, 1182.7) == ("904", "674 to 1183")
-    assert with_interval(2.0, 2.0, 2.0) == ("2.00", "2.00 to 2.00")
-
-
-def test_significant_digits() -> None:
-    assert significant(0.0) == "0"
-    assert significant(0.053549) == "0.0535"
-    assert significant(1234.5, 2) == "1234"
-    assert significant(3.2e-7) == "3.20×10⁻⁷"
-    assert significant(float("nan")) == "–"
-
-
-def test_signs() -> None:
-    assert signed(0.4) == "+0.40"
-    assert signed(-0.4) == "−0.40"
-    assert signed(-0.001) == "0.00"

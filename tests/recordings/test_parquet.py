@@ -19,6 +19,7 @@ from bayes_impedance.quality.checks import check_recordings
 from bayes_impedance.recordings import out_of_core
 from bayes_impedance.recordings.files import Recordings, read_recordings, write_recordings
 from bayes_impedance.recordings.out_of_core import StoredSubject
+from bayes_impedance.recordings.parquet import parquet_table
 from bayes_impedance.results.predictive import predict
 from bayes_impedance.runtime.executors import Cluster
 
@@ -177,6 +178,40 @@ def test_names_of_folders_are_names_of_subjects(dataset: Path) -> None:
     assert found.names == ("007", "A/B", "C")
     for own, other in zip(found.subjects, expected.subjects, strict=True):
         np.testing.assert_array_equal(own.z, other.z)
+
+
+def test_people_are_in_the_order_of_the_folders_names(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever order a file system lists them in, and without a person whose folder is a note or has no name."""
+    table = _moved(dataset, partitioned=True) / "recordings.parquet"
+    for old, new in zip(("V1", "V2", "V3"), ("A-1", "A", "12"), strict=True):
+        (table / f"subject={old}").rename(table / f"subject={new}")
+    (table.parent / "subjects.csv").unlink()
+    (table / "_temporary").mkdir()
+    (table / "subject=A" / ".notes.parquet").write_bytes(b"no table")
+    listed = Path.iterdir
+    names = []
+    for backwards in (False, True):
+        monkeypatch.setattr(Path, "iterdir", lambda p, b=backwards: iter(sorted(listed(p), reverse=b)))
+        names.append(read_recordings(table).names)
+    assert names == [("12", "A", "A-1")] * 2
+    (table / "subject=").mkdir()
+    with pytest.raises(InputError, match="there is no file in the folder"):
+        read_recordings(table)
+
+
+def test_folders_may_say_more_than_the_subject(dataset: Path) -> None:
+    """Keys of folders are columns; numbers in them stay text, and a key without a value is empty."""
+    folder = _moved(dataset, partitioned=False)
+    whole = folder / "recordings.parquet"
+    table = pd.read_parquet(whole)
+    whole.unlink()
+    table = table.assign(lab=np.where(table.subject == "V1", "01", None))
+    table.to_parquet(whole, index=False, partition_cols=["lab", "subject"])
+    expected, found = read_recordings(dataset), read_recordings(folder)
+    assert sorted(found.names) == sorted(expected.names)
+    assert any('"lab" is not used' in w for w in found.warnings)
+    cells = dict(parquet_table(whole, ())[0].columns)
+    assert set(cells["lab"]) == {"01", ""}
 
 
 FAULTS: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str]] = {

@@ -22,6 +22,7 @@ from bayes_impedance.diagnosis.fit.fitter import Refit
 from bayes_impedance.diagnosis.fit.model import Model
 from bayes_impedance.diagnosis.fit.normal_equations import marginal, quadratic
 from bayes_impedance.network.elements import kind_of
+from bayes_impedance.units import unit_of
 
 _DRAWS = 2000
 """Draws of the posterior: the 5 % quantile then has an error of a twentieth of a standard deviation."""
@@ -202,17 +203,6 @@ def _reported(name: str, unit: str, values: np.ndarray, dispersion: np.ndarray |
         dispersion_q05=d_low,
         dispersion_q95=d_high,
     )
-
-
-def unit_of(unit: str, impedance_unit: str) -> str:
-    """Unit of a parameter: ``m``, ``n``, ``r``, ``k``, ``c`` depend on the unit of the impedance."""
-    if unit in ("m", "n", "r"):
-        return kind_of(unit).unit(impedance_unit)
-    if unit == "k":
-        return {"N s/m": "N/m", "N m s/rad": "N m/rad", "ohm": "1/F"}.get(impedance_unit, f"{impedance_unit}/s")
-    if unit == "c":
-        return f"{impedance_unit} s^(a-1)"
-    return unit
 
 
 def verdict_on_side(dispersion: np.ndarray) -> str:

@@ -42,6 +42,7 @@ from bayes_impedance.diagnosis.next_experiment.virtual_recordings import Port, R
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.elements import MASS, kind_of
 from bayes_impedance.person.likelihood import SCALE_SHAPE
+from bayes_impedance.units import hertz, number_with_unit, rounded
 
 KINDS = ("none", "wider_high", "wider_low", "contactor_mass", "preload", "position")
 
@@ -140,7 +141,7 @@ def best_sentence(proposals: Sequence[Proposal]) -> str:
         added = p.kind not in ("wider_high", "wider_low")
         if p.kind != "none" and p.elpd > ENOUGH and p.elpd > now * (2.0 if added else 1.0):
             return (
-                f"{p.measurement}: expected to raise the difference from {_rounded(now)} to {_rounded(p.elpd)} "
+                f"{p.measurement}: expected to raise the difference from {rounded(now, 2)} to {rounded(p.elpd, 2)} "
                 "(natural logarithms)"
             )
     return "none of the measurements considered"
@@ -171,8 +172,8 @@ def _plans(fit: Refit, present: list[Recording]) -> list[tuple[str, str, list[Re
     low, high = scales.low / (2 * np.pi) / WIDER, scales.high / (2 * np.pi) * WIDER
     plans = [
         ("none", "the present experiment", present),
-        ("wider_high", f"the band extended to {_hertz(high)}", [r.wider(1.0, WIDER) for r in present]),
-        ("wider_low", f"the band extended down to {_hertz(low)}", [r.wider(WIDER, 1.0) for r in present]),
+        ("wider_high", f"the band extended to {hertz(high, digits=2)}", [r.wider(1.0, WIDER) for r in present]),
+        ("wider_low", f"the band extended down to {hertz(low, digits=2)}", [r.wider(WIDER, 1.0) for r in present]),
     ]
     for part in _MASSES:
         mass = part * scales.z_high / scales.high
@@ -370,21 +371,7 @@ def _stacked(values: np.ndarray) -> np.ndarray:
     return np.concatenate([values.real, values.imag], axis=-1)
 
 
-def _hertz(value: float) -> str:
-    return f"{value / 1000:.2g} kHz" if value >= 1000 else f"{value:.2g} Hz"
-
-
 def _heavier(mass: float, impedance_unit: str) -> str:
     unit = MASS.unit(impedance_unit)
-    if unit != "kg":
-        return f"a contactor with {mass:.2g} {unit} more"
-    factor, name = next(((f, n) for f, n in ((1.0, "kg"), (1e3, "g"), (1e6, "mg")) if mass * f >= 0.1), (1e9, "µg"))
-    return f"a second contactor that is {_rounded(mass * factor)} {name} heavier"
-
-
-def _rounded(value: float) -> str:
-    """Two digits, without an exponent."""
-    if value < 0.05:
-        return "0"
-    places = 1 - int(np.floor(np.log10(value)))
-    return f"{round(value, places):.{max(places, 0)}f}"
+    size = number_with_unit(mass, unit, digits=2)
+    return f"a second contactor that is {size} heavier" if unit == "kg" else f"a contactor with {size} more"

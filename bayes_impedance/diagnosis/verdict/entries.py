@@ -23,7 +23,7 @@ from bayes_impedance.diagnosis.hum.line import Hum
 from bayes_impedance.diagnosis.next_experiment.expected_separation import best_sentence, separation
 from bayes_impedance.diagnosis.selection.stepwise import Found, Step, rivals
 from bayes_impedance.diagnosis.selection.unnamed import Realised
-from bayes_impedance.diagnosis.verdict.sentence import number
+from bayes_impedance.units import number_with_unit as number
 
 _PROPOSALS = 4
 

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 
 from bayes_impedance.diagnosis.catalogue.effect import Coefficient, Effect
-from bayes_impedance.diagnosis.fit.coefficient_posterior import unit_of
 from bayes_impedance.diagnosis.fit.model import Model
 from bayes_impedance.diagnosis.selection.score_scan import Screening
 from bayes_impedance.diagnosis.selection.shortlist import ALPHA, best_shapes
 from bayes_impedance.diagnosis.selection.stepwise import Step, rivals
 from bayes_impedance.diagnosis.types import Ranked
-from bayes_impedance.diagnosis.verdict.sentence import number
+from bayes_impedance.units import number_with_unit as number
+from bayes_impedance.units import unit_of
 
 _POWER = 1.2816
 """A true effect at the limit is found nine times out of ten."""

@@ -1,28 +1,11 @@
-"""Numbers with units, and the verdict as one sentence."""
+"""The verdict as one sentence."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
-
-def number(value: float, unit: str) -> str:
-    """A value with an SI prefix, for sentences."""
-    if not np.isfinite(value):
-        return "an unknown amount"
-    if unit in ("", "1") or unit.startswith("per "):
-        return f"{value:.3g} {unit}".strip()
-    if value == 0:
-        return f"0 {unit}"
-    if unit == "kg":
-        return number(value * 1e3, "g")
-    exponent = int(np.clip(np.floor(np.log10(abs(value)) / 3) * 3, -12, 9))
-    if "s^" in unit or (unit == "N s/m" and abs(exponent) <= 3):  # no one says millinewton seconds per metre
-        exponent = 0
-    prefix = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}[exponent]
-    return f"{value / 10.0**exponent:.3g} {prefix}{unit}"
+from bayes_impedance.units import number_with_unit as number
 
 
 def sentence(verdict: Mapping[str, Any], people: int) -> str:

@@ -20,7 +20,8 @@ from bayes_impedance.diagnosis.catalogue.effect import (
     unregister,
 )
 from bayes_impedance.diagnosis.catalogue.population_structure import STRUCTURES
-from bayes_impedance.diagnosis.fit.coefficient_posterior import coefficient_posterior, unit_of
+from bayes_impedance.diagnosis.fit.coefficient_posterior import coefficient_posterior
+from bayes_impedance.units import unit_of
 from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
 from bayes_impedance.diagnosis.selection.finalists import finalists
 from bayes_impedance.diagnosis.selection.score_scan import screen

@@ -193,24 +193,6 @@ def test_power_laws_are_reported_per_second() -> None:
     assert found == pytest.approx((s / middle) ** 0.2 / (s * 1e-3))
 
 
-@pytest.mark.parametrize(
-    ("unit", "impedance", "expected"),
-    [
-        ("m", "N s/m", "kg"),
-        ("n", "N s/m", "m/N"),
-        ("r", "ohm", "ohm"),
-        ("k", "N s/m", "N/m"),
-        ("k", "ohm", "1/F"),
-        ("k", "Pa s/m", "Pa s/m/s"),
-        ("c", "N s/m", "N s/m s^(a-1)"),
-        ("Hz", "N s/m", "Hz"),
-        ("", "N s/m", ""),
-    ],
-)
-def test_units(unit: str, impedance: str, expected: str) -> None:
-    assert unit_of(unit, impedance) == expected
-
-
 def test_side_from_draws_of_the_dispersion() -> None:
     rng = np.random.default_rng(1)
     assert verdict_on_side(np.abs(0.05 * rng.normal(size=2000))) == "rig"

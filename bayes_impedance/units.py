@@ -1,4 +1,9 @@
-"""Formatting of numbers: SI prefixes, and as many digits as the uncertainty allows."""
+"""Units and numbers as an engineer writes them: with a prefix, and with no more digits than are known.
+
+Texts of every room (sentences, tables, axes) take their prefixes and digits from here. There are two ways to write
+digits: :func:`rounded` leaves out zeros at the end, for sentences; :func:`significant` keeps them, for tables, where
+digits stand below digits.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +15,33 @@ _PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"
 # A prefix on a unit with a power would be raised to it as well, so such units get a power of ten instead.
 _FIRST_UNIT = re.compile(r"(kg|rad|ohm|Pa|N|m|s|H|F|V|A)(?![\w^])")
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+# Units of mass m, compliance n, damper r and stiffness k for each unit of impedance with names of its own.
+_ELEMENT_UNITS: dict[str, dict[str, str]] = {
+    "N s/m": {"m": "kg", "n": "m/N", "r": "N s/m", "k": "N/m"},
+    "N m s/rad": {"m": "kg m^2", "n": "rad/(N m)", "r": "N m s/rad", "k": "N m/rad"},
+    "ohm": {"m": "H", "n": "F", "r": "ohm", "k": "1/F"},
+}
+
+
+def unit_of(unit: str, impedance_unit: str) -> str:
+    """Unit of an element or of another parameter.
+
+    Parameters
+    ----------
+    unit : str
+        ``m``, ``n``, ``r`` (kinds of elements), ``k`` (stiffness) and ``c`` (coefficient of a power law,
+        ``c s^(a-1)``) depend on the unit of the impedance. All others are units already.
+    impedance_unit : str
+    """
+    general = {
+        "m": f"{impedance_unit} s",
+        "n": f"s/({impedance_unit})",
+        "r": impedance_unit,
+        "k": f"{impedance_unit}/s",
+        "c": f"{impedance_unit} s^(a-1)",
+    }
+    return (general | _ELEMENT_UNITS.get(impedance_unit, {})).get(unit, unit)
 
 
 @dataclass(frozen=True)
@@ -40,12 +72,16 @@ def typeset(unit: str) -> str:
 def scale_for(value: float, unit: str) -> Scale:
     """Scale in which a value is easy to read: between 0.1 and 1000 if no prefix is needed, else between 0.1 and 100.
 
+    Frequencies are in Hz or, from 1000 Hz on, in kHz.
+
     Parameters
     ----------
     value : float
         In `unit`; zero and non-finite values get no prefix.
     unit : str
     """
+    if unit == "Hz":
+        return Scale(1e-3, "kHz") if 1000 <= abs(value) < math.inf else Scale(1.0, "Hz")
     first = _FIRST_UNIT.match(unit)
     in_grams = first is not None and first.group(1) == "kg"
     base = 1000.0 if in_grams else 1.0
@@ -63,6 +99,28 @@ def scale_for(value: float, unit: str) -> Scale:
     return Scale(base * 10.0**-exponent, _PREFIXES[exponent] + typeset(rest))
 
 
+def rounded(value: float, digits: int = 3) -> str:
+    """Value with at most so many significant digits (6 at most), without an exponent from 1e-4 to 1e6."""
+    return f"{float(f'{value:.{digits}g}'):g}"
+
+
+def number_with_unit(value: float, unit: str, digits: int = 3) -> str:
+    """A value for a sentence, in the unit with the prefix in which it is easy to read."""
+    if not math.isfinite(value):
+        return "an unknown amount"
+    if unit in ("", "1"):
+        return rounded(value, digits)
+    if unit.startswith("per "):
+        return f"{rounded(value, digits)} {unit}"
+    scale = scale_for(value, unit)
+    return f"{rounded(value * scale.factor, digits)} {scale.unit}"
+
+
+def hertz(value: float, digits: int = 3) -> str:
+    """Frequency in Hz or kHz, for a sentence."""
+    return "infinity" if math.isinf(value) else number_with_unit(value, "Hz", digits)
+
+
 def decimals(half_width: float) -> int:
     """Decimals that show an uncertainty of this size with two digits."""
     if not math.isfinite(half_width) or half_width <= 0:
@@ -71,7 +129,7 @@ def decimals(half_width: float) -> int:
 
 
 def significant(value: float, digits: int = 3) -> str:
-    """Value with a number of significant digits, without an exponent for ordinary sizes."""
+    """Value with a number of significant digits, zeros included, without an exponent for ordinary sizes."""
     if value == 0 or not math.isfinite(value):
         return "0" if value == 0 else "–"
     if not 1e-4 <= abs(value) < 1e6:

@@ -1,0 +1,78 @@
+"""The command ``simulate``: virtual recordings with known truth."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bayes_impedance.errors import InputError
+from bayes_impedance.runtime.atomic_files import write_json
+
+if TYPE_CHECKING:
+    from bayes_impedance.population.simulate import VirtualPopulation
+
+TRUTH_FILE = "truth.json"
+
+
+def simulate_dataset(
+    out: Path,
+    population: Path | None,
+    n_subjects: int,
+    n_repetitions: int,
+    n_points: int,
+    band_hz: tuple[float, float],
+    noise: float | None,
+    seed: int,
+) -> dict[str, Any]:
+    """Write a virtual population as a dataset, the truth beside it.
+
+    Parameters
+    ----------
+    out : Path
+        Folder of the new dataset.
+    population : Path or None
+        ``summary.json`` of a fit or ``truth.json`` of a simulation whose population is to be drawn from; None for the
+        virtual fingertips.
+    n_subjects, n_repetitions, n_points : int
+    band_hz : (float, float)
+        Lowest and highest frequency.
+    noise : float or None
+        Relative noise; None for the population's own.
+    seed : int
+
+    Returns
+    -------
+    dict
+        The truth.
+    """
+    from dataclasses import replace
+
+    import numpy as np
+
+    from bayes_impedance.population.simulate import FINGERTIP, simulate_recordings
+    from bayes_impedance.recordings.files import write_recordings
+
+    low, high = band_hz
+    if not 0 < low < high or n_points < 3:
+        raise InputError(f"band {low} to {high} Hz with {n_points} points: give 0 < low < high and at least 3 points")
+    people = FINGERTIP if population is None else _population(population)
+    if noise is not None:
+        people = replace(people, noise=noise)
+    simulation = simulate_recordings(people, n_subjects, n_repetitions, np.geomspace(low, high, n_points), seed)
+    write_recordings(simulation.recordings, out, significant_digits=6, compress=True)
+    write_json(out / TRUTH_FILE, simulation.truth)
+    return simulation.truth
+
+
+def _population(file: Path) -> VirtualPopulation:
+    """A population to draw from, as a fit or an earlier simulation describes it."""
+    from bayes_impedance.population.simulate import population_from
+
+    try:
+        described = json.loads(file.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{file}: there is no such file; give a summary.json or truth.json") from None
+    except (ValueError, OSError) as error:
+        raise InputError(f"{file}: cannot be read as JSON ({error}); give a summary.json or truth.json") from None
+    return population_from(described, str(file))

@@ -1,0 +1,103 @@
+"""What the page says in words: sentences made of a result, as plain text for the template.
+
+Nothing is computed here but units, prefixes and digits. Numbers that must not be used do not get into a sentence.
+"""
+
+from __future__ import annotations
+
+import math
+
+from bayes_impedance.plots.access import frequency, needed, subjects, who
+from bayes_impedance.report.fit_tables import element_rows, population_name
+from bayes_impedance.results.result import MISFIT_SCALE, Result
+from bayes_impedance.units import hertz, scale_for, significant
+
+
+def answer(result: Result) -> list[str]:
+    """The whole result in a few sentences."""
+    summary, n = result.summary, len(subjects(result))
+    f = frequency(result)
+    repetitions = int(summary["repetitions"])
+    times = "once" if repetitions == 1 else f"{repetitions} times" if n == 1 else f"up to {repetitions} times each"
+    if n > 1 and len(set(needed(result, "repetitions").tolist())) == 1 and repetitions > 1:
+        times = f"{repetitions} times each"
+    subject = population_name(result)
+    text = [
+        f"The impedance of {subject}, recorded {times} from {hertz(f[0])} to {hertz(f[-1])}, was described by a "
+        f"network of {len(result.elements)} elements."
+    ]
+    if result.problems:
+        return [*text, "The computation did not reach the accuracy it needs, so no number is given here."]
+    if summary["noise_scale"]["median"] > MISFIT_SCALE:
+        text.append(
+            "It leaves out something that the recordings show: what remains is "
+            f"{summary['noise_scale']['median']:.2g} times the noise, and all numbers are those of the network that "
+            "comes closest."
+        )
+    text += _values_in_words(result, n)
+    text += _quality_in_words(result, n)
+    return text
+
+
+def _values_in_words(result: Result, n: int) -> list[str]:
+    rows = element_rows(result)
+    # No line break inside of an equation.
+    known = [f"{row.name} = {row.value} {row.unit}".strip().replace(" ", "\u00a0") for row in rows if row.identified]
+    missing = [row.name for row in rows if not row.identified]
+    text = []
+    if known:
+        owner = f"this {who(result, 1)}" if n == 1 else f"the population's centre, a typical {who(result, 1)}"
+        text.append(f"The values of {owner}: {', '.join(known)}.")
+    if missing:
+        text.append(f"These recordings do not determine {' and '.join(missing)}.")
+    spreads = [e["dispersion_between_persons"]["median"] for e in result.summary["elements"].values()]
+    factors = sorted(math.exp(s) for s in spreads if s is not None)
+    if factors:
+        ends = dict.fromkeys(f"{factor:.2f}" for factor in (factors[0], factors[-1]))  # once if they are equal
+        text.append(
+            f"From one {who(result, 1)} to another the elements spread by a factor of {' to '.join(ends)} (one "
+            "standard deviation)."
+        )
+    return text
+
+
+def _quality_in_words(result: Result, n: int) -> list[str]:
+    errors, coverage = result.summary["errors"], result.summary["coverage"]
+    own = errors["subjects"]
+    middle, worst = 100 * own["relative_rms_median"], 100 * own["relative_rms_max"]
+    if n == 1:
+        text = [f"The network is {significant(middle, 2)} % off the recording (root mean square, relative)."]
+    else:
+        text = [
+            f"With values of its own for each {who(result, 1)}, the network is {significant(middle, 2)} % off the "
+            f"recordings (median; worst {significant(worst, 2)} %)."
+        ]
+        network, table = errors["population_network"], errors["lookup_median"]
+        scale = scale_for(network["delta_magnitude"], result.attributes["unit"])
+        text.append(
+            f"One network for all is {significant(network['delta_magnitude'] * scale.factor)} {scale.unit} and "
+            f"{significant(network['delta_phase_deg'], 2)}° away from an individual on average; the best that any "
+            f"single curve can do, because {who(result)} differ, is "
+            f"{significant(table['delta_magnitude'] * scale.factor)} {scale.unit} and "
+            f"{significant(table['delta_phase_deg'], 2)}°."
+        )
+        text.append(f"The predicted 90 % band contains {100 * coverage['90']:.0f} % of what was measured.")
+    return text
+
+
+def replication_sentence(result: Result) -> str:
+    """Whether populations drawn from the model are as far from its centre as the measured one."""
+    entry = result.summary["errors"]["population_network"]
+    ranks = [entry["replicated_rank_magnitude"], entry["replicated_rank_phase"]]
+    shares = f"{100 * ranks[0]:.0f} % of them for the magnitude and {100 * ranks[1]:.0f} % for the phase"
+    kind = "populations" if len(subjects(result)) > 1 else "recordings"
+    if min(ranks) < 0.05:
+        verdict = "The recordings stray further from the network than the model can explain."
+    elif min(ranks) > 0.95:
+        verdict = "The model expects more scatter than the recordings have."
+    else:
+        verdict = "So the size of the error is what the model expects."
+    return (
+        f"If {kind} like this one are drawn from the fitted model, their error is at least as large as the measured "
+        f"one in {shares}. {verdict}"
+    )

@@ -1,0 +1,87 @@
+"""Results as tables for people: pandas DataFrames with units in their ``attrs``."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from bayes_impedance.results.result import Result
+
+PERSON_UNITS = {
+    "repetitions": "1",
+    "noise_scale": "1",
+    "person_relative_rms": "1",
+    "person_delta_magnitude": "",
+    "person_delta_phase_deg": "deg",
+    "pareto_k": "1",
+    "effective_draws": "1",
+}
+"""What is known of a person besides the elements, with its unit (empty for that of the impedance): number of
+repetitions; residual over noise; distance of the person's own network from the mean recording (relative root mean
+square, mean in magnitude, mean in phase); Pareto k and effective number of the person's importance draws."""
+
+
+def elements_table(result: Result) -> pd.DataFrame:
+    """The population's elements, as ``summary.json`` has them.
+
+    Returns
+    -------
+    DataFrame
+        One row for each element, whose name is the index. Columns unit and identified; then central,
+        between_persons and between_repetitions, each a posterior median followed by the ends of its 90 % interval
+        (``_q05``, ``_q95``), NaN where there is no number. The central value is in the row's unit;
+        ``attrs["units"]`` says so, and that dispersions are standard deviations of the natural logarithm.
+    """
+    import pandas as pd
+
+    quantities = {
+        "central": "central",
+        "between_persons": "dispersion_between_persons",
+        "between_repetitions": "dispersion_between_repetitions",
+    }
+    rows = []
+    for entry in result.summary["elements"].values():
+        row: dict[str, Any] = {"unit": entry["unit"], "identified": entry["identified"]}
+        for name, key in quantities.items():
+            for quantile, ending in (("median", ""), ("q05", "_q05"), ("q95", "_q95")):
+                value = entry[key][quantile]
+                row[name + ending] = np.nan if value is None else value
+        rows.append(row)
+    frame = pd.DataFrame(rows, index=pd.Index(list(result.summary["elements"]), name="element", dtype=object))
+    units = {"central": "column unit", "between_persons": "ln", "between_repetitions": "ln"}
+    frame.attrs["units"] = {c: unit for c in frame for name, unit in units.items() if str(c).startswith(name)}
+    return frame
+
+
+def persons_table(result: Result) -> pd.DataFrame:
+    """Everybody's own elements and how well the network describes them.
+
+    Returns
+    -------
+    DataFrame
+        One row for each subject, whose name is the index. One column for each element, the posterior median of
+        the person's value, NaN where the recordings do not determine it or the fit must not be used; then what
+        :data:`PERSON_UNITS` lists, as far as the result has it. ``attrs["units"]`` holds the unit of each column.
+    """
+    import pandas as pd
+
+    own = np.asarray(result.groups["posterior"]["person_log_elements"], dtype=float)
+    medians = np.exp(np.median(own.reshape(-1, *own.shape[2:]), axis=0))
+    if result.problems:
+        medians[:] = np.nan
+    frame = pd.DataFrame(
+        medians,
+        index=pd.Index([str(s) for s in result.coords["subject"]], name="subject", dtype=object),
+        columns=result.elements,
+    )
+    units = {e: result.element_unit(e) for e in result.elements}
+    for name, unit in PERSON_UNITS.items():
+        values = result.groups["constant_data"].get(name)
+        if values is not None:
+            frame[name], units[name] = values, unit or result.attributes["unit"]
+    frame.attrs["units"] = units
+    return frame
