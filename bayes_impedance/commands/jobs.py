@@ -8,7 +8,6 @@ it is started again with the same arguments, and gives the same numbers as one t
 from __future__ import annotations
 
 import json
-import math
 import shutil
 import time
 from collections.abc import Sequence
@@ -236,6 +235,7 @@ def diagnose_dataset(
         )
 
     from bayes_impedance.diagnosis import diagnose
+    from bayes_impedance.diagnosis.verdict_file import to_json
     from bayes_impedance.report.diagnosis_page import write_diagnosis_report
     from bayes_impedance.runtime.executors import executor_of
 
@@ -254,7 +254,7 @@ def diagnose_dataset(
     out.mkdir(parents=True, exist_ok=True)
     progress("pictures and report", 0, 1)
     write_diagnosis_report(diagnosis, out)
-    _write_text(out / VERDICT_FILE, json.dumps(_plain(diagnosis.verdict), indent=2, allow_nan=False) + "\n")
+    _write_text(out / VERDICT_FILE, json.dumps(to_json(diagnosis.verdict), indent=2, allow_nan=False) + "\n")
     progress("pictures and report", 1, 1)
     return diagnosis
 
@@ -398,17 +398,6 @@ def _write_pages(
     progress("pictures and report", 1, 2)
     write_report(result, out, findings, pictures)
     progress("pictures and report", 2, 2)
-
-
-def _plain(value: Any) -> Any:
-    """Nested data with numbers that JSON knows: what is not finite becomes null."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value
 
 
 def _write_text(file: Path, text: str) -> None:

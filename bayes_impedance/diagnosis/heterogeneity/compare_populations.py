@@ -18,7 +18,7 @@ from scipy.stats import norm
 from bayes_impedance.diagnosis.fit.fitter import Refit
 from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods, holm
 from bayes_impedance.diagnosis.heterogeneity.tests import person_likelihoods
-from bayes_impedance.diagnosis.types import ParameterDifference
+from bayes_impedance.diagnosis.verdict_types import ParameterDifference
 from bayes_impedance.network.elements import kind_of
 
 _Z90 = 1.6449

@@ -14,15 +14,15 @@ import numpy as np
 import pytest
 from small_diagnoses import CASES, diagnosis_of
 
-from bayes_impedance.commands.jobs import _plain
 from bayes_impedance.diagnosis.verdict.sentence import number, sentence
+from bayes_impedance.diagnosis.verdict_file import from_json, to_json
 
 RECORDS: dict[str, dict[str, Any]] = json.loads((Path(__file__).parent / "records.json").read_text(encoding="utf-8"))
 QUICKEST = ("nothing", "shared", "one person", "hum", "covariate", "drift", "subgroup", "correlation", "simulation")
 
 
 def record_of(name: str) -> dict[str, Any]:
-    return dict(_plain(diagnosis_of(name).verdict))
+    return to_json(diagnosis_of(name).verdict)
 
 
 def outline(value: Any) -> Any:
@@ -111,7 +111,7 @@ def test_differences_from_a_simulation_are_the_significant_ones() -> None:
 def test_the_sentence_follows_from_the_record(name: str) -> None:
     record = RECORDS[name]
     people = CASES[name].people if name in CASES else 40
-    assert sentence(record | {"summary": ""}, people) == record["summary"]
+    assert sentence(from_json(record | {"summary": ""}), people) == record["summary"]
 
 
 def test_the_sentence_names_what_it_cannot_be_told_from() -> None:
@@ -121,11 +121,11 @@ def test_the_sentence_names_what_it_cannot_be_told_from() -> None:
         for side, apart in (("body", False), ("rig", True))
     ]
     record["physics"][0]["aliases"] = aliases
-    said = sentence(record, 10)
+    said = sentence(from_json(record), 10)
     assert said.endswith("These recordings cannot tell it from body at port.")
     assert "a matter of the rig" not in said  # the other explanation is of the other side
     aliases[0]["separated"] = True
-    assert "a matter of the rig" in sentence(record, 10)
+    assert "a matter of the rig" in sentence(from_json(record), 10)
 
 
 @pytest.mark.parametrize(

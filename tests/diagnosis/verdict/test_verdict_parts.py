@@ -5,11 +5,13 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
 from experiments import TOY, Experiment, Serial, entry, recovered, toy
 
+from bayes_impedance.diagnosis.fit.baseline import Fitted
 from bayes_impedance.diagnosis.fit.coefficient_posterior import coefficient_posterior
 from bayes_impedance.diagnosis.fit.fitter import Refit
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals
@@ -17,12 +19,13 @@ from bayes_impedance.diagnosis.hum.line import Hum
 from bayes_impedance.diagnosis.residuals.locate import locate
 from bayes_impedance.diagnosis.selection.cross_validation import HeldOut
 from bayes_impedance.diagnosis.selection.score_scan import screen
-from bayes_impedance.diagnosis.selection.stepwise import Found, Step, search
+from bayes_impedance.diagnosis.selection.stepwise import Found, search
 from bayes_impedance.diagnosis.types import Snapshot
-from bayes_impedance.diagnosis.verdict.entries import hum_entry, joint
+from bayes_impedance.diagnosis.verdict.entries import hum_entry, joint_of
 from bayes_impedance.diagnosis.verdict.model_bands import own_errors, snapshot
 from bayes_impedance.diagnosis.verdict.ranking import critical_z, detection_limits, ranking
-from bayes_impedance.diagnosis.verdict.verdict import change_of, improvement, reach_of, where
+from bayes_impedance.diagnosis.verdict.verdict import Evidence, change_of, improvement, make_verdict, reach_of
+from bayes_impedance.diagnosis.verdict_types import BlockGain, ParameterDifference, Verdict
 from bayes_impedance.recordings.files import Recordings, Subject
 
 NAMES = [str(i) for i in range(20)]
@@ -102,21 +105,77 @@ def test_elements_reach_where_their_impedance_dominates() -> None:
     assert high[1] > 1500
 
 
+def verdict_with(*bands_hz: tuple[float, float], **changes: Any) -> Verdict:
+    """Of the delay that was found, with located bands given by hand."""
+    e, look = experiment(True), found()
+    location = locate(residuals_of(look.base), 1)
+    bands = tuple(replace(location.bands[0], low_hz=low, high_hz=high) for low, high in bands_hz)
+    before, after = snapshots()
+    evidence = Evidence(
+        found=look,
+        gains=((7.0, 2.0),),
+        unknown=None,
+        structures=(),
+        hum=None,
+        location=replace(location, bands=bands),
+        gain=HeldOut(9.0, 1.0, None, None, "folds"),
+        before=before,
+        after=after,
+        spoilt=None,
+        differences=None,
+        remarks=("the search's",),
+        quick=True,
+    )
+    recordings = recordings_of(e)
+    fitted = Fitted(recordings, look.base, e.refitter, np.array([True, False]), ("the fit's",))
+    return make_verdict(recordings, fitted, replace(evidence, **changes), seed=5)
+
+
 def test_bands_that_touch_become_one() -> None:
-    location = locate(residuals_of(experiment(True).fit()), 1)
-    assert location.bands
-    one = location.bands[0]
-    cut = [replace(one, low_hz=a, high_hz=b) for a, b in ((300.0, 500.0), (20.0, 100.0), (90.0, 300.0))]
-    spot = where(replace(location, bands=tuple(cut)), "rig", "all", None, "port")
-    assert spot["bands_hz"] == [[20.0, 500.0]]
-    apart = where(replace(location, bands=tuple(cut[:2])), "rig", "all", None, "port")
-    assert apart["bands_hz"] == [[20.0, 100.0], [300.0, 500.0]]
-    assert (spot["side"], spot["place"], spot["subjects"], spot["covariate"]) == ("rig", "port", "all", None)
+    assert verdict_with((300.0, 500.0), (20.0, 100.0), (90.0, 300.0)).where.bands_hz == ((20.0, 500.0),)
+    assert verdict_with((300.0, 500.0), (20.0, 100.0)).where.bands_hz == ((20.0, 100.0), (300.0, 500.0))
+    (acting,) = verdict_with().where.bands_hz  # nothing was located: where the delay acts
+    assert acting[0] > 200
+
+
+def test_a_verdict_says_what_its_evidence_says() -> None:
+    verdict = verdict_with((300.0, 500.0))
+    (entry,) = verdict.physics
+    assert verdict.mismatch
+    assert (entry.kind, entry.id, entry.place, entry.subjects) == ("effect", "rig.delay", "port", "all")
+    assert (entry.evidence.elpd_gain, entry.evidence.elpd_gain_se) == (7.0, 2.0)
+    assert entry.parameters["delay"].q05 < 2e-5 < entry.parameters["delay"].q95
+    assert (verdict.where.part, verdict.where.place, verdict.where.side) == ("phase", "port", entry.side)
+    assert verdict.network[1].startswith("n1|r1")
+    assert verdict.elements_not_identified == ("r1",)
+    assert verdict.remarks == ("the fit's", "the search's")
+    assert (verdict.seed, verdict.title, verdict.unit) == (5, "t", "N s/m")
+    assert verdict.unexplained is None
+    assert verdict.joint is None
+    assert verdict.parameters_differ is None
+
+
+def test_only_significant_differences_from_a_simulation_are_listed() -> None:
+    sure = ParameterDifference(
+        element="r1",
+        unit="N s/m",
+        what="central",
+        simulation=1.0,
+        recordings=2.0,
+        ratio=2.0,
+        q05=1.9,
+        q95=2.1,
+        p_value=0.049,
+    )
+    verdict = verdict_with(differences=(sure, replace(sure, p_value=0.051)))
+    assert verdict.parameters_differ == (sure,)
+    assert verdict_with(differences=()).parameters_differ == ()
 
 
 # ---------------------------------------------------------------- improvement and bands
 
 
+@cache
 def snapshots() -> tuple[Snapshot, Snapshot]:
     e = experiment(True)
     recordings, before, after = recordings_of(e), e.fit(), with_delay()
@@ -128,17 +187,17 @@ def snapshots() -> tuple[Snapshot, Snapshot]:
 
 def test_improvement_pairs_means_over_frequency_and_the_median_person() -> None:
     before, after = snapshots()
-    record = improvement(before, after, HeldOut(3.0, 1.0, 2.0, 0.5, "folds"))
-    assert record["delta_phase_deg"] == [np.nanmean(s.delta_phase_deg) for s in (before, after)]
-    assert record["subject_rms_relative"] == [np.median(s.subject_rms_relative) for s in (before, after)]
-    assert record["subject_rms_relative"][1] < 0.5 * record["subject_rms_relative"][0]
-    assert (record["elpd_gain"], record["elpd_gain_se"], record["held_out"]) == (3.0, 1.0, "folds")
-    assert (record["elpd_gain_blocks"], record["elpd_gain_blocks_se"]) == (2.0, 0.5)
+    made = improvement(before, after, HeldOut(3.0, 1.0, 2.0, 0.5, "folds"))
+    assert made.delta_phase_deg == tuple(np.nanmean(s.delta_phase_deg) for s in (before, after))
+    assert made.subject_rms_relative == tuple(np.median(s.subject_rms_relative) for s in (before, after))
+    assert made.subject_rms_relative[1] < 0.5 * made.subject_rms_relative[0]
+    assert (made.elpd_gain, made.elpd_gain_se, made.held_out) == (3.0, 1.0, "folds")
+    assert made.blocks == BlockGain(2.0, 0.5)
     few = improvement(before, after, HeldOut(None, None, 2.0, 0.5, "blocks"))
-    assert (few["elpd_gain"], few["elpd_gain_se"]) == (2.0, 0.5)
+    assert (few.elpd_gain, few.elpd_gain_se) == (2.0, 0.5)
     nothing = improvement(before, after, None)
-    assert nothing["elpd_gain"] is None
-    assert "elpd_gain_blocks" not in nothing
+    assert nothing.elpd_gain is None
+    assert nothing.blocks is None
 
 
 def test_bands_cover_ninety_of_a_hundred_people() -> None:
@@ -170,9 +229,9 @@ def test_limits_are_the_critical_score_over_the_information() -> None:
     limits, hidden = detection_limits(fit.model, screening)
     (limit,) = limits
     level = critical_z(screening) + 1.2816
-    np.testing.assert_allclose(limit["above"], level * abs(screening.size[0] / screening.z[0]), rtol=1e-12)
-    assert (limit["id"], limit["place"], limit["parameter"], limit["unit"]) == ("rig.delay", "port", "delay", "s")
-    assert hidden == []
+    np.testing.assert_allclose(limit.above, level * abs(screening.size[0] / screening.z[0]), rtol=1e-12)
+    assert (limit.id, limit.place, limit.parameter, limit.unit) == ("rig.delay", "port", "delay", "s")
+    assert hidden == ()
     p = np.exp(screening.log_p(critical_z(screening)))
     assert p < 0.01 < np.exp(screening.log_p(critical_z(screening) - 0.02))
 
@@ -181,7 +240,7 @@ def test_what_the_elements_absorb_is_hidden() -> None:
     e = experiment(False)
     fit = e.fit()
     screening = screen(fit, residuals_of(fit), [entry("rig.damping")], 1, Serial())
-    assert detection_limits(fit.model, screening) == ([], ["rig.damping at port"])
+    assert detection_limits(fit.model, screening) == ((), ("rig.damping at port",))
 
 
 def test_ranking_begins_with_what_was_found() -> None:
@@ -192,13 +251,9 @@ def test_ranking_begins_with_what_was_found() -> None:
     assert all(0 <= row.p_value <= 1 for row in rows)
     other = next(row for row in rows if row.id == "rig.mass")
     assert other.note.startswith(("alias", "behind", "unphysical"))
-    nothing = replace(found().steps[-1], screening=replace_candidates(found().steps[-1]))
-    assert ranking(nothing) == ()
-
-
-def replace_candidates(step: Step):  # type: ignore[no-untyped-def]
-    s = step.screening
-    return replace(s, z=np.full_like(s.z, np.nan))
+    last = found().steps[-1]
+    invisible = replace(last.screening, z=np.full_like(last.screening.z, np.nan))
+    assert ranking(replace(last, screening=invisible)) == ()
 
 
 # ---------------------------------------------------------------- entries
@@ -217,17 +272,17 @@ def test_the_amplitude_of_hum_is_that_of_a_complex_number() -> None:
         p_value=1e-6,
     )
     made = hum_entry(hum, "ohm")
-    row = made["parameters"]["amplitude"]
-    np.testing.assert_allclose([row[k] for k in ("median", "q05", "q95")], np.sqrt(2) * np.array([1.0, 0.5, 2.0]))
-    assert row["unit"] == "ohm"
-    assert made["name"] == "hum of the mains at 60 Hz"
-    assert made["frequencies_hz"] == [60.0, 61.0]
+    row = made.parameters["amplitude"]
+    np.testing.assert_allclose([row.median, row.q05, row.q95], np.sqrt(2) * np.array([1.0, 0.5, 2.0]))
+    assert row.unit == "ohm"
+    assert made.name == "hum of the mains at 60 Hz"
+    assert made.frequencies_hz == (60.0, 61.0)
 
 
 def test_joint_correlations_are_those_of_the_draws() -> None:
     fit = with_delay()
     posterior = coefficient_posterior(fit, 1)
     with_posterior = replace(found(), final=fit, posterior=posterior)
-    made = joint(with_posterior)
-    assert made["parameters"] == ["rig.delay delay"]
-    assert made["correlation"] == [[1.0]]
+    made = joint_of(with_posterior)
+    assert made.parameters == ("rig.delay delay",)
+    assert made.correlation == ((1.0,),)
