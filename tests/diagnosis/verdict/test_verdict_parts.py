@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
@@ -105,6 +106,14 @@ def test_elements_reach_where_their_impedance_dominates() -> None:
     assert high[1] > 1500
 
 
+@pytest.fixture
+def no_dispersion(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shared effects have none: its posterior takes many refits, and is tested by itself."""
+    monkeypatch.setattr(
+        sys.modules["bayes_impedance.diagnosis.verdict.entries"], "dispersion_of_shared", lambda *_: np.zeros(9)
+    )
+
+
 def verdict_with(*bands_hz: tuple[float, float], **changes: Any) -> Verdict:
     """Of the delay that was found, with located bands given by hand."""
     e, look = experiment(True), found()
@@ -131,6 +140,7 @@ def verdict_with(*bands_hz: tuple[float, float], **changes: Any) -> Verdict:
     return make_verdict(recordings, fitted, replace(evidence, **changes), seed=5)
 
 
+@pytest.mark.usefixtures("no_dispersion")
 def test_bands_that_touch_become_one() -> None:
     assert verdict_with((300.0, 500.0), (20.0, 100.0), (90.0, 300.0)).where.bands_hz == ((20.0, 500.0),)
     assert verdict_with((300.0, 500.0), (20.0, 100.0)).where.bands_hz == ((20.0, 100.0), (300.0, 500.0))
@@ -138,6 +148,7 @@ def test_bands_that_touch_become_one() -> None:
     assert acting[0] > 200
 
 
+@pytest.mark.usefixtures("no_dispersion")
 def test_a_verdict_says_what_its_evidence_says() -> None:
     verdict = verdict_with((300.0, 500.0))
     (entry,) = verdict.physics
@@ -145,7 +156,9 @@ def test_a_verdict_says_what_its_evidence_says() -> None:
     assert (entry.kind, entry.id, entry.place, entry.subjects) == ("effect", "rig.delay", "port", "all")
     assert (entry.evidence.elpd_gain, entry.evidence.elpd_gain_se) == (7.0, 2.0)
     assert entry.parameters["delay"].q05 < 2e-5 < entry.parameters["delay"].q95
-    assert (verdict.where.part, verdict.where.place, verdict.where.side) == ("phase", "port", entry.side)
+    assert (verdict.where.part, verdict.where.place, verdict.where.side) == ("phase", "port", "rig")
+    assert entry.dispersion_interval == (0.0, 0.0)
+    assert entry.side_decided
     assert verdict.network[1].startswith("n1|r1")
     assert verdict.elements_not_identified == ("r1",)
     assert verdict.remarks == ("the fit's", "the search's")
@@ -155,6 +168,7 @@ def test_a_verdict_says_what_its_evidence_says() -> None:
     assert verdict.parameters_differ is None
 
 
+@pytest.mark.usefixtures("no_dispersion")
 def test_only_significant_differences_from_a_simulation_are_listed() -> None:
     sure = ParameterDifference(
         element="r1",
