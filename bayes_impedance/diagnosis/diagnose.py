@@ -40,10 +40,10 @@ from bayes_impedance.runtime.executors import executor_of
 from bayes_impedance.runtime.progress import Progress
 
 _MAINS_ALPHA = 1e-3
-"""Corrected level of the search for hum: stricter than the others, because points are left out where it is found."""
+"""Corrected level of the search for hum; where it is found, points are left out, so it has to be surer than others."""
 
 _FEWEST_HELD_OUT = 10
-"""With fewer people the gain of one addition on held-out people has no standard error worth stating."""
+"""With fewer people no gain of a single effect is computed: five folds would hold less than two people each."""
 
 
 @dataclass(frozen=True, kw_only=True)

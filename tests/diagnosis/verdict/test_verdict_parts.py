@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
@@ -17,7 +16,7 @@ from bayes_impedance.diagnosis.fit.coefficient_posterior import coefficient_post
 from bayes_impedance.diagnosis.fit.fitter import Refit
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals
 from bayes_impedance.diagnosis.hum.line import Hum
-from bayes_impedance.diagnosis.residuals.locate import locate
+from bayes_impedance.diagnosis.residuals.locate import Location, locate
 from bayes_impedance.diagnosis.selection.cross_validation import HeldOut
 from bayes_impedance.diagnosis.selection.score_scan import screen
 from bayes_impedance.diagnosis.selection.stepwise import Found, search
@@ -106,19 +105,15 @@ def test_elements_reach_where_their_impedance_dominates() -> None:
     assert high[1] > 1500
 
 
-@pytest.fixture
-def no_dispersion(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Shared effects have none: its posterior takes many refits, and is tested by itself."""
-    monkeypatch.setattr(
-        sys.modules["bayes_impedance.diagnosis.verdict.entries"], "dispersion_of_shared", lambda *_: np.zeros(9)
-    )
+@cache
+def location() -> Location:
+    return locate(residuals_of(found().base), 1)
 
 
 def verdict_with(*bands_hz: tuple[float, float], **changes: Any) -> Verdict:
     """Of the delay that was found, with located bands given by hand."""
     e, look = experiment(True), found()
-    location = locate(residuals_of(look.base), 1)
-    bands = tuple(replace(location.bands[0], low_hz=low, high_hz=high) for low, high in bands_hz)
+    bands = tuple(replace(location().bands[0], low_hz=low, high_hz=high) for low, high in bands_hz)
     before, after = snapshots()
     evidence = Evidence(
         found=look,
@@ -126,7 +121,7 @@ def verdict_with(*bands_hz: tuple[float, float], **changes: Any) -> Verdict:
         unknown=None,
         structures=(),
         hum=None,
-        location=replace(location, bands=bands),
+        location=replace(location(), bands=bands),
         gain=HeldOut(9.0, 1.0, None, None, "folds"),
         before=before,
         after=after,
@@ -140,7 +135,6 @@ def verdict_with(*bands_hz: tuple[float, float], **changes: Any) -> Verdict:
     return make_verdict(recordings, fitted, replace(evidence, **changes), seed=5)
 
 
-@pytest.mark.usefixtures("no_dispersion")
 def test_bands_that_touch_become_one() -> None:
     assert verdict_with((300.0, 500.0), (20.0, 100.0), (90.0, 300.0)).where.bands_hz == ((20.0, 500.0),)
     assert verdict_with((300.0, 500.0), (20.0, 100.0)).where.bands_hz == ((20.0, 100.0), (300.0, 500.0))
@@ -148,7 +142,6 @@ def test_bands_that_touch_become_one() -> None:
     assert acting[0] > 200
 
 
-@pytest.mark.usefixtures("no_dispersion")
 def test_a_verdict_says_what_its_evidence_says() -> None:
     verdict = verdict_with((300.0, 500.0))
     (entry,) = verdict.physics
@@ -157,7 +150,8 @@ def test_a_verdict_says_what_its_evidence_says() -> None:
     assert (entry.evidence.elpd_gain, entry.evidence.elpd_gain_se) == (7.0, 2.0)
     assert entry.parameters["delay"].q05 < 2e-5 < entry.parameters["delay"].q95
     assert (verdict.where.part, verdict.where.place, verdict.where.side) == ("phase", "port", "rig")
-    assert entry.dispersion_interval == (0.0, 0.0)
+    assert entry.dispersion_interval is not None
+    assert 0 <= entry.dispersion_interval[0] < entry.dispersion_interval[1]
     assert entry.side_decided
     assert verdict.network[1].startswith("n1|r1")
     assert verdict.elements_not_identified == ("r1",)
@@ -168,7 +162,6 @@ def test_a_verdict_says_what_its_evidence_says() -> None:
     assert verdict.parameters_differ is None
 
 
-@pytest.mark.usefixtures("no_dispersion")
 def test_only_significant_differences_from_a_simulation_are_listed() -> None:
     sure = ParameterDifference(
         element="r1",
