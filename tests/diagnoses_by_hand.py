@@ -1,4 +1,4 @@
-"""Diagnoses with chosen contents, for tests of pages and pictures; nothing in them is computed."""
+"""Diagnoses made by hand: one small one of each kind, for pages and pictures."""
 
 from __future__ import annotations
 
@@ -9,92 +9,164 @@ from typing import Any
 import numpy as np
 from pages import Page
 
-from bayes_impedance.diagnosis.types import Diagnosis, OnePort, ParameterDifference, Ranked, Snapshot
+from bayes_impedance.diagnosis.types import Diagnosis, OnePort, Ranked, Snapshot
+from bayes_impedance.diagnosis.verdict_types import (
+    Alias,
+    BlockGain,
+    Detectable,
+    EvidenceOfEffect,
+    Improvement,
+    Joint,
+    Located,
+    Parameter,
+    ParameterDifference,
+    Physics,
+    Verdict,
+    Where,
+)
 from bayes_impedance.network.notation import PAPER_NETWORK, parse
 from bayes_impedance.report.diagnosis_page import write_diagnosis_report
 
 CIRCUIT = "r0|(r1-n1)|(r2-n2)"
+
+
 VALUES = {"n3": 8e-6, "r3": 61.4, "m2": 7.9e-4, "r1": 5.0, "n1": 1.15e-3, "m1": 0.02, "n2": 4e-4, "r2": 3.0}
+
+
 CELL = {"r0": 0.02, "r1": 0.01, "n1": 0.5, "r2": 0.03, "n2": 40.0}
+
+
 SUMMARY = "The phase runs ahead above 700 Hz in everybody: 1.5 µs of channel delay explain it."
-LIMITS = [
-    {"id": "rig.mass", "place": "port", "above": 2.1e-6, "unit": "kg"},
-    {"id": "rig.delay", "place": "port", "above": 3.1e-8, "unit": "s"},
-    {"id": "body.relaxation", "place": "skin", "above": 0.34, "unit": "N s/m"},
-    {"id": "body.relaxation", "place": "tissue", "above": 0.012, "unit": "N s/m"},
-    {"id": "body.relaxation", "place": "limb", "above": None, "unit": "N s/m"},
-    {"id": "rig.lowpass", "place": "port", "above": 41e3, "unit": "Hz"},
-]
 
 
-def delay_entry(**changes: Any) -> dict[str, Any]:
-    """The card of a channel delay."""
-    entry = {
-        "id": "rig.delay",
-        "name": "a delay between the channels",
-        "story": "The force is sampled a little later than the acceleration. The phase falls with frequency.",
-        "formula": "z e^(-s tau)",
-        "place": "port",
-        "side": "rig",
-        "pooling": "shared",
-        "parameters": {"delay": {"unit": "s", "median": 1.5e-6, "q05": 1.42e-6, "q95": 1.61e-6, "dispersion": 0.012}},
-        "dispersion_interval": [0.0, 0.031],
-        "evidence": {"score": 2096.3, "p_value": 0.0, "elpd_gain": 985.0, "elpd_gain_se": 40.0},
-        "aliases": [
-            {
-                "id": "rig.mass",
-                "place": "port",
-                "elpd_behind": 55.2,
-                "separated": True,
-                "would_separate": "a recording without a finger",
-            },
-            {
-                "id": "rig.series_compliance",
-                "place": "port",
-                "elpd_behind": 1.3,
-                "separated": False,
-                "would_separate": "frequencies above 8 kHz, or a stiff dummy in place of the finger",
-            },
-        ],
-    }
-    return entry | changes
+LIMITS = tuple(
+    Detectable(id=effect, name="", place=place, parameter="size", above=above, unit=unit, shape={})
+    for effect, place, above, unit in (
+        ("rig.mass", "port", 2.1e-6, "kg"),
+        ("rig.delay", "port", 3.1e-8, "s"),
+        ("body.relaxation", "skin", 0.34, "N s/m"),
+        ("body.relaxation", "tissue", 0.012, "N s/m"),
+        ("rig.lowpass", "port", 41e3, "Hz"),
+    )
+)
 
 
-def verdict_of(physics: list[dict[str, Any]], network: str, after: str | None, **changes: Any) -> dict[str, Any]:
-    """A verdict by the schema."""
+ALIASES = (
+    Alias(
+        id="rig.mass",
+        name="",
+        place="port",
+        elpd_behind=55.2,
+        separated=True,
+        would_separate="a recording without a finger",
+    ),
+    Alias(
+        id="rig.series_compliance",
+        name="",
+        place="port",
+        elpd_behind=1.3,
+        separated=False,
+        would_separate="frequencies above 8 kHz, or a stiff dummy in place of the finger",
+    ),
+)
+
+
+DELAY = Physics(
+    kind="effect",
+    id="rig.delay",
+    name="a delay between the channels",
+    story="The force is sampled a little later than the acceleration. The phase falls with frequency.",
+    formula="z e^(-s tau)",
+    place="port",
+    side="rig",
+    pooling="shared",
+    parameters={"delay": Parameter("s", 1.5e-6, 1.42e-6, 1.61e-6, 0.012)},
+    dispersion_interval=(0.0, 0.031),
+    evidence=EvidenceOfEffect(2096.3, 0.0, 985.0, 40.0),
+    aliases=ALIASES,
+)
+
+
+RESONATOR = replace(
+    DELAY,
+    id="body.resonator",
+    name="a further joint or bone that swings along",
+    story="Another mass on a spring swings inside of the tissue. It takes energy near its own frequency.",
+    formula="s m - (r + k/s)",
+    place="tissue",
+    side="body",
+    pooling="varying",
+    parameters={
+        "mass": Parameter("kg", 2.4e-4, 1.9e-4, 3.1e-4, 0.31),
+        "resonance": Parameter("Hz", 1310.0, 1240.0, 1390.0, 0.08),
+    },
+    dispersion_interval=(0.22, 0.44),
+    evidence=EvidenceOfEffect(310.4, 3.2e-41, 121.0, None),
+    aliases=tuple(replace(ALIASES[i % 2], id=f"body.line{i}", elpd_behind=3.0 * i) for i in range(30)),
+)
+
+
+UNKNOWN = Physics(
+    kind="unknown",
+    id="unknown",
+    name="physics outside of the catalogue",
+    story="Something is missing that is not in the catalogue.",
+    formula="a small network",
+    place="port",
+    side=None,
+    pooling="shared",
+    parameters={},
+    evidence=EvidenceOfEffect(None, None, 985.0, 40.0),
+    network="r9-(n9|m9)",
+    connection="beside",
+)
+
+
+def verdict_of(physics: tuple[Physics, ...], network: str, after: str | None, **changes: Any) -> Verdict:
+    """A verdict by hand."""
     found = bool(physics)
-    verdict = {
-        "schema": 1,
-        "mismatch": found,
-        "summary": SUMMARY if found else "Nothing is missing that these recordings could show.",
-        "where": {
-            "bands_hz": [[700.0, 5000.0]] if found else [],
-            "part": "phase" if found else None,
-            "place": "port" if found else None,
-            "side": "rig" if found else None,
-            "subjects": "all",
-            "covariate": None,
-        },
-        "physics": physics,
-        "improvement": {
-            "delta_magnitude": [1.31, 1.27],
-            "delta_phase_deg": [8.7, 8.1],
-            "subject_rms_relative": [0.034, 0.021],
-            "coverage90": [0.82, 0.898],
-            "elpd_gain": 985.0,
-            "elpd_gain_se": 40.0,
-            "held_out": "5 subject folds, 8 frequency blocks",
-        },
-        "network": [network, after or network],
-        "unexplained": None,
-        "detectable": LIMITS,
-        "not_identifiable": ["gain"],
-        "elements_not_identified": ["n3"],
-        "seed": 7,
-        "data_sha256": "ab12" * 16,
-        "version": "0.1.0",
-    }
-    return verdict | changes
+    verdict = Verdict(
+        summary=SUMMARY if found else "Nothing is missing that these recordings could show.",
+        where=Where(
+            bands_hz=((700.0, 5000.0),) if found else (),
+            part="phase",
+            place="port" if found else None,
+            side="rig" if found else None,
+            subjects="all",
+            covariate=None,
+        ),
+        located=Located(
+            p_value=1e-9,
+            bands=(),
+            magnitude_share=0.1,
+            subjects_p_value=1.0,
+            repetitions=None,
+            covariates={},
+        ),
+        physics=physics,
+        improvement=Improvement(
+            delta_magnitude=(1.31, 1.27),
+            delta_phase_deg=(8.7, 8.1),
+            subject_rms_relative=(0.034, 0.021),
+            coverage90=(0.82, 0.898),
+            elpd_gain=985.0,
+            elpd_gain_se=40.0,
+            blocks=BlockGain(900.0, 50.0),
+            held_out="5 subject folds, 8 frequency blocks",
+        ),
+        network=(network, after or network),
+        detectable=LIMITS,
+        not_identifiable=("gain",),
+        elements_not_identified=("n3",),
+        seed=7,
+        data_sha256="ab12" * 16,
+        title="ten <fingers> & a thumb",
+        unit="N s/m",
+        reliable=True,
+        remarks=(),
+        version="0.1.0",
+    )
+    return replace(verdict, **changes)
 
 
 def snapshot(label: str, network: str, z: np.ndarray, f: np.ndarray, shift: np.ndarray, seed: int) -> Snapshot:
@@ -150,41 +222,15 @@ def make_diagnosis(
     noise = rng.normal(size=(subjects, size)) + 1j * rng.normal(size=(subjects, size))
     z = parse(before).impedance(2j * np.pi * f, each) * (1 + 0.02 * noise)
     after: str | None = None
-    physics: list[dict[str, Any]] = []
     extra: dict[str, Any] = {}
-    if kind in ("found", "two"):
-        physics = [delay_entry()]
+    physics = {"found": (DELAY,), "two": (DELAY, RESONATOR), "unknown": (UNKNOWN,), "nothing": ()}[kind]
     if kind == "two":
         after = str(parse(before).beside("tissue", parse("m4-(n4|r4)")))
-        parameters = {
-            "mass": {"unit": "kg", "median": 2.4e-4, "q05": 1.9e-4, "q95": 3.1e-4, "dispersion": 0.31},
-            "resonance": {"unit": "Hz", "median": 1310.0, "q05": 1240.0, "q95": 1390.0, "dispersion": 0.08},
-        }
-        physics.append(
-            delay_entry(
-                id="body.resonator",
-                name="a further joint or bone that swings along",
-                story="Another mass on a spring swings inside of the tissue. It takes energy near its own frequency.",
-                formula="s m - (r + k/s)",
-                place="tissue",
-                side="body",
-                pooling="varying",
-                parameters=parameters,
-                dispersion_interval=[0.22, 0.44],
-                evidence={"score": 310.4, "p_value": 3.2e-41, "elpd_gain": 121.0, "elpd_gain_se": None},
-                aliases=[
-                    delay_entry()["aliases"][i % 2] | {"id": f"body.line{i}", "elpd_behind": 3.0 * i} for i in range(30)
-                ],
-            )
+        extra["joint"] = Joint(
+            ("rig.delay delay", "body.resonator mass", "body.resonator resonance"),
+            ((1, 0.12, -0.61), (0.12, 1, 0.44), (-0.61, 0.44, 1)),
         )
-        extra["joint"] = {
-            "parameters": ["rig.delay delay", "body.resonator mass", "body.resonator resonance"],
-            "correlation": [[1, 0.12, -0.61], [0.12, 1, 0.44], [-0.61, 0.44, 1]],
-        }
     if kind == "unknown":
-        entry = delay_entry(id="unknown", formula=None, network="r9-(n9|m9)", place="port", side=None)
-        physics = [entry | {"name": None, "story": None, "dispersion_interval": None, "parameters": {}, "aliases": []}]
-        extra["unexplained"] = {"place": "port", "side": "body", "network": "r9-(n9|m9)", "share": 0.8}
         extra["summary"] = "Something is missing that nothing in the catalogue describes."
     verdict = verdict_of(physics, before, after, **extra)
     high = f > f[-1] / 7
@@ -213,7 +259,6 @@ def make_diagnosis(
 
 def holes(diagnosis: Diagnosis) -> Diagnosis:
     """The same with all that may be missing missing."""
-    nothing = dict.fromkeys(diagnosis.verdict)
     nan = np.full_like(diagnosis.before.residual_phase, np.nan)
     some = diagnosis.before.residual_magnitude.copy()
     some[:, :5] = np.nan
@@ -230,15 +275,28 @@ def holes(diagnosis: Diagnosis) -> Diagnosis:
         coverage90=np.full((2, nan.shape[1]), np.nan),
     )
     port = diagnosis.one_ports[0]
-    entry = dict.fromkeys(delay_entry()) | {
-        "id": "rig.delay",
-        "parameters": {"delay": {"unit": "s", "median": None, "q05": None, "q95": None, "dispersion": None}},
-        "evidence": {"score": None, "p_value": None, "elpd_gain": None, "elpd_gain_se": None},
-        "aliases": [{"id": "rig.mass", "place": "port", "elpd_behind": None, "separated": None}],
-    }
+    nan_number = float("nan")
+    entry = replace(
+        DELAY,
+        side=None,
+        parameters={"delay": Parameter("s", nan_number, nan_number, nan_number, None)},
+        evidence=EvidenceOfEffect(None, None, None, None),
+        aliases=(replace(ALIASES[0], elpd_behind=nan_number),),
+        dispersion_interval=None,
+    )
+    drift = replace(entry, kind="trend", id="body.drift", place="nowhere", parameters={}, aliases=())
     return replace(
         diagnosis,
-        verdict=nothing | {"mismatch": True, "physics": [entry, {"id": "body.drift", "place": "nowhere"}]},
+        verdict=replace(
+            diagnosis.verdict,
+            physics=(entry, drift),
+            improvement=None,
+            where=replace(diagnosis.verdict.where, bands_hz=(), place=None, side=None),
+            detectable=(),
+            not_identifiable=(),
+            elements_not_identified=(),
+            data_sha256="",
+        ),
         before=broken,
         after=replace(broken, label="after"),
         observed=observed,

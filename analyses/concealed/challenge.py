@@ -177,9 +177,10 @@ def sealed_answers(out: Path) -> list[dict[str, Any]]:
 def blind(case: Mapping[str, Any]) -> Record:
     """Diagnose a dataset given by its folder alone, in a process of its own."""
     from bayes_impedance.diagnosis.diagnose import diagnose
+    from bayes_impedance.diagnosis.verdict_file import to_json
 
     recordings = read_recordings(Path(case["folder"]))
-    return {"verdict": dict(diagnose(recordings, quick=True, seed=case["seed"]).verdict)}
+    return {"verdict": to_json(diagnose(recordings, quick=True, seed=case["seed"]).verdict)}
 
 
 def to_diagnose(out: Path, n_cases: int) -> list[Record]:

@@ -96,6 +96,7 @@ def source(name: str, every: int) -> Recordings:
 def one_case(case: Mapping[str, Any]) -> Record:
     """Verdict, with an effect added or (size 0) without."""
     from bayes_impedance.diagnosis.diagnose import diagnose
+    from bayes_impedance.diagnosis.verdict_file import to_json
 
     recordings = source(case["data"], case["every"])
     if case["mode"] == "measured":
@@ -106,11 +107,12 @@ def one_case(case: Mapping[str, Any]) -> Record:
         pair = without_and_with(recordings, after, EFFECTS[case["effect"]][0])
         return {"size": size, "estimates": [list(estimate) for estimate in pair]}
     if not case["effect"]:
-        return {"size": 0.0, "verdict": dict(diagnose(recordings, quick=True, seed=1, workers=1).verdict)}
+        return {"size": 0.0, "verdict": to_json(diagnose(recordings, quick=True, seed=1, workers=1).verdict)}
     size = size_for(case["effect"], recordings, case["share"])
     known = recordings if case["mode"] == "against" else None
-    found = diagnose(changed(recordings, case["effect"], size), simulation=known, quick=True, seed=1, workers=1).verdict
-    return {"size": size, "verdict": dict(found), "explained": explained(found, recordings, case["effect"], size)}
+    after = changed(recordings, case["effect"], size)
+    found = to_json(diagnose(after, simulation=known, quick=True, seed=1, workers=1).verdict)
+    return {"size": size, "verdict": found, "explained": explained(found, recordings, case["effect"], size)}
 
 
 def explained(verdict: Mapping[str, Any], recordings: Recordings, effect: str, size: float) -> float:

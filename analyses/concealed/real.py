@@ -38,23 +38,23 @@ def said(recordings: Recordings) -> dict[str, Any]:
     verdict = diagnosis.verdict
     entries = [
         {
-            "id": entry["id"],
-            "place": entry["place"],
-            "parameters": {k: [v["q05"], v["median"], v["q95"], v["unit"]] for k, v in entry["parameters"].items()},
-            "not told from": [f"{a['id']} at {a['place']}" for a in entry["aliases"] if not a["separated"]],
+            "id": entry.id,
+            "place": entry.place,
+            "parameters": {name: [p.q05, p.median, p.q95, p.unit] for name, p in entry.parameters.items()},
+            "not told from": [f"{alias.id} at {alias.place}" for alias in entry.aliases if not alias.separated],
         }
-        for entry in verdict["physics"]
+        for entry in verdict.physics
     ]
     best = [f"{port.place}: {port.share:.3f}" for port in diagnosis.one_ports[:4]]
     error = [float(np.median(s.subject_rms_relative)) for s in (diagnosis.before, diagnosis.after) if s is not None]
     return {
-        "summary": verdict["summary"],
+        "summary": verdict.summary,
         "physics": entries,
-        "bands_hz": verdict["where"]["bands_hz"],
+        "bands_hz": verdict.where.bands_hz,
         "relative error before, after": error,
         "places that close most of the gap": best,
-        "network": verdict["network"],
-        "remarks": verdict["remarks"],
+        "network": verdict.network,
+        "remarks": verdict.remarks,
     }
 
 

@@ -25,8 +25,9 @@ def diagnose(recordings: Recordings, seed: int, through_command: bool = False) -
     """Verdict on some recordings, by the package's function or by its command (`--quick`) on files."""
     if not through_command:
         from bayes_impedance.diagnosis.diagnose import diagnose as run_diagnosis
+        from bayes_impedance.diagnosis.verdict_file import to_json
 
-        return dict(run_diagnosis(recordings, quick=True, seed=seed).verdict)
+        return to_json(run_diagnosis(recordings, quick=True, seed=seed).verdict)
     from bayes_impedance.recordings.files import write_recordings
 
     with tempfile.TemporaryDirectory() as folder:

@@ -111,20 +111,19 @@ def _diagnose(options: argparse.Namespace) -> int:
     with Bars() as bars:
         diagnosis = diagnose_dataset(options.dataset, options.out, chosen, options.simulation, bars)
     verdict = diagnosis.verdict
-    for remark in verdict["remarks"]:
+    for remark in verdict.remarks:
         _tell(f"note: {remark}")
-    if not verdict["reliable"]:
+    if not verdict.reliable:
         _tell("NOT RELIABLE: the fit did not come to rest")
-    _tell(f"\n{verdict['summary']}\n")
-    for entry in verdict["physics"]:
-        _tell(f"{entry['id']} at {entry['place']} ({entry['side'] or 'rig or body not decided'}): {entry['name']}")
-        for name, row in entry["parameters"].items():
-            values = " to ".join(f"{row[k]:.4g}" for k in ("q05", "q95"))
-            _tell(f"    {name:16} {row['median']:.4g} ({values}) {row['unit']}")
-        for alias in [a for a in entry["aliases"] if not a["separated"]][:3]:
-            _tell(f"    not told from    {alias['id']} at {alias['place']}; would separate: {alias['would_separate']}")
+    _tell(f"\n{verdict.summary}\n")
+    for entry in verdict.physics:
+        _tell(f"{entry.id} at {entry.place} ({entry.side or 'rig or body not decided'}): {entry.name}")
+        for name, row in entry.parameters.items():
+            _tell(f"    {name:16} {row.median:.4g} ({row.q05:.4g} to {row.q95:.4g}) {row.unit}")
+        for alias in [a for a in entry.aliases if not a.separated][:3]:
+            _tell(f"    not told from    {alias.id} at {alias.place}; would separate: {alias.would_separate}")
     _tell(f"\nreport: {options.out / 'report.html'}, verdict: {options.out / 'verdict.json'}")
-    return DONE if verdict["reliable"] else FAILED
+    return DONE if verdict.reliable else FAILED
 
 
 def _report(options: argparse.Namespace) -> int:

@@ -7,7 +7,7 @@ it is started again with the same arguments, and gives the same numbers as one t
 
 from __future__ import annotations
 
-import math
+import json
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -237,6 +237,7 @@ def diagnose_dataset(
         )
 
     from bayes_impedance.diagnosis import diagnose
+    from bayes_impedance.diagnosis.verdict_file import to_json
     from bayes_impedance.report.diagnosis_page import write_diagnosis_report
     from bayes_impedance.runtime.executors import executor_of
 
@@ -255,7 +256,7 @@ def diagnose_dataset(
     out.mkdir(parents=True, exist_ok=True)
     progress("pictures and report", 0, 1)
     write_diagnosis_report(diagnosis, out)
-    write_json(out / VERDICT_FILE, _plain(diagnosis.verdict))
+    _write_text(out / VERDICT_FILE, json.dumps(to_json(diagnosis.verdict), indent=2, allow_nan=False) + "\n")
     progress("pictures and report", 1, 1)
     return diagnosis
 
@@ -338,12 +339,7 @@ def _write_pages(
     progress("pictures and report", 2, 2)
 
 
-def _plain(value: Any) -> Any:
-    """Nested data with numbers that JSON knows: what is not finite becomes null."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value
+def _write_text(file: Path, text: str) -> None:
+    temporary = file.with_name(file.name + ".tmp")
+    temporary.write_text(text, encoding="utf-8")
+    temporary.replace(file)

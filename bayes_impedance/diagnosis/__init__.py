@@ -2,8 +2,9 @@
 
 In come recordings and a network; out comes a :class:`Diagnosis` with its verdict. Open :mod:`.diagnose` first: it fits
 the network (``fit``), searches (``selection``) for what of the ``catalogue`` explains what is left (``residuals``,
-``hum``), tests the population's shape (``heterogeneity``), names the measurement that would separate two explanations
-(``next_experiment``) and puts it all in a ``verdict``; :mod:`.types` is what comes out.
+``hum``), tests the population's shape (``heterogeneity``), says which measurement would separate rivals
+(``next_experiment``) and puts it all in a ``verdict``; :mod:`.types` is what comes
+out, with the verdict of :mod:`.verdict_types`, which :mod:`.verdict_file` writes and reads as ``verdict.json``.
 """
 
 from bayes_impedance.diagnosis.catalogue.effect import Coefficient, Effect, register, registered, unregister

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 from bayes_impedance.diagnosis import catalogue  # noqa: F401  (fills the register of effects)
 from bayes_impedance.diagnosis.catalogue.effect import Effect, registered
@@ -16,9 +15,9 @@ from bayes_impedance.diagnosis.fit.fitter import Refit
 from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
 from bayes_impedance.diagnosis.fit.profile_posterior import from_evidence
 from bayes_impedance.diagnosis.heterogeneity.compare_populations import compare_populations
-from bayes_impedance.diagnosis.heterogeneity.tests import structure_entries
+from bayes_impedance.diagnosis.heterogeneity.tests import find_structures
 from bayes_impedance.diagnosis.hum.leakage import find_skirts
-from bayes_impedance.diagnosis.hum.line import find_mains, without_hum
+from bayes_impedance.diagnosis.hum.line import Hum, find_mains, without_hum
 from bayes_impedance.diagnosis.residuals.locate import Location, locate
 from bayes_impedance.diagnosis.residuals.missing_impedance import missing_one_ports
 from bayes_impedance.diagnosis.selection.compare import log_evidence
@@ -27,11 +26,10 @@ from bayes_impedance.diagnosis.selection.identifiability import names_that_hold
 from bayes_impedance.diagnosis.selection.restart import another_beginning
 from bayes_impedance.diagnosis.selection.stepwise import Found, search
 from bayes_impedance.diagnosis.selection.unnamed import Realised, stand_in_network, structure_remains
-from bayes_impedance.diagnosis.types import Diagnosis, OnePort, ParameterDifference
-from bayes_impedance.diagnosis.verdict.entries import aliases, physics_entry
+from bayes_impedance.diagnosis.types import Diagnosis, OnePort, Snapshot
 from bayes_impedance.diagnosis.verdict.model_bands import snapshot
 from bayes_impedance.diagnosis.verdict.ranking import ranking
-from bayes_impedance.diagnosis.verdict.verdict import FEW_PEOPLE, Evidence, make_verdict
+from bayes_impedance.diagnosis.verdict.verdict import Evidence, make_verdict
 from bayes_impedance.network.notation import Network
 from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.results.curve_errors import on_grid
@@ -40,6 +38,10 @@ from bayes_impedance.runtime.executors import executor_of
 from bayes_impedance.runtime.progress import Progress
 
 _MAINS_ALPHA = 1e-3
+"""Corrected level of the search for hum; where it is found, points are left out, so it has to be surer than others."""
+
+_FEWEST_HELD_OUT = 10
+"""With fewer people no gain of a single effect is computed: five folds would hold less than two people each."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,49 +127,133 @@ def _diagnose(
     job: _Job,
     clock: Clock,
 ) -> Diagnosis:
-    seed, executor, progress = job.seed, job.executor, job.progress
-    given = recordings
-    if claimed is not None:
-        recordings = claimed.without_rest(recordings)
+    """The steps in their order: fit, search, confirm, say."""
+    compared = recordings if claimed is None else claimed.without_rest(recordings)
     with clock.measure("fit"):
-        fitted = fit_network(recordings, network, seed, executor, progress)
-        with_hum = person_residuals(fitted.fit, recordings.names, executor)
-        hum = find_mains(with_hum, _MAINS_ALPHA) or find_skirts(with_hum, _MAINS_ALPHA)
-        clean, spoilt = recordings, None
-        if hum is not None:
-            spoilt = snapshot("with hum", recordings, fitted.fit, with_hum, seed)
-            clean = without_hum(recordings, hum)
-            fitted = fit_network(clean, network, seed, executor, progress)
-    base, begin = fitted.fit, None
-    if claimed is not None and (claimed.found.final.model.additions or claimed.rest):
-        with clock.measure("fit"):
-            base, begin = claimed.start(fitted, seed)
-    look = _look(fitted, base, begin, job, clock)
+        first = _fit_without_hum(compared, network, job)
+        base, begin = _start(claimed, first.fitted, job)
+    look = _look(first.fitted, base, begin, job, clock)
     if look.nameless:
-        with clock.measure("search"):
-            known = look.evidence - log_evidence(base)
-            begin = another_beginning(fitted, look.found.steps[0], known, seed, executor, progress)
-        if begin is not None:
-            look = max(look, _look(fitted, base, begin, job, clock), key=lambda k: k.evidence)
-    found, unknown, first, one_ports = look.found, look.unknown, look.first, look.one_ports
-    final = unknown.trial.fit if unknown is not None else found.final
+        look = _look_again(look, first.fitted, base, job, clock)
     with clock.measure("confirm"):
-        progress("confirming", 0, 3)
-        if found.posterior is not None:  # of the names that are left: it takes many refits
-            found = replace(found, posterior=from_evidence(fitted.refitter, found.final, found.posterior, seed))
-        entries = _entries(fitted, found, job)
-        progress("confirming", 1, 3)
-        structures, remarks = structure_entries(final, clean, job.diagonal, seed)
-        held = None
-        if final is not found.base:
-            held = held_out(fitted.refitter, found.base, final, seed, blocks=not job.quick)
-        progress("confirming", 2, 3)
-        before = snapshot("before", clean, found.base, found.steps[0].residuals, seed)
-        after = None
-        if final is not found.base:
-            after = snapshot("after", clean, final, person_residuals(final, recordings.names, executor), seed)
-        progress("confirming", 3, 3)
-    changed = None if final is found.base else final
+        evidence = _confirm(first, look, claimed, job)
+        verdict = make_verdict(recordings, first.fitted, evidence, job.seed)
+    return Diagnosis(
+        title=compared.title,
+        unit=compared.unit,
+        subjects=compared.names,
+        repetitions=max(len(s.repetitions) for s in compared.subjects),
+        verdict=verdict,
+        before=evidence.before,
+        after=evidence.after,
+        observed=on_grid(first.clean, evidence.before.frequency_hz),
+        ranking=ranking(look.found.steps[0]),
+        one_ports=look.one_ports,
+        differences=evidence.differences or (),
+        seconds=clock.seconds,
+    )
+
+
+@dataclass(frozen=True)
+class _First:
+    """The network's fit to what hum has not spoilt.
+
+    Attributes
+    ----------
+    clean : Recordings
+        Without the points that hum has spoilt.
+    fitted : Fitted
+        To these.
+    hum : Hum or None
+    spoilt : Snapshot or None
+        Of the fit to all points, where there is hum.
+    """
+
+    clean: Recordings
+    fitted: Fitted
+    hum: Hum | None
+    spoilt: Snapshot | None
+
+
+def _fit_without_hum(recordings: Recordings, network: Network | str | None, job: _Job) -> _First:
+    fitted = fit_network(recordings, network, job.seed, job.executor, job.progress)
+    residuals = person_residuals(fitted.fit, recordings.names, job.executor)
+    hum = find_mains(residuals, _MAINS_ALPHA) or find_skirts(residuals, _MAINS_ALPHA)
+    if hum is None:
+        return _First(recordings, fitted, None, None)
+    spoilt = snapshot("with hum", recordings, fitted.fit, residuals, job.seed)
+    clean = without_hum(recordings, hum)
+    return _First(clean, fit_network(clean, network, job.seed, job.executor, job.progress), hum, spoilt)
+
+
+def _start(claimed: Claim | None, fitted: Fitted, job: _Job) -> tuple[Refit, Refit | None]:
+    """The model to which physics is added, and another fit of it at which the search begins, if there is a claim."""
+    if claimed is None or not (claimed.found.final.model.additions or claimed.rest):
+        return fitted.fit, None
+    return claimed.start(fitted, job.seed)
+
+
+def _look_again(look: _Look, fitted: Fitted, base: Refit, job: _Job, clock: Clock) -> _Look:
+    """Where all that was found has no name: the better one of this search and one with another beginning."""
+    with clock.measure("search"):
+        known = look.evidence - log_evidence(base)
+        begin = another_beginning(fitted, look.found.steps[0], known, job.seed, job.executor, job.progress)
+    if begin is None:
+        return look
+    return max(look, _look(fitted, base, begin, job, clock), key=lambda k: k.evidence)
+
+
+def _confirm(first: _First, look: _Look, claimed: Claim | None, job: _Job) -> Evidence:
+    """What held-out recordings and the population's structure say of what was found."""
+    seed, clean, fitted, found, final = job.seed, first.clean, first.fitted, look.found, look.final
+    changed = final is not found.base
+    job.progress("confirming", 0, 3)
+    if found.posterior is not None:  # of the names that are left: it takes many refits
+        found = replace(found, posterior=from_evidence(fitted.refitter, found.final, found.posterior, seed))
+    gains = _gains(fitted, found, seed)
+    job.progress("confirming", 1, 3)
+    structures, remarks = find_structures(final, clean, job.diagonal, seed)
+    gain = held_out(fitted.refitter, found.base, final, seed, blocks=not job.quick) if changed else None
+    job.progress("confirming", 2, 3)
+    before = snapshot("before", clean, found.base, found.steps[0].residuals, seed)
+    after = None
+    if changed:
+        after = snapshot("after", clean, final, person_residuals(final, clean.names, job.executor), seed)
+    job.progress("confirming", 3, 3)
+    return Evidence(
+        found=found,
+        gains=gains,
+        unknown=look.unknown,
+        structures=structures,
+        hum=first.hum,
+        location=look.first,
+        gain=gain,
+        before=before,
+        after=after,
+        spoilt=first.spoilt,
+        differences=None if claimed is None else compare_populations(claimed.found.final, final, clean.unit),
+        remarks=(*remarks, *_remarks(found, final, claimed)),
+        quick=job.quick,
+    )
+
+
+def _gains(fitted: Fitted, found: Found, seed: int) -> tuple[tuple[float, float | None] | None, ...]:
+    """Of each addition on held-out people; None where they are too few, or no step of the search has chosen it."""
+    if found.posterior is None:
+        return ()
+    gains: list[tuple[float, float | None] | None] = []
+    for addition in found.final.model.additions[len(found.base.model.additions) :]:
+        step = found.step_of(addition)
+        if step is None or step.chosen is None or len(fitted.refitter.data) < _FEWEST_HELD_OUT:
+            gains.append(None)
+        else:
+            gains.append(people_gain(fitted.refitter, step.before, step.chosen.fit, seed))
+    return tuple(gains)
+
+
+def _remarks(found: Found, final: Refit, claimed: Claim | None) -> list[str]:
+    """What a reader must know before believing the numbers."""
+    remarks = []
     if not final.settled and final is not found.base:
         remarks.append("The fit with what was found did not come to rest; its numbers are rough.")
     if found.posterior is not None and not found.posterior.settled:
@@ -179,39 +265,7 @@ def _diagnose(
         remarks.append(
             "The simulation itself holds structure that the network does not describe; it was taken off the recordings."
         )
-    evidence = Evidence(
-        found=found,
-        location=first,
-        entries=entries,
-        structures=structures,
-        unknown=unknown,
-        hum=hum,
-        gain=held,
-        before=before,
-        after=after,
-        changed=changed,
-        remarks=remarks,
-        spoilt=spoilt,
-    )
-    verdict = make_verdict(given, fitted, evidence, seed)
-    differences: tuple[ParameterDifference, ...] = ()
-    if claimed is not None:
-        differences = compare_populations(claimed.found.final, final, recordings.unit)
-        verdict["parameters_differ"] = [asdict(d) for d in differences if d.p_value < 0.05]
-    return Diagnosis(
-        title=recordings.title,
-        unit=recordings.unit,
-        subjects=recordings.names,
-        repetitions=max(len(s.repetitions) for s in recordings.subjects),
-        verdict=verdict,
-        before=before,
-        after=after,
-        observed=on_grid(clean, before.frequency_hz),
-        ranking=ranking(found.steps[0]),
-        one_ports=one_ports,
-        differences=differences,
-        seconds=clock.seconds,
-    )
+    return remarks
 
 
 @dataclass(frozen=True)
@@ -241,10 +295,14 @@ class _Look:
         return self.unknown is not None and self.found.final is self.found.base
 
     @property
+    def final(self) -> Refit:
+        """The model with everything that was added, unknown physics too."""
+        return self.found.final if self.unknown is None else self.unknown.trial.fit
+
+    @property
     def evidence(self) -> float:
         """Of everything found, less the price of its parameters; the network alone may have been fitted better, too."""
-        final = self.found.final if self.unknown is None else self.unknown.trial.fit
-        return log_evidence(final)
+        return log_evidence(self.final)
 
 
 def _look(fitted: Fitted, base: Refit, begin: Refit | None, job: _Job, clock: Clock) -> _Look:
@@ -274,21 +332,3 @@ def _look(fitted: Fitted, base: Refit, begin: Refit | None, job: _Job, clock: Cl
         found, unknown = names_that_hold(fitted.refitter, found, unknown, remains, residuals, one_ports, seed, executor)
         progress("unknown physics", 1, 1)
     return _Look(found, unknown, first, one_ports)
-
-
-def _entries(fitted: Fitted, found: Found, job: _Job) -> list[dict[str, Any]]:
-    model, first = found.final.model, len(found.base.model.additions)
-    entries = []
-    if found.posterior is None:
-        return []
-    few = len(fitted.recordings.subjects) < FEW_PEOPLE
-    for i in range(first, len(model.additions)):
-        step = found.step_of(model.additions[i])
-        held = None
-        if step is not None and step.chosen is not None and len(fitted.refitter.data) >= 10:
-            held = people_gain(fitted.refitter, step.before, step.chosen.fit, job.seed)
-        entry = physics_entry(found, i, found.posterior, held, few)
-        if step is not None:
-            entry["aliases"] = aliases(step, job.quick)
-        entries.append(entry)
-    return entries

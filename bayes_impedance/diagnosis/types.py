@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+
+from bayes_impedance.diagnosis.verdict_types import ParameterDifference, Verdict
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,33 +108,6 @@ class OnePort:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ParameterDifference:
-    """How an element differs between simulation and recordings.
-
-    Attributes
-    ----------
-    element, unit : str
-    what : str
-        ``central`` or ``dispersion_between_persons`` or ``dispersion_between_repetitions``.
-    simulation, recordings : float
-    ratio, q05, q95 : float
-        Recordings over simulation, with its 90 % interval.
-    p_value : float
-        Corrected for all that were compared.
-    """
-
-    element: str
-    unit: str
-    what: str
-    simulation: float
-    recordings: float
-    ratio: float
-    q05: float
-    q95: float
-    p_value: float
-
-
-@dataclass(frozen=True, kw_only=True)
 class Diagnosis:
     """Everything a diagnosis found.
 
@@ -144,8 +118,7 @@ class Diagnosis:
     subjects : tuple of str
     repetitions : int
         Largest number per person.
-    verdict : dict
-        Content of ``verdict.json``.
+    verdict : Verdict
     before : Snapshot
     after : Snapshot or None
         None if nothing is missing.
@@ -164,7 +137,7 @@ class Diagnosis:
     unit: str
     subjects: tuple[str, ...]
     repetitions: int
-    verdict: dict[str, Any]
+    verdict: Verdict
     before: Snapshot
     after: Snapshot | None
     observed: np.ndarray

@@ -212,7 +212,7 @@ def one_ports(diagnosis: Diagnosis) -> Figure | None:
             frequency_axis(axes, f, label=i == len(shown) - 1)
         row[0].set_ylim(*_inner_limits(port.ratio, port.sd))
         # Without a mismatch its explained share has no meaning.
-        known = bool(diagnosis.verdict.get("mismatch")) and np.isfinite(port.share)
+        known = diagnosis.verdict.mismatch and np.isfinite(port.share)
         share = f": explains {100 * port.share:.0f} %" if known else ""
         row[0].set_title(f"at {_drawable(port.place, 60)}{share}", parse_math=False)
         row[0].set_ylabel("missing / present")
@@ -346,8 +346,8 @@ def _edges(f: np.ndarray) -> np.ndarray:
 
 def _mismatch_bands(diagnosis: Diagnosis, f: np.ndarray) -> list[tuple[float, float]]:
     """Bands of the mismatch as far as they are inside of the grid."""
-    found = (diagnosis.verdict.get("where") or {}).get("bands_hz") or []
-    inside = [(max(float(low), float(f[0])), min(float(high), float(f[-1]))) for low, high in found]
+    found = diagnosis.verdict.where.bands_hz
+    inside = [(max(low, float(f[0])), min(high, float(f[-1]))) for low, high in found]
     return [(low, high) for low, high in inside if high > low]
 
 

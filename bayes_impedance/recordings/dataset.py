@@ -6,6 +6,7 @@ z = F/v in SI units with exp(+jwt), counted so that a passive load has Re z >= 0
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING

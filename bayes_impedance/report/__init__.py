@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from bayes_impedance.network.notation import parse
 from bayes_impedance.plots import write_pictures
 from bayes_impedance.plots.access import is_electrical, is_simulated, subjects, who
 from bayes_impedance.report import fit_sentences, fit_tables
+from bayes_impedance.report.page_template import embedded_picture, template_environment
 from bayes_impedance.report.schematic import schematic
 from bayes_impedance.results.result import Result
 from bayes_impedance.runtime.atomic_files import write_text
-
-if TYPE_CHECKING:
-    from jinja2 import Environment
 
 __all__ = ["REPORT_FILE", "write_report"]
 
@@ -66,20 +63,8 @@ def write_report(
     folder.mkdir(parents=True, exist_ok=True)
     if pictures is None:
         pictures = write_pictures(result, folder / "pictures")
-    text = _environment().get_template(_TEMPLATE).render(**_context(result, list(findings), pictures))
+    text = template_environment().get_template(_TEMPLATE).render(**_context(result, list(findings), pictures))
     return write_text(folder / REPORT_FILE, text)
-
-
-def _environment() -> Environment:
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-    return Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
 
 
 def _context(result: Result, findings: list[FindingLike], pictures: Mapping[str, Path]) -> dict[str, object]:
@@ -89,7 +74,9 @@ def _context(result: Result, findings: list[FindingLike], pictures: Mapping[str,
         parse(result.attributes["network"]), fit_tables.element_values(result), electrical=is_electrical(result)
     )
     unit, errors = fit_tables.error_table(result)
-    shown = {name: _embedded(file) for name, file in pictures.items() if not (result.problems and name in _OF_VALUES)}
+    shown = {
+        name: embedded_picture(file) for name, file in pictures.items() if not (result.problems and name in _OF_VALUES)
+    }
     return {
         "title": result.attributes["title"],
         "people": fit_tables.population_name(result),
@@ -121,8 +108,3 @@ def _context(result: Result, findings: list[FindingLike], pictures: Mapping[str,
         "command": fit_tables.command(result),
         "pictures": shown,
     }
-
-
-def _embedded(file: Path) -> str:
-    """A PNG file as the text of an image's source."""
-    return "data:image/png;base64," + base64.b64encode(file.read_bytes()).decode("ascii")

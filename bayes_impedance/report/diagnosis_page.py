@@ -8,33 +8,31 @@ the file.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.notation import Network, parse
 from bayes_impedance.plots import write_diagnosis_pictures
 from bayes_impedance.plots.missing_physics import people
-from bayes_impedance.report import REPORT_FILE, _embedded, _environment
+from bayes_impedance.report import REPORT_FILE
 from bayes_impedance.report.findings import (
     ABSENT,
     KINDS,
     POOLING,
-    SIDES,
     affected,
     effects,
     facts,
     interval_text,
     joint,
     kind_of_verdict,
-    number_or_nan,
     number_text,
     p_text,
-    physics,
     score_text,
 )
+from bayes_impedance.report.page_template import embedded_picture, template_environment
 from bayes_impedance.report.schematic import schematic
 from bayes_impedance.runtime.atomic_files import write_text
 from bayes_impedance.units import hertz, scale_for, signed, significant
@@ -43,6 +41,7 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
     from bayes_impedance.diagnosis.types import Diagnosis, Ranked
+    from bayes_impedance.diagnosis.verdict_types import Verdict
 
 __all__ = ["write_diagnosis_report"]
 
@@ -94,7 +93,7 @@ def write_diagnosis_report(diagnosis: Diagnosis, folder: Path, pictures: Mapping
     folder.mkdir(parents=True, exist_ok=True)
     if pictures is None:
         pictures = write_diagnosis_pictures(diagnosis, folder / "pictures")
-    text = _environment().get_template(_TEMPLATE).render(**_context(diagnosis, pictures))
+    text = template_environment().get_template(_TEMPLATE).render(**_context(diagnosis, pictures))
     return write_text(folder / REPORT_FILE, text)
 
 
@@ -111,10 +110,10 @@ def _context(diagnosis: Diagnosis, pictures: Mapping[str, Path]) -> dict[str, ob
         "electrical": diagnosis.unit == "ohm",
         "kind": kind,
         "kicker": KINDS[kind],
-        "sentence": verdict.get("summary") or "The diagnosis came without a sentence.",
-        "mismatch": bool(verdict.get("mismatch")),
-        "reliable": bool(verdict.get("reliable", True)),
-        "remarks": list(verdict.get("remarks") or []),
+        "sentence": verdict.summary,
+        "mismatch": verdict.mismatch,
+        "reliable": verdict.reliable,
+        "remarks": verdict.remarks,
         "facts": facts(diagnosis),
         "affected": names if len(names) > _NAMES else [],
         "effects": effects(diagnosis),
@@ -128,35 +127,31 @@ def _context(diagnosis: Diagnosis, pictures: Mapping[str, Path]) -> dict[str, ob
         "ranking": ranking(diagnosis),
         "left_off": max(len(diagnosis.ranking) - _RANKED, 0),
         "improvements": improvements(diagnosis),
-        "held_out": (verdict.get("improvement") or {}).get("held_out") or "",
+        "held_out": verdict.improvement.held_out if verdict.improvement is not None else "",
         "differences": differences(diagnosis),
         "limits": limits(verdict),
-        "not_identifiable": [str(x) for x in verdict.get("not_identifiable") or []],
-        "elements_not_identified": [str(x) for x in verdict.get("elements_not_identified") or []],
+        "not_identifiable": verdict.not_identifiable,
+        "elements_not_identified": verdict.elements_not_identified,
         "provenance": provenance(diagnosis),
-        "pictures": {name: _embedded(file) for name, file in pictures.items()},
+        "pictures": {name: embedded_picture(file) for name, file in pictures.items()},
     }
 
 
-def unexplained(diagnosis: Diagnosis) -> dict[str, Any] | None:
-    """What is left that nothing in the catalogue describes: place, side, share, notation and drawing."""
-    entry = diagnosis.verdict.get("unexplained")
-    if not entry:
+@dataclass(frozen=True)
+class MissingOnePort:
+    """The network that stands in for physics outside of the catalogue: place, notation, drawing."""
+
+    place: str
+    network: str
+    drawing: Markup | None
+
+
+def unexplained(diagnosis: Diagnosis) -> MissingOnePort | None:
+    """What is left that nothing in the catalogue describes."""
+    entry = diagnosis.verdict.unexplained
+    if entry is None:
         return None
-    share = number_or_nan(entry.get("share"))
-    return {
-        "place": str(entry.get("place") or ""),
-        "side": SIDES.get(entry.get("side") or "", entry.get("side") or ""),
-        "share": f"{100 * share:.0f} %" if math.isfinite(share) else "",
-        "network": str(entry.get("network") or ""),
-        "drawing": drawing(entry.get("network"), {}, diagnosis),
-        "is_a_card": _is_a_card(diagnosis.verdict),
-    }
-
-
-def _is_a_card(verdict: Mapping[str, Any]) -> bool:
-    """Whether what is unexplained is one of the effects already, as ``unknown``."""
-    return any(entry.get("id") == "unknown" for entry in physics(verdict))
+    return MissingOnePort(entry.place, entry.network, drawing(entry.network, {}, diagnosis))
 
 
 # -------------------------------------------------------------------- the network
@@ -164,22 +159,17 @@ def _is_a_card(verdict: Mapping[str, Any]) -> bool:
 
 def networks(diagnosis: Diagnosis) -> tuple[str, str]:
     """Notation before, and after if it differs (else an empty text)."""
-    given = list(diagnosis.verdict.get("network") or [])
-    before = str(given[0] if given and given[0] else diagnosis.before.network)
-    after = str(given[1] if len(given) > 1 and given[1] else "")
+    before, after = diagnosis.verdict.network
     return before, "" if after == before else after
 
 
-def _marks(notation: str, verdict: Mapping[str, Any]) -> dict[tuple[int, ...], str]:
-    """Paths of the places that were found, with the numbers of their cards; ``?`` for what is unexplained."""
-    found = [(str(i), entry.get("place")) for i, entry in enumerate(physics(verdict), 1)]
-    if not _is_a_card(verdict):
-        found.append(("?", (verdict.get("unexplained") or {}).get("place")))
+def _marks(notation: str, verdict: Verdict) -> dict[tuple[int, ...], str]:
+    """Paths of the places that were found, with the numbers of their cards."""
     network, marks = _parsed(notation), dict[tuple[int, ...], list[str]]()
-    for text, name in found:
+    for number, entry in enumerate(verdict.physics, 1):
         try:
-            if network is not None and name:
-                marks.setdefault(network.place(str(name)).path, []).append(text)
+            if network is not None:
+                marks.setdefault(network.place(entry.place).path, []).append(str(number))
         except InputError:
             continue  # effects on the whole population have no place
     return {path: ", ".join(texts) for path, texts in marks.items()}
@@ -219,7 +209,7 @@ def _parsed(notation: str | None) -> Network | None:
 def ranking(diagnosis: Diagnosis) -> list[RankedRow]:
     """The best candidates of the first screening."""
     rows = diagnosis.ranking[:_RANKED]
-    best = max([number_or_nan(row.score) for row in rows if math.isfinite(number_or_nan(row.score))], default=0.0)
+    best = max((row.score for row in rows if math.isfinite(row.score)), default=0.0)
     return [
         RankedRow(
             candidate=row,
@@ -236,19 +226,21 @@ def ranking(diagnosis: Diagnosis) -> list[RankedRow]:
 
 def improvements(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
     """What changed: name, before and after with their unit."""
-    entry = diagnosis.verdict.get("improvement") or {}
-    scale = scale_for(max(_finite(entry.get("delta_magnitude")), default=math.nan), diagnosis.unit)
+    entry = diagnosis.verdict.improvement
+    if entry is None:
+        return []
+    scale = scale_for(max(filter(math.isfinite, entry.delta_magnitude), default=math.nan), diagnosis.unit)
     one = "the network" if len(diagnosis.subjects) == 1 else "one network for all"
     rows = (
-        (f"Magnitude error of {one} (eq. 5)", "delta_magnitude", scale.factor, f" {scale.unit}"),
-        (f"Phase error of {one} (eq. 5)", "delta_phase_deg", 1.0, "°"),
-        (f"Error of each {people(diagnosis, 1)}'s own network (relative)", "subject_rms_relative", 100.0, " %"),
-        ("Recordings inside of the predicted 90 % band", "coverage90", 100.0, " %"),
+        (f"Magnitude error of {one} (eq. 5)", entry.delta_magnitude, scale.factor, f" {scale.unit}"),
+        (f"Phase error of {one} (eq. 5)", entry.delta_phase_deg, 1.0, "°"),
+        (f"Error of each {people(diagnosis, 1)}'s own network (relative)", entry.subject_rms_relative, 100.0, " %"),
+        ("Recordings inside of the predicted 90 % band", entry.coverage90, 100.0, " %"),
     )
     shown = []
-    for name, key, factor, unit in rows:
-        if _finite(entry.get(key)):
-            before, after = (number_text(number_or_nan(x) * factor) for x in entry[key])
+    for name, pair, factor, unit in rows:
+        if any(map(math.isfinite, pair)):
+            before, after = (number_text(x * factor) for x in pair)
             shown.append((name, *(text if text == ABSENT else text + unit for text in (before, after))))
     return shown
 
@@ -267,16 +259,15 @@ def differences(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
     return rows
 
 
-def limits(verdict: Mapping[str, Any]) -> list[tuple[str, str, list[tuple[str, str]]]]:
-    """Detection limits: id, name, and the smallest detectable size at each place."""
+def limits(verdict: Verdict) -> list[tuple[str, str, list[tuple[str, str]]]]:
+    """What would have been seen: id, name, and at each place the smallest size."""
     grouped: dict[str, list[tuple[str, str]]] = {}
     names = {}
-    for entry in verdict.get("detectable") or []:
-        above = number_or_nan(entry.get("above"))
-        scale = scale_for(above, str(entry.get("unit") or ""))
-        size = f"{significant(above * scale.factor, 2)} {scale.unit}".strip() if math.isfinite(above) else "not visible"
-        grouped.setdefault(str(entry.get("id")), []).append((str(entry.get("place") or ""), size))
-        names[str(entry.get("id"))] = str(entry.get("name") or "")
+    for limit in verdict.detectable:
+        scale = scale_for(limit.above, limit.unit)
+        size = f"{significant(limit.above * scale.factor, 2)} {scale.unit}".strip()
+        grouped.setdefault(limit.id, []).append((limit.place, size))
+        names[limit.id] = limit.name
     return [(id, names[id], places) for id, places in grouped.items()]
 
 
@@ -290,16 +281,8 @@ def provenance(diagnosis: Diagnosis) -> list[tuple[str, str]]:
         ("Recordings", diagnosis.title),
         ("Measured", f"{n} {people(diagnosis, n)}, {times}, {f.size} frequencies from {hertz(f[0])} to {hertz(f[-1])}"),
         ("Network", networks(diagnosis)[0]),
-        ("Seed", _text(verdict.get("seed"), "not recorded")),
-        ("SHA-256 of the data", _text(verdict.get("data_sha256"), "none: the recordings did not come from a file")),
-        ("Version", _text(verdict.get("version"), "not recorded")),
+        ("Seed", str(verdict.seed)),
+        ("SHA-256 of the data", verdict.data_sha256 or "none: the recordings did not come from a file"),
+        ("Version", verdict.version),
         ("Seconds", seconds or "not recorded"),
     ]
-
-
-def _text(value: object, otherwise: str) -> str:
-    return otherwise if value is None or value == "" else str(value)
-
-
-def _finite(values: Iterable[float | None] | None) -> list[float]:
-    return [x for x in map(number_or_nan, values or ()) if math.isfinite(x)]

@@ -16,6 +16,7 @@ from bayes_impedance.diagnosis.claimed_simulation import Claim
 from bayes_impedance.diagnosis.fit.coefficient_posterior import CoefficientPosterior
 from bayes_impedance.diagnosis.selection.stepwise import Found
 from bayes_impedance.diagnosis.types import Diagnosis
+from bayes_impedance.diagnosis.verdict_file import from_json, to_json
 from bayes_impedance.population.simulate import FINGERTIP, simulate_recordings
 from bayes_impedance.recordings.files import Recordings, Subject, read_recordings, write_recordings
 
@@ -54,28 +55,28 @@ def clean() -> Diagnosis:
 
 def test_a_skew_between_the_channels_is_found_named_measured_and_placed(delayed: Diagnosis) -> None:
     verdict = delayed.verdict
-    assert set(verdict) >= SCHEMA
-    assert verdict["mismatch"] is True
-    first = verdict["physics"][0]
-    assert (first["id"], first["place"], first["side"], first["pooling"]) == ("rig.delay", "port", "rig", "shared")
-    delay = first["parameters"]["delay"]
-    assert delay["unit"] == "s"
-    assert delay["dispersion"] == 0.0
-    sd = (delay["q95"] - delay["q05"]) / 3.29
-    assert abs(delay["median"] - DELAY) < 3.5 * sd
+    assert set(to_json(verdict)) >= SCHEMA
+    assert verdict.mismatch is True
+    first = verdict.physics[0]
+    assert (first.id, first.place, first.side, first.pooling) == ("rig.delay", "port", "rig", "shared")
+    delay = first.parameters["delay"]
+    assert delay.unit == "s"
+    assert delay.dispersion == 0.0
+    sd = (delay.q95 - delay.q05) / 3.29
+    assert abs(delay.median - DELAY) < 3.5 * sd
     assert sd < 0.1 * DELAY
-    assert verdict["where"]["part"] == "phase"
-    assert verdict["where"]["side"] == "rig"
-    assert any(high > 2000 for _, high in verdict["where"]["bands_hz"])
-    gain = verdict["improvement"]
-    assert gain["elpd_gain"] > 3 * gain["elpd_gain_se"] > 0
-    assert gain["subject_rms_relative"][1] < gain["subject_rms_relative"][0]
-    assert first["evidence"]["p_value"] < 1e-6
-    aliases = {a["id"]: a for a in first["aliases"]}
-    assert aliases["rig.lowpass"]["elpd_behind"] > -1
-    assert "would_separate" in aliases["rig.lowpass"]
+    assert verdict.where.part == "phase"
+    assert verdict.where.side == "rig"
+    assert any(high > 2000 for _, high in verdict.where.bands_hz)
+    gain = verdict.improvement
+    assert gain.elpd_gain > 3 * gain.elpd_gain_se > 0
+    assert gain.subject_rms_relative[1] < gain.subject_rms_relative[0]
+    assert first.evidence.p_value < 1e-6
+    aliases = {a.id: a for a in first.aliases}
+    assert aliases["rig.lowpass"].elpd_behind > -1
+    assert aliases["rig.lowpass"].would_separate
     assert delayed.after is not None
-    assert "skew between the channels" in verdict["summary"]
+    assert "skew between the channels" in verdict.summary
 
 
 def test_intervals_that_did_not_come_to_rest_are_said_to_be_so(
@@ -86,7 +87,7 @@ def test_intervals_that_did_not_come_to_rest_are_said_to_be_so(
 
     def said(diagnosis: Diagnosis) -> bool:
         remark = "intervals of what was found in the body did not come to rest"
-        return any(remark in line for line in diagnosis.verdict["remarks"])
+        return any(remark in line for line in diagnosis.verdict.remarks)
 
     monkeypatch.setattr(sys.modules["bayes_impedance.diagnosis.diagnose"], "from_evidence", unsettled)
     assert said(diagnose(changed(people(16, 3), lambda s, z: z * np.exp(-s * DELAY)), seed=1, quick=True))
@@ -105,25 +106,25 @@ def test_the_pooled_residual_is_flat_after_the_explanation(delayed: Diagnosis) -
 
 def test_where_nothing_is_missing_it_says_so_with_limits(clean: Diagnosis) -> None:
     verdict = clean.verdict
-    assert verdict["mismatch"] is False
-    assert verdict["physics"] == []
+    assert verdict.mismatch is False
+    assert verdict.physics == ()
     assert clean.after is None
-    assert verdict["summary"].startswith("Nothing is missing")
-    limits = {(row["id"], row["place"]): row for row in verdict["detectable"]}
-    assert limits["rig.delay", "port"]["unit"] == "s"
-    assert 0 < limits["rig.delay", "port"]["above"] < DELAY  # what was found in the other test is above the limit
-    assert "gain" in verdict["not_identifiable"]
-    json.dumps(verdict, allow_nan=False)
+    assert verdict.summary.startswith("Nothing is missing")
+    limits = {(row.id, row.place): row for row in verdict.detectable}
+    assert limits["rig.delay", "port"].unit == "s"
+    assert 0 < limits["rig.delay", "port"].above < DELAY  # what was found in the other test is above the limit
+    assert "gain" in verdict.not_identifiable
+    assert from_json(json.loads(json.dumps(to_json(verdict), allow_nan=False))) == verdict
 
 
 def test_the_limit_is_where_effects_begin_to_be_found(clean: Diagnosis) -> None:
-    limit = next(r for r in clean.verdict["detectable"] if (r["id"], r["place"]) == ("rig.delay", "port"))["above"]
+    limit = next(r for r in clean.verdict.detectable if (r.id, r.place) == ("rig.delay", "port")).above
     weak, strong = (
         diagnose(changed(people(16, 3), lambda s, z, f=f: z * np.exp(-s * f * limit)), seed=1, quick=True)
         for f in (0.2, 1.6)
     )
-    assert not weak.verdict["mismatch"]
-    assert strong.verdict["mismatch"]
+    assert not weak.verdict.mismatch
+    assert strong.verdict.mismatch
 
 
 def test_the_order_of_people_and_the_number_of_workers_change_nothing(clean: Diagnosis) -> None:
@@ -134,18 +135,18 @@ def test_the_order_of_people_and_the_number_of_workers_change_nothing(clean: Dia
 
 
 def test_a_gain_error_is_never_claimed() -> None:
-    assert not diagnose(changed(people(16, 5), lambda s, z: 1.05 * z), seed=1, quick=True).verdict["mismatch"]
+    assert not diagnose(changed(people(16, 5), lambda s, z: 1.05 * z), seed=1, quick=True).verdict.mismatch
 
 
 def test_one_recording_is_diagnosed_and_its_limits_are_told() -> None:
     one = changed(people(1, 4, repetitions=1), lambda s, z: z * np.exp(-s * 3e-5))
     verdict = diagnose(one, seed=1).verdict
-    assert verdict["mismatch"]
-    assert verdict["where"]["side"] is None
-    assert any("rig" in remark and "body" in remark for remark in verdict["remarks"])
-    first = verdict["physics"][0]
-    assert first["side"] is None
-    named = {first["id"], *(a["id"] for a in first["aliases"] if not a["separated"])}
+    assert verdict.mismatch
+    assert verdict.where.side is None
+    assert any("rig" in remark and "body" in remark for remark in verdict.remarks)
+    first = verdict.physics[0]
+    assert first.side is None
+    named = {first.id, *(a.id for a in first.aliases if not a.separated)}
     assert "rig.delay" in named
 
 
@@ -154,18 +155,18 @@ def test_a_claimed_simulation_is_compared_by_parameters_before_structure() -> No
     other = replace(FINGERTIP, central={**centres, "r3": 1.6 * centres["r3"]})
     recorded = simulate_recordings(other, 24, 2, FREQUENCY, 8).recordings
     diagnosis = diagnose(recorded, simulation=people(24, 9), seed=1, quick=True)
-    assert not diagnosis.verdict["mismatch"]
+    assert not diagnosis.verdict.mismatch
     surest = diagnosis.differences[0]
     assert (surest.element, surest.what) == ("r3", "central")
     assert surest.q05 < 1.6 < surest.q95
     assert surest.p_value < 0.01
-    assert {d["element"] for d in diagnosis.verdict["parameters_differ"]} == {"r3"}
+    assert {d.element for d in diagnosis.verdict.parameters_differ} == {"r3"}
 
 
 def test_physics_that_the_simulation_has_already_is_not_called_missing() -> None:
     both = [changed(people(16, seed), lambda s, z: z * np.exp(-s * DELAY)) for seed in (10, 11)]
     diagnosis = diagnose(both[0], simulation=both[1], seed=1, quick=True)
-    assert "rig.delay" not in [entry["id"] for entry in diagnosis.verdict["physics"]]
+    assert "rig.delay" not in [entry.id for entry in diagnosis.verdict.physics]
 
 
 def rippled(recordings: Recordings) -> Recordings:
@@ -179,13 +180,13 @@ def test_what_the_simulation_leaves_of_itself_is_no_difference(same_people: bool
     recorded = changed(rippled(people(14, 10)), lambda s, z: z * np.exp(-s * DELAY))
     diagnosis = diagnose(recorded, simulation=rippled(people(14, 10 if same_people else 11)), seed=1, quick=True)
     verdict = diagnosis.verdict
-    first = verdict["physics"][0]
-    assert first["id"] == "rig.delay"
+    first = verdict.physics[0]
+    assert first.id == "rig.delay"
     # What is left of other people is not quite what is left of these.
-    assert first["parameters"]["delay"]["median"] == pytest.approx(DELAY, rel=0.1 if same_people else 0.3)
-    assert any("taken off" in remark for remark in verdict["remarks"])
+    assert first.parameters["delay"].median == pytest.approx(DELAY, rel=0.1 if same_people else 0.3)
+    assert any("taken off" in remark for remark in verdict.remarks)
     if same_people:
-        assert [entry["id"] for entry in verdict["physics"]] == ["rig.delay"]
+        assert [entry.id for entry in verdict.physics] == ["rig.delay"]
 
 
 def test_people_are_the_same_if_their_curves_are_and_not_only_their_names() -> None:
@@ -207,11 +208,11 @@ def test_physics_outside_of_the_candidates_is_unknown_and_realised_by_a_passive_
 
     diagnosis = diagnose(changed(people(12, 12), layer), effects=[RIG_STIFFNESS], seed=1, quick=True)
     verdict = diagnosis.verdict
-    assert verdict["mismatch"]
-    assert "unknown" in [entry["id"] for entry in verdict["physics"]]
-    assert verdict["unexplained"]["id"] == "unknown"
-    assert verdict["network"][1] != verdict["network"][0]
-    assert verdict["improvement"]["elpd_gain"] > 2 * verdict["improvement"]["elpd_gain_se"]
+    assert verdict.mismatch
+    assert "unknown" in [entry.id for entry in verdict.physics]
+    assert verdict.unexplained.id == "unknown"
+    assert verdict.network[1] != verdict.network[0]
+    assert verdict.improvement.elpd_gain > 2 * verdict.improvement.elpd_gain_se
 
 
 def test_names_that_only_together_come_near_are_no_names() -> None:
@@ -221,11 +222,11 @@ def test_names_that_only_together_come_near_are_no_names() -> None:
 
     candidates = [effect for effect in registered() if effect.id == "body.relaxation"]
     verdict = diagnose(changed(people(16, 12), diffusion), effects=candidates, seed=1, quick=True).verdict
-    assert [entry["id"] for entry in verdict["physics"]] == ["unknown"]
-    assert verdict["physics"][0]["formula"].startswith("a sum of")
-    assert verdict["unexplained"] == verdict["physics"][0]
-    assert verdict["physics"][0]["evidence"]["elpd_gain"] > 0
-    assert verdict["improvement"]["elpd_gain"] > 2 * verdict["improvement"]["elpd_gain_se"]
+    assert [entry.id for entry in verdict.physics] == ["unknown"]
+    assert verdict.physics[0].formula.startswith("a sum of")
+    assert verdict.unexplained == verdict.physics[0]
+    assert verdict.physics[0].evidence.elpd_gain > 0
+    assert verdict.improvement.elpd_gain > 2 * verdict.improvement.elpd_gain_se
 
 
 # -------------------------------------------------------------------- the command
@@ -280,13 +281,11 @@ def test_the_battery_has_depressed_arcs_and_diffuses(real_data: Path) -> None:
     battery = read_recordings(real_data / "battery_130")
     some = battery.select(battery.names[::5])
     diagnosis = diagnose(some, seed=1, quick=True)
-    found = [entry["id"] for entry in diagnosis.verdict["physics"]]
+    found = [entry.id for entry in diagnosis.verdict.physics]
     assert found.count("body.springpot") >= 2
-    before, after = diagnosis.verdict["improvement"]["subject_rms_relative"]
+    before, after = diagnosis.verdict.improvement.subject_rms_relative
     assert before > 0.10
     assert after < 0.02
-    exponents = [
-        e["parameters"]["exponent"]["median"] for e in diagnosis.verdict["physics"] if e["id"] == "body.springpot"
-    ]
+    exponents = [e.parameters["exponent"].median for e in diagnosis.verdict.physics if e.id == "body.springpot"]
     assert any(0.3 < a < 0.7 for a in exponents)  # diffusion
     assert all(math.isfinite(a) for a in exponents)

@@ -1,4 +1,4 @@
-"""Pictures of a diagnosis: they show its residuals, bands and missing one-ports, and apply only where these exist."""
+"""Pictures of a diagnosis: what they show, in which order, on which scale."""
 
 from __future__ import annotations
 
@@ -82,9 +82,9 @@ def test_pooled_residual_is_the_mean_times_the_root_of_the_number() -> None:
 
 def test_pooled_picture_shades_the_bands_inside_of_the_grid() -> None:
     diagnosis = make_diagnosis(subjects=9)
-    where = {"bands_hz": [[1.0, 8.0], [700.0, 9000.0], [2e4, 3e4]]}
+    where = replace(diagnosis.verdict.where, bands_hz=((1.0, 8.0), (700.0, 9000.0), (2e4, 3e4)))
     with style():
-        figure = pooled_residual(replace(diagnosis, verdict=diagnosis.verdict | {"where": where}))
+        figure = pooled_residual(replace(diagnosis, verdict=replace(diagnosis.verdict, where=where)))
     for axes, rows in zip(
         figure.axes, (diagnosis.before.residual_magnitude, diagnosis.before.residual_phase), strict=True
     ):

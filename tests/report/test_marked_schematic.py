@@ -1,4 +1,4 @@
-"""Marks in the drawn network: around the part they name, and nothing else."""
+"""Marks on the drawn circuit: where physics was added, and nowhere else."""
 
 from __future__ import annotations
 

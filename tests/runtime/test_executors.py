@@ -21,10 +21,11 @@ from conftest import THREE_ELEMENTS
 from experiments import die_at_once
 
 from bayes_impedance.commands.cli import main
-from bayes_impedance.commands.jobs import FitOptions, _plain
+from bayes_impedance.commands.jobs import FitOptions
 from bayes_impedance.diagnosis import diagnose
 from bayes_impedance.diagnosis.catalogue.effect import registered
 from bayes_impedance.diagnosis.types import Diagnosis
+from bayes_impedance.diagnosis.verdict_file import to_json
 from bayes_impedance.errors import WorkerError
 from bayes_impedance.population.simulate import simulate_recordings
 from bayes_impedance.recordings.files import Recordings, read_recordings, write_recordings
@@ -71,7 +72,7 @@ class Killing:
 
 
 def test_a_diagnosis_does_not_depend_on_threads(alone: Diagnosis) -> None:
-    assert [entry["id"] for entry in alone.verdict["physics"]] == ["rig.delay"]
+    assert [entry.id for entry in alone.verdict.physics] == ["rig.delay"]
     _require_same(alone, diagnose(delayed(), effects=CANDIDATES, quick=True, seed=1, workers=1))
 
 
@@ -156,4 +157,4 @@ def test_the_command_diagnoses_the_same_with_processes(tmp_path: Path, monkeypat
     assert main(["diagnose", str(tmp_path / "data"), "--quick", "-o", str(tmp_path / "out"), "--workers", "2"]) == 0
     written = json.loads((tmp_path / "out" / "verdict.json").read_text(encoding="utf-8"))
     assert written["physics"]
-    assert written == _plain(diagnose(read_recordings(tmp_path / "data"), quick=True, seed=1).verdict)
+    assert written == to_json(diagnose(read_recordings(tmp_path / "data"), quick=True, seed=1).verdict)

@@ -19,7 +19,7 @@ from bayes_impedance.diagnosis.fit.fitter import Refit
 from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods
 from bayes_impedance.diagnosis.heterogeneity.tests import person_likelihoods
 from bayes_impedance.diagnosis.multiple_testing import holm
-from bayes_impedance.diagnosis.types import ParameterDifference
+from bayes_impedance.diagnosis.verdict_types import ParameterDifference
 from bayes_impedance.network.elements import kind_of
 
 _NORMAL_Q95 = 1.6449

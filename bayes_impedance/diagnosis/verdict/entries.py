@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from scipy.special import ndtri
@@ -19,37 +18,41 @@ from bayes_impedance.diagnosis.fit.coefficient_posterior import (
 )
 from bayes_impedance.diagnosis.fit.extend import dispersion_of_shared
 from bayes_impedance.diagnosis.fit.spike_slab import Members, members
+from bayes_impedance.diagnosis.heterogeneity.correlations import CorrelationTest
+from bayes_impedance.diagnosis.heterogeneity.subgroups import Subgroup
+from bayes_impedance.diagnosis.heterogeneity.tests import ElementTrends, Structure
 from bayes_impedance.diagnosis.hum.line import Hum
 from bayes_impedance.diagnosis.next_experiment.expected_separation import best_sentence, separation
 from bayes_impedance.diagnosis.selection.stepwise import Found, Step, rivals
 from bayes_impedance.diagnosis.selection.unnamed import Realised
+from bayes_impedance.diagnosis.verdict_types import (
+    Alias,
+    EvidenceOfEffect,
+    Joint,
+    Kind,
+    Parameter,
+    Physics,
+    Subjects,
+)
 from bayes_impedance.units import number_with_unit as number
 
 _PROPOSALS = 4
+"""Closest rivals for which the separating measurement is computed: each takes as long as a refit of everybody."""
+
+_SIGNIFICANT_PAIR = 0.05
+"""Corrected level at which a pair of correlated elements is listed, where the test of all pairs is significant."""
 
 
-def parameters_of(rows: Sequence[Reported]) -> dict[str, dict[str, Any]]:
-    """Parameters for the verdict."""
-    return {
-        row.name: {
-            "unit": row.unit,
-            "median": row.median,
-            "q05": row.q05,
-            "q95": row.q95,
-            "dispersion": row.dispersion,
-        }
-        for row in rows
-    }
-
-
-def physics_entry(
+def effect_entry(
     found: Found,
     addition: int,
     posterior: CoefficientPosterior,
     gain: tuple[float, float | None] | None,
-    one_recording: bool,
-) -> dict[str, Any]:
-    """One effect that was found.
+    names: Sequence[str],
+    few_people: bool,
+    quick: bool,
+) -> Physics:
+    """An effect of the catalogue on the curves.
 
     Parameters
     ----------
@@ -59,8 +62,12 @@ def physics_entry(
     posterior : CoefficientPosterior
     gain : (float, float) or None
         On held-out people, with its standard error.
-    one_recording : bool
+    names : sequence of str
+        Of the people.
+    few_people : bool
         There are too few people to tell rig from body.
+    quick : bool
+        As for :func:`aliases_of`.
     """
     model = found.final.model
     item = model.additions[addition]
@@ -71,49 +78,57 @@ def physics_entry(
     rows = reported(model, addition, posterior, np.asarray(found.final.u[:, : model.n_elements].mean(axis=0)))
     column = model.columns(addition)[0] - model.n_elements
     dispersion = posterior.relative_dispersion[:, column]
-    if item.pooling == "shared" and not one_recording:
+    if item.pooling == "shared" and not few_people:
         dispersion = dispersion_of_shared(found.final, addition, 1)
-    interval = [float(q) for q in np.quantile(dispersion, (0.05, 0.95))] if not one_recording else None
+    interval = None
+    if not few_people:
+        low, high = (float(q) for q in np.quantile(dispersion, (0.05, 0.95)))
+        interval = (low, high)
     side: str | None = effect.side
-    if one_recording:
+    if few_people:
         side = None
     elif item.pooling != "shared" and verdict_on_side(dispersion) == "body":
         side = "body"
     step = found.step_of(item)
     z = _score_of(step, item.key) if step else float("nan")
     parameters = parameters_of(rows)
-    people: Any = "all"
+    people: Subjects = "all"
     if who is not None:
-        parameters["fraction"] = {
-            "unit": "",
-            "median": who.fraction,
-            "q05": who.q05,
-            "q95": who.q95,
-            "dispersion": None,
-        }
-        people = np.flatnonzero(who.probability > 0.5).tolist()
-    return {
-        "id": effect.id,
-        "name": effect.name,
-        "place": item.place,
-        "side": side,
-        "side_decided": side is not None and verdict_on_side(dispersion) == side,
-        "pooling": effect.pooling if effect.pooling == "some" else "shared" if item.pooling == "shared" else "varying",
-        "subjects": people,
-        "parameters": parameters,
-        "evidence": {
-            "score": float(z**2) if np.isfinite(z) else None,
-            "p_value": float(np.exp(step.screening.log_p(z))) if step and np.isfinite(z) else None,
-            "elpd_gain": None if gain is None else gain[0],
-            "elpd_gain_se": None if gain is None else gain[1],
-        },
-        "aliases": [],
-        "story": effect.story,
-        "formula": effect.formula,
-        "look_for": effect.look_for,
-        "source": effect.source,
-        "dispersion_interval": interval,
-    }
+        parameters["fraction"] = Parameter("", who.fraction, who.q05, who.q95, None)
+        people = _named(who.probability, names)
+    return Physics(
+        kind="effect",
+        id=effect.id,
+        name=effect.name,
+        place=item.place,
+        side=side,
+        side_decided=side is not None and verdict_on_side(dispersion) == side,
+        pooling=effect.pooling if effect.pooling == "some" else "shared" if item.pooling == "shared" else "varying",
+        subjects=people,
+        parameters=parameters,
+        evidence=EvidenceOfEffect(
+            score=float(z**2) if np.isfinite(z) else None,
+            p_value=float(np.exp(step.screening.log_p(z))) if step and np.isfinite(z) else None,
+            elpd_gain=None if gain is None else gain[0],
+            elpd_gain_se=None if gain is None else gain[1],
+        ),
+        aliases=() if step is None else aliases_of(step, quick),
+        story=effect.story,
+        formula=effect.formula,
+        look_for=effect.look_for,
+        source=effect.source,
+        dispersion_interval=interval,
+    )
+
+
+def parameters_of(rows: Sequence[Reported]) -> dict[str, Parameter]:
+    """Parameters for the verdict."""
+    return {row.name: Parameter(row.unit, row.median, row.q05, row.q95, row.dispersion) for row in rows}
+
+
+def _named(probability: np.ndarray, names: Sequence[str]) -> tuple[str, ...]:
+    """Names of those who more probably belong to a group than not."""
+    return tuple(names[i] for i in np.flatnonzero(probability > 0.5).tolist())
 
 
 def _of_members(posterior: CoefficientPosterior, column: int, who: Members) -> CoefficientPosterior:
@@ -132,7 +147,7 @@ def _score_of(step: Step, key: tuple[str, str, str]) -> float:
     return float(z.max(initial=0.0))
 
 
-def aliases(step: Step, quick: bool) -> list[dict[str, Any]]:
+def aliases_of(step: Step, quick: bool) -> tuple[Alias, ...]:
     """Rivals of what a step has chosen, the closest first, and what would separate them.
 
     One of the other side may be ahead (``elpd_behind`` below zero): sides go by whether people differ.
@@ -150,76 +165,148 @@ def aliases(step: Step, quick: bool) -> list[dict[str, Any]]:
         if not separated and k < _PROPOSALS and not quick:
             remedy = f"{best_sentence(separation(step.chosen.fit, trial.fit))}; usually: {remedy}"
         rows.append(
-            {
-                "id": trial.effect.id,
-                "name": trial.effect.name,
-                "place": trial.candidate.place,
-                "elpd_behind": behind,
-                "separated": separated,
-                "would_separate": remedy,
-            }
+            Alias(
+                id=trial.effect.id,
+                name=trial.effect.name,
+                place=trial.candidate.place,
+                elpd_behind=behind,
+                separated=separated,
+                would_separate=remedy,
+            )
         )
-    return rows
+    return tuple(rows)
 
 
-def unknown_entry(unknown: Realised, named: int) -> dict[str, Any]:
+def unknown_entry(unknown: Realised, named: int) -> Physics:
     """Entry for physics without a name: what stands in for it, beyond the additions that have names."""
     terms = unknown.trial.fit.model.additions[named:]
     addition = terms[0]
     formula = f"a small network {addition.effect.branch} {addition.effect.connection} the place"
     if len(terms) > 1:
         formula = "a sum of " + ", ".join(f"{t.effect.branch or t.effect.name} at {t.place}" for t in terms)
-    return {
-        "id": "unknown",
-        "name": "physics outside of the catalogue",
-        "place": addition.place,
-        "side": None,
-        "pooling": "shared" if addition.pooling == "shared" else "varying",
-        "parameters": {},
-        "evidence": {
-            "score": None,
-            "p_value": None,
-            "elpd_gain": unknown.gain,
-            "elpd_gain_se": unknown.gain_se,
-        },
-        "aliases": [],
-        "network": addition.effect.branch if len(terms) == 1 else "",
-        "connection": addition.effect.connection,
-        "formula": formula,
-        "story": "Something is missing that is not in the catalogue. A network that fits stands in for it.",
-    }
+    return Physics(
+        kind="unknown",
+        id="unknown",
+        name="physics outside of the catalogue",
+        place=addition.place,
+        side=None,
+        pooling="shared" if addition.pooling == "shared" else "varying",
+        parameters={},
+        evidence=EvidenceOfEffect(None, None, unknown.gain, unknown.gain_se),
+        network=addition.effect.branch if len(terms) == 1 else "",
+        connection=addition.effect.connection,
+        formula=formula,
+        story="Something is missing that is not in the catalogue. A network that fits stands in for it.",
+    )
 
 
-def hum_entry(hum: Hum, unit: str) -> dict[str, Any]:
+def hum_entry(hum: Hum, unit: str) -> Physics:
     """Entry for hum of the mains; its amplitude is that of the complex hum, of which each part has the rms found."""
-    amplitude = {
-        key: math.sqrt(2) * value for key, value in (("median", hum.amplitude), ("q05", hum.q05), ("q95", hum.q95))
-    }
-    structure = STRUCTURES["rig.mains"]
-    return {
-        "id": structure.id,
-        "name": f"{structure.name} at {number(hum.line_hz, 'Hz')}",
-        "place": "port",
-        "side": "rig",
-        "pooling": "shared",
-        "parameters": {"amplitude": {"unit": unit, **amplitude, "dispersion": 0.0}},
-        "evidence": {"score": None, "p_value": hum.p_value, "elpd_gain": None, "elpd_gain_se": None},
-        "aliases": [],
-        "story": structure.story,
-        "formula": structure.formula,
-        "look_for": structure.look_for,
-        "source": structure.source,
-        "frequencies_hz": list(hum.frequencies_hz),
-    }
+    middle, low, high = (math.sqrt(2) * value for value in (hum.amplitude, hum.q05, hum.q95))
+    entry = _of_population(
+        "hum",
+        "rig.mains",
+        "port",
+        {"amplitude": Parameter(unit, middle, low, high, 0.0)},
+        EvidenceOfEffect(None, hum.p_value, None, None),
+    )
+    return replace(entry, name=f"{entry.name} at {number(hum.line_hz, 'Hz')}", frequencies_hz=tuple(hum.frequencies_hz))
 
 
-def joint(found: Found) -> dict[str, Any]:
+def structure_entry(structure: Structure, elements: Sequence[str], names: Sequence[str]) -> Physics:
+    """Entry for a structure of the population: how elements are distributed.
+
+    Parameters
+    ----------
+    structure : Structure
+    elements : sequence of str
+        Of the network.
+    names : sequence of str
+        Of the people.
+    """
+    if isinstance(structure, ElementTrends):
+        return _trend_entry(structure)
+    if isinstance(structure, Subgroup):
+        return _subgroup_entry(structure, elements, names)
+    return _correlation_entry(structure)
+
+
+def _trend_entry(found: ElementTrends) -> Physics:
+    """Entry for elements that follow a covariate or the repetitions, the surest first."""
+    first, covariate = found.trends[0], found.covariate
+    kind, parameter = ("body.drift", "trend") if covariate is None else ("body.covariate", "slope")
+    unit = "per repetition" if covariate is None else "" if first.transform == "log" else f"per unit of {covariate}"
+    parameters = {
+        parameter if k == 0 else f"{parameter} of {row.element}": _shared(unit, row.estimate, row.q05, row.q95)
+        for k, row in enumerate(found.trends)
+    }
+    evidence = _evidence(first.statistic**2, first.p_corrected, found.gain, found.gain_se)
+    entry = _of_population("trend", kind, first.element, parameters, evidence)
+    name = entry.name if covariate is None else f"{first.element} follows {covariate}"
+    return replace(entry, name=name, covariate=covariate, elements=tuple(row.element for row in found.trends))
+
+
+def _subgroup_entry(group: Subgroup, elements: Sequence[str], names: Sequence[str]) -> Physics:
+    strongest = int(np.argmax(np.abs(group.shift)))
+    parameters = {
+        "fraction": _shared("", group.share, group.share_q05, group.share_q95),
+        "shift": _shared("", group.shift[strongest], group.shift_q05[strongest], group.shift_q95[strongest]),
+    }
+    place = group.element or elements[strongest]
+    evidence = _evidence(group.statistic, group.p_corrected, 0.5 * group.statistic - 2.0)
+    entry = _of_population("subgroup", "body.subgroup", place, parameters, evidence)
+    return replace(entry, subjects=_named(group.membership, names), elements=(place,))
+
+
+def _correlation_entry(test: CorrelationTest) -> Physics:
+    parameters = {
+        f"correlation of {pair.first} and {pair.second}": _shared("", pair.estimate, pair.q05, pair.q95)
+        for pair in test.pairs
+        if pair.p_corrected < _SIGNIFICANT_PAIR
+    }
+    gain = 0.5 * (test.statistic - test.degrees_of_freedom)
+    evidence = _evidence(test.statistic, test.p_corrected, gain)
+    return _of_population("correlation", "body.correlation", test.pairs[0].first, parameters, evidence)
+
+
+def _shared(unit: str, median: float, q05: float, q95: float) -> Parameter:
+    return Parameter(unit, float(median), float(q05), float(q95), 0.0)
+
+
+def _evidence(score: float, p_value: float, gain: float, se: float | None = None) -> EvidenceOfEffect:
+    """Evidence; a gain without a standard error is a likelihood ratio net of its parameters (Akaike), not held out."""
+    se = float(np.sqrt(2 * max(gain, 0.5))) if se is None else se
+    return EvidenceOfEffect(float(score), float(p_value), float(gain), se)
+
+
+def _of_population(
+    kind: Kind, structure: str, place: str, parameters: dict[str, Parameter], evidence: EvidenceOfEffect
+) -> Physics:
+    """Entry for what changes no formula, in the catalogue's words."""
+    said = STRUCTURES[structure]
+    return Physics(
+        kind=kind,
+        id=said.id,
+        name=said.name,
+        place=place,
+        side=said.side,
+        pooling=said.pooling,
+        parameters=parameters,
+        evidence=evidence,
+        story=said.story,
+        formula=said.formula,
+        look_for=said.look_for,
+        source=said.source,
+    )
+
+
+def joint_of(found: Found) -> Joint:
     """Correlations of all parameters in the joint posterior of several effects."""
     assert found.posterior is not None
     model = found.final.model
-    names = [
+    names = tuple(
         f"{model.additions[p.addition].effect.id} {p.name.split('.')[-2] if '.' in p.name else p.name}"
         for p in model.parameters
-    ]
-    correlation = np.corrcoef(found.posterior.central.T)
-    return {"parameters": names, "correlation": np.round(np.atleast_2d(correlation), 3).tolist()}
+    )
+    correlation = np.round(np.atleast_2d(np.corrcoef(found.posterior.central.T)), 3)
+    return Joint(names, tuple(tuple(row) for row in correlation.tolist()))

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from bayes_impedance.diagnosis.catalogue.effect import Coefficient, Effect
+from bayes_impedance.diagnosis.catalogue.effect import Candidate, Coefficient, Effect
 from bayes_impedance.diagnosis.fit.model import Model
 from bayes_impedance.diagnosis.selection.score_scan import Screening
 from bayes_impedance.diagnosis.selection.shortlist import ALPHA, best_shapes
 from bayes_impedance.diagnosis.selection.stepwise import Step, rivals
 from bayes_impedance.diagnosis.types import Ranked
+from bayes_impedance.diagnosis.verdict_types import Detectable
 from bayes_impedance.units import number_with_unit as number
 from bayes_impedance.units import unit_of
 
@@ -21,11 +20,11 @@ _POWER = 1.2816
 _RANKED = 40
 
 
-def detection_limits(model: Model, screening: Screening) -> tuple[list[dict[str, Any]], list[str]]:
+def detection_limits(model: Model, screening: Screening) -> tuple[tuple[Detectable, ...], tuple[str, ...]]:
     """The smallest effect of each kind that would have been found, and what no such recording could show."""
     level = critical_z(screening) + _POWER
     information = _information(screening)
-    groups: dict[tuple[str, str], list[tuple[float, Any]]] = {}
+    groups: dict[tuple[str, str], list[tuple[float, Candidate]]] = {}
     hidden: list[str] = []
     for k, candidate in enumerate(screening.candidates):
         groups.setdefault((candidate.effect.id, candidate.place), [])
@@ -47,17 +46,17 @@ def detection_limits(model: Model, screening: Screening) -> tuple[list[dict[str,
         unit = unit_of(first.unit, model.scales.unit) if first else ""
         value = above / (2 * np.pi) if unit == "Hz" else above
         limits.append(
-            {
-                "id": name,
-                "name": effect.name,
-                "place": place,
-                "parameter": first.name if first else "size",
-                "above": float(value),
-                "unit": unit,
-                "shape": {k: float(v) for k, v in candidate.shape.items()},
-            }
+            Detectable(
+                id=name,
+                name=effect.name,
+                place=place,
+                parameter=first.name if first else "size",
+                above=float(value),
+                unit=unit,
+                shape={k: float(v) for k, v in candidate.shape.items()},
+            )
         )
-    return limits, hidden
+    return tuple(limits), tuple(hidden)
 
 
 def _information(screening: Screening) -> np.ndarray:

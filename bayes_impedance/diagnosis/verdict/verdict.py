@@ -1,11 +1,10 @@
-"""The verdict: what was found in the words and numbers of ``verdict.json``."""
+"""The verdict: what was found, put together from the search, the tests and the models before and after."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from importlib.metadata import version
-from typing import Any
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from bayes_impedance.diagnosis.fit.fitter import Refit
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
 from bayes_impedance.diagnosis.folds import FOLDS
 from bayes_impedance.diagnosis.heterogeneity.gain import HELD_OUT
+from bayes_impedance.diagnosis.heterogeneity.tests import Structure
 from bayes_impedance.diagnosis.hum.line import Hum
 from bayes_impedance.diagnosis.residuals.locate import Location
 from bayes_impedance.diagnosis.selection.cross_validation import HeldOut
@@ -21,20 +21,33 @@ from bayes_impedance.diagnosis.selection.identifiability import felt
 from bayes_impedance.diagnosis.selection.stepwise import Found
 from bayes_impedance.diagnosis.selection.unnamed import Realised
 from bayes_impedance.diagnosis.types import Snapshot
-from bayes_impedance.diagnosis.verdict.entries import hum_entry, joint, unknown_entry
+from bayes_impedance.diagnosis.verdict.entries import effect_entry, hum_entry, joint_of, structure_entry, unknown_entry
 from bayes_impedance.diagnosis.verdict.ranking import detection_limits
 from bayes_impedance.diagnosis.verdict.sentence import sentence
+from bayes_impedance.diagnosis.verdict_types import (
+    BlockGain,
+    Improvement,
+    Located,
+    LocatedBand,
+    Pair,
+    ParameterDifference,
+    Physics,
+    Verdict,
+    Where,
+)
 from bayes_impedance.recordings.files import Recordings
 
-SCHEMA = 1
-
 _LINE_WIDTH = 0.01
+"""A band of hum reaches at least so far around its point, relative: on a dense grid it would have no width."""
+
+_SIGNIFICANT_DIFFERENCE = 0.05
+"""Corrected level at which an element is said to differ between simulation and recordings."""
 
 FEW_PEOPLE = 3
 """With fewer people nobody can tell rig from body."""
 
 
-def change_of(after: Refit, residuals: Sequence[PersonResiduals]) -> tuple[str, list[list[float]]]:
+def change_of(after: Refit, residuals: Sequence[PersonResiduals]) -> tuple[str, tuple[Pair, ...]]:
     """In which part an explanation acts, and where what no element can imitate of it exceeds half of its peak."""
     size: np.ndarray | None = None
     parts = np.zeros(2)
@@ -62,69 +75,50 @@ def change_of(after: Refit, residuals: Sequence[PersonResiduals]) -> tuple[str, 
     return ("magnitude" if share > 0.8 else "phase" if share < 0.2 else "both"), bands
 
 
-def reach_of(fit: Refit, elements: Sequence[str], residuals: Sequence[PersonResiduals]) -> list[list[float]]:
+def reach_of(fit: Refit, elements: Sequence[str], residuals: Sequence[PersonResiduals]) -> tuple[Pair, ...]:
     """Where a change of some elements moves the recordings, over the noise, by half of the most that it does."""
     columns = [fit.model.network.elements.index(e) for e in elements]
     return _half_of_peak(*felt(fit, columns, residuals))
 
 
-def _half_of_peak(grid: np.ndarray, size: np.ndarray) -> list[list[float]]:
+def _half_of_peak(grid: np.ndarray, size: np.ndarray) -> tuple[Pair, ...]:
     """Bands in which a smoothed size (F,) exceeds half of its largest value."""
     width = max(3, size.size // 40)
     smooth = np.sqrt(np.convolve(size**2, np.ones(width) / width, mode="same"))
     inside = np.concatenate([[False], smooth > 0.5 * smooth.max(), [False]]).astype(int)
     edges = np.diff(inside)
     ends = zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True)
-    return [[float(grid[a]), float(grid[b - 1])] for a, b in ends]
+    return tuple((float(grid[a]), float(grid[b - 1])) for a, b in ends)
 
 
-def where(
-    location: Location, side: str | None, subjects: Any, covariate: str | None, place: str | None
-) -> dict[str, Any]:
-    """Where the mismatch is."""
-    bands = _merged([[float(b.low_hz), float(b.high_hz)] for b in location.bands])
-    return {
-        "bands_hz": bands,
-        "part": location.part,
-        "place": place,
-        "side": side,
-        "subjects": subjects,
-        "covariate": covariate,
-    }
-
-
-def _merged(bands: list[list[float]]) -> list[list[float]]:
-    result: list[list[float]] = []
+def _merged(bands: Sequence[Pair]) -> tuple[Pair, ...]:
+    """Bands in ascending order, those that touch or overlap as one."""
+    result: list[Pair] = []
     for low, high in sorted(bands):
         if result and low <= result[-1][1] * 1.0001:
-            result[-1][1] = max(result[-1][1], high)
+            result[-1] = (result[-1][0], max(result[-1][1], high))
         else:
-            result.append([low, high])
-    return result
+            result.append((low, high))
+    return tuple(result)
 
 
-def improvement(before: Snapshot, after: Snapshot, gain: HeldOut | None) -> dict[str, Any]:
+def improvement(before: Snapshot, after: Snapshot, gain: HeldOut | None) -> Improvement:
     """What the additions change, on what was fitted and on what was held out."""
 
-    def pair(value: Any) -> list[float]:
-        return [float(value(before)), float(value(after))]
+    def pair(value: Callable[[Snapshot], float]) -> Pair:
+        return float(value(before)), float(value(after))
 
-    errors: dict[str, Any] = {
-        "delta_magnitude": pair(lambda s: np.nanmean(s.delta_magnitude)),
-        "delta_phase_deg": pair(lambda s: np.nanmean(s.delta_phase_deg)),
-        "subject_rms_relative": pair(lambda s: np.median(s.subject_rms_relative)),
-        "coverage90": pair(lambda s: np.nanmean(s.coverage90)),
-    }
-    if gain is None:
-        return errors | {"elpd_gain": None, "elpd_gain_se": None, "held_out": "nothing: spoilt points were left out"}
-    people = gain.people is not None
-    return errors | {
-        "elpd_gain": gain.people if people else gain.blocks,
-        "elpd_gain_se": gain.people_se if people else gain.blocks_se,
-        "elpd_gain_blocks": gain.blocks,
-        "elpd_gain_blocks_se": gain.blocks_se,
-        "held_out": gain.described,
-    }
+    people = gain is not None and gain.people is not None
+    return Improvement(
+        delta_magnitude=pair(lambda s: np.nanmean(s.delta_magnitude)),
+        delta_phase_deg=pair(lambda s: np.nanmean(s.delta_phase_deg)),
+        subject_rms_relative=pair(lambda s: np.median(s.subject_rms_relative)),
+        coverage90=pair(lambda s: np.nanmean(s.coverage90)),
+        elpd_gain=None if gain is None else gain.people if people else gain.blocks,
+        elpd_gain_se=None if gain is None else gain.people_se if people else gain.blocks_se,
+        blocks=None if gain is None else BlockGain(gain.blocks, gain.blocks_se),
+        held_out="nothing: spoilt points were left out" if gain is None else gain.described,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,39 +128,56 @@ class Evidence:
     Attributes
     ----------
     found : Found
+        Effects of the catalogue.
+    gains : tuple of (float, float or None) or None
+        Of each of them on held-out people, with its standard error; None where it was not computed.
+    unknown : Realised or None
+        Physics outside of the catalogue.
+    structures : tuple of Structure
+        How elements are distributed.
+    hum : Hum or None
     location : Location
         Of the mismatch before anything was added.
-    entries, structures : list of dict
-        Effects on the curves, and on how elements are distributed.
-    unknown : Realised or None
-    hum : Hum or None
     gain : HeldOut or None
         Of everything that was added.
     before : Snapshot
     after : Snapshot or None
-    changed : Refit or None
-        The model with everything that was added.
-    remarks : list of str
     spoilt : Snapshot or None
         With the points that hum has spoilt, where there are any.
+    differences : tuple of ParameterDifference or None
+        From a claimed simulation.
+    remarks : tuple of str
+    quick : bool
+        Quote the catalogue on what would separate rivals, and compute nothing for it.
     """
 
     found: Found
-    location: Location
-    entries: list[dict[str, Any]]
-    structures: list[dict[str, Any]]
+    gains: tuple[tuple[float, float | None] | None, ...]
     unknown: Realised | None
+    structures: tuple[Structure, ...]
     hum: Hum | None
+    location: Location
     gain: HeldOut | None
     before: Snapshot
     after: Snapshot | None
-    changed: Refit | None
-    remarks: list[str]
     spoilt: Snapshot | None
+    differences: tuple[ParameterDifference, ...] | None
+    remarks: tuple[str, ...]
+    quick: bool
+
+    @property
+    def final(self) -> Refit:
+        """The model with everything that was added, unknown physics too."""
+        return self.found.final if self.unknown is None else self.unknown.trial.fit
+
+    @property
+    def changed(self) -> bool:
+        """Whether anything was added to the network."""
+        return self.final is not self.found.base
 
 
-def make_verdict(recordings: Recordings, fitted: Fitted, evidence: Evidence, seed: int) -> dict[str, Any]:
-    """Content of ``verdict.json``.
+def make_verdict(recordings: Recordings, fitted: Fitted, evidence: Evidence, seed: int) -> Verdict:
+    """What is to be said of the recordings.
 
     Parameters
     ----------
@@ -175,103 +186,121 @@ def make_verdict(recordings: Recordings, fitted: Fitted, evidence: Evidence, see
     evidence : Evidence
     seed : int
     """
-    found, location, hum, after = evidence.found, evidence.location, evidence.hum, evidence.after
-    unknown, before = evidence.unknown, evidence.before
-    physics = list(evidence.entries)
-    unexplained = None
-    if unknown is not None:
-        unexplained = unknown_entry(unknown, len(found.final.model.additions))
-        physics.append(unexplained)
-    physics += evidence.structures
-    if hum is not None:
-        physics.append(hum_entry(hum, recordings.unit))
-    physics.sort(key=lambda e: e["id"] == "unknown" and len(physics) > 1)
-    mismatch = bool(physics)
-    lead = physics[0] if physics else None
+    found, before, after = evidence.found, evidence.before, evidence.after
+    network, physics = found.base.model.network, _physics(recordings, evidence)
     limits, hidden = detection_limits(found.base.model, found.steps[0].screening)
-    people: Any = "all" if location.subjects == "all" else list(location.subjects)
-    if lead is not None and lead.get("subjects", "all") != "all":
-        people = [recordings.names[i] for i in lead["subjects"]]
-    for entry in physics:
-        if entry.get("subjects", "all") != "all":
-            entry["subjects"] = [recordings.names[i] for i in entry["subjects"]]
-    covariate = next((e["covariate"] for e in physics if e.get("covariate")), None)
-    place = lead["place"] if lead else None
-    spot = where(location, lead["side"] if lead else None, people, covariate, place)
-    if evidence.changed is not None:
-        spot["part"], bands = change_of(evidence.changed, found.steps[0].residuals)
-        spot["bands_hz"] = spot["bands_hz"] or bands
-    elif lead is not None and lead.get("elements"):
-        spot["bands_hz"] = reach_of(found.base, lead["elements"], found.steps[0].residuals)
-    if lead is not None and lead["id"] == "rig.mains" and hum is not None:
+    effects = [entry for entry in physics if entry.kind == "effect"]
+    differences = evidence.differences
+    verdict = Verdict(
+        summary="",
+        where=_where(evidence, physics),
+        located=_located(evidence.location),
+        physics=physics,
+        improvement=_improvement(evidence, physics),
+        network=(str(network), after.network if after is not None else str(before.network)),
+        detectable=limits,
+        not_identifiable=("gain", *hidden),
+        elements_not_identified=tuple(
+            e for e, known in zip(network.elements, fitted.determined, strict=True) if not known
+        ),
+        seed=seed,
+        data_sha256=recordings.sha256,
+        title=recordings.title,
+        unit=recordings.unit,
+        reliable=bool(found.base.settled),
+        remarks=(*fitted.remarks, *evidence.remarks, *_limits_of_few(recordings)),
+        version=version("bayes_impedance"),
+        joint=joint_of(found) if len(effects) > 1 else None,
+        parameters_differ=None
+        if differences is None
+        else tuple(d for d in differences if d.p_value < _SIGNIFICANT_DIFFERENCE),
+    )
+    return replace(verdict, summary=sentence(verdict, len(recordings.subjects)))
+
+
+def _physics(recordings: Recordings, evidence: Evidence) -> tuple[Physics, ...]:
+    """All entries: effects of the catalogue, structures of the population, hum, and last what has no name."""
+    found, names = evidence.found, recordings.names
+    entries = []
+    if found.posterior is not None:
+        few = len(names) < FEW_PEOPLE
+        first = len(found.base.model.additions)
+        for i, gain in enumerate(evidence.gains, first):
+            entries.append(effect_entry(found, i, found.posterior, gain, names, few, evidence.quick))
+    elements = found.base.model.network.elements
+    entries += [structure_entry(structure, elements, names) for structure in evidence.structures]
+    if evidence.hum is not None:
+        entries.append(hum_entry(evidence.hum, recordings.unit))
+    if evidence.unknown is not None:
+        entries.append(unknown_entry(evidence.unknown, len(found.final.model.additions)))
+    return tuple(entries)
+
+
+def _where(evidence: Evidence, physics: tuple[Physics, ...]) -> Where:
+    """Where the mismatch is: as the first entry says, in the bands that were located, or in those where it acts."""
+    location, hum, found = evidence.location, evidence.hum, evidence.found
+    if not physics:
+        return Where(bands_hz=(), part=location.part, place=None, side=None, subjects="all", covariate=None)
+    lead, residuals = physics[0], found.steps[0].residuals
+    part: str = location.part
+    bands = _merged([(float(b.low_hz), float(b.high_hz)) for b in location.bands])
+    if evidence.changed:
+        part, acting = change_of(evidence.final, residuals)
+        bands = bands or acting
+    elif lead.elements:
+        bands = reach_of(found.base, lead.elements, residuals)
+    if lead.kind == "hum" and hum is not None:
         near = max(hum.near, _LINE_WIDTH)
-        spot["bands_hz"] = _merged([[f * (1 - near), f * (1 + near)] for f in hum.frequencies_hz])
-    determined = fitted.determined
-    notes = [*fitted.remarks, *evidence.remarks, *_limits_of_few(recordings)]
-    verdict: dict[str, Any] = {
-        "schema": SCHEMA,
-        "mismatch": mismatch,
-        "summary": "",
-        "where": spot if mismatch else where(location, None, "all", None, None) | {"bands_hz": []},
-        "located": _located(location),
-        "physics": physics,
-        "improvement": _improvement(evidence),
-        "network": [str(found.base.model.network), after.network if after is not None else str(before.network)],
-        "unexplained": unexplained,
-        "detectable": limits,
-        "not_identifiable": ["gain", *hidden],
-        "elements_not_identified": [
-            e for e, d in zip(found.base.model.network.elements, determined, strict=True) if not d
-        ],
-        "seed": seed,
-        "data_sha256": recordings.sha256,
-        "title": recordings.title,
-        "unit": recordings.unit,
-        "reliable": bool(found.base.settled),
-        "remarks": notes,
-        "version": version("bayes_impedance"),
-    }
-    if found.posterior is not None and len(evidence.entries) > 1:
-        verdict["joint"] = joint(found)
-    verdict["summary"] = sentence(verdict, len(recordings.subjects))
-    return verdict
+        bands = _merged([(f * (1 - near), f * (1 + near)) for f in hum.frequencies_hz])
+    return Where(
+        bands_hz=bands,
+        part=part,
+        place=lead.place,
+        side=lead.side,
+        subjects=location.subjects if lead.subjects == "all" else lead.subjects,
+        covariate=next((entry.covariate for entry in physics if entry.covariate), None),
+    )
 
 
-def _located(location: Location) -> dict[str, Any]:
+def _located(location: Location) -> Located:
     """Where structure was left before anything was added: every band by itself."""
-    return {
-        "p_value": location.p_value,
-        "bands": [
-            {
-                "low_hz": band.low_hz,
-                "high_hz": band.high_hz,
-                "part": band.part,
-                "kind": band.kind,
-                "z": band.statistic,
-                "p_value": band.p_value,
-            }
+    return Located(
+        p_value=location.p_value,
+        bands=tuple(
+            LocatedBand(
+                low_hz=band.low_hz,
+                high_hz=band.high_hz,
+                part=band.part,
+                kind=band.kind,
+                z=band.statistic,
+                p_value=band.p_value,
+            )
             for band in location.bands
-        ],
-        "magnitude_share": location.magnitude_share if np.isfinite(location.magnitude_share) else None,
-        "subjects_p_value": location.subjects_p_value,
-    }
+        ),
+        magnitude_share=location.magnitude_share if np.isfinite(location.magnitude_share) else None,
+        subjects_p_value=location.subjects_p_value,
+    )
 
 
-def _improvement(evidence: Evidence) -> dict[str, Any] | None:
+def _improvement(evidence: Evidence, physics: tuple[Physics, ...]) -> Improvement | None:
     before, after = evidence.spoilt or evidence.before, evidence.after
     if after is not None:
         return improvement(before, after, evidence.gain)
     if evidence.spoilt is not None:
         return improvement(before, evidence.before, None)
-    gains = [(e["evidence"]["elpd_gain"], e["evidence"]["elpd_gain_se"]) for e in evidence.structures]
-    if not gains:
+    if not evidence.structures:
         return None
     # What people have in common changes: everybody's own fit is what it was, and new people are predicted better.
-    total, se = sum(g for g, _ in gains), float(np.sqrt(sum(s**2 for _, s in gains)))
-    same = improvement(before, before, None)
-    ratios = [e["id"] for e in evidence.structures if e["id"] not in HELD_OUT]
+    gains = [e.evidence.elpd_gain for e in physics if e.evidence.elpd_gain is not None]
+    errors = [e.evidence.elpd_gain_se for e in physics if e.evidence.elpd_gain_se is not None]
+    ratios = [entry.id for entry in physics if entry.id not in HELD_OUT]
     held_out = f"{FOLDS} subject folds" + (f"; a likelihood ratio for {' and '.join(ratios)}" if ratios else "")
-    return same | {"elpd_gain": total, "elpd_gain_se": se, "held_out": held_out}
+    return replace(
+        improvement(before, before, None),
+        elpd_gain=sum(gains),
+        elpd_gain_se=float(np.sqrt(sum(se**2 for se in errors))),
+        held_out=held_out,
+    )
 
 
 def _limits_of_few(recordings: Recordings) -> list[str]:

@@ -21,7 +21,6 @@ from bayes_impedance.diagnosis.catalogue.effect import (
 )
 from bayes_impedance.diagnosis.catalogue.population_structure import STRUCTURES
 from bayes_impedance.diagnosis.fit.coefficient_posterior import coefficient_posterior
-from bayes_impedance.units import unit_of
 from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
 from bayes_impedance.diagnosis.selection.finalists import finalists
 from bayes_impedance.diagnosis.selection.score_scan import screen
@@ -29,6 +28,7 @@ from bayes_impedance.diagnosis.selection.shortlist import try_shortlist
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
+from bayes_impedance.units import unit_of
 
 IDS = (
     "rig.mass",

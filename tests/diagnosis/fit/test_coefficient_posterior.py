@@ -17,7 +17,6 @@ from bayes_impedance.diagnosis.catalogue.effect import Effect
 from bayes_impedance.diagnosis.fit.coefficient_posterior import (
     coefficient_posterior,
     reported,
-    unit_of,
     verdict_on_side,
 )
 from bayes_impedance.diagnosis.fit.fitter import Refit

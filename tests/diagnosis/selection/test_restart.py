@@ -121,6 +121,6 @@ def test_a_verdict_without_a_name_is_looked_at_again() -> None:
         assert gained(None) < 0.3 * true
         assert gained(begin) > 0.98 * true
     verdict = diagnose(recordings, effects=candidates, seed=1, quick=True).verdict
-    assert [p["id"] for p in verdict["physics"]] == ["rig.highpass"]
-    corner = verdict["physics"][0]["parameters"]["corner"]
-    assert corner["q05"] < experiment.case.values["corner"] < corner["q95"]
+    assert [entry.id for entry in verdict.physics] == ["rig.highpass"]
+    corner = verdict.physics[0].parameters["corner"]
+    assert corner.q05 < experiment.case.values["corner"] < corner.q95

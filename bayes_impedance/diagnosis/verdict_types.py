@@ -1,0 +1,381 @@
+"""The verdict as a tree of values: what ``verdict.json`` says, with a type for each of its parts.
+
+:mod:`bayes_impedance.diagnosis.verdict` makes the tree, :mod:`bayes_impedance.diagnosis.verdict_file` writes and reads
+it, and whoever shows a verdict reads its attributes. Fields are named as in the file. What the file leaves out for
+some kinds of verdict has a value here that means the same for all (``subjects`` is "all", ``elements`` is empty).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+Subjects = Literal["all"] | tuple[str, ...]
+"""Names of people, or everybody."""
+
+Kind = Literal["effect", "hum", "trend", "subgroup", "correlation", "unknown"]
+"""What an entry of the verdict's physics is: an effect of the catalogue on the curves; hum of the mains; elements that
+follow a covariate or the repetitions; a group of people; elements that vary together; physics outside of the catalogue.
+"""
+
+Pair = tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Where:
+    """Where the mismatch is.
+
+    Attributes
+    ----------
+    bands_hz : tuple of (float, float)
+        Disjoint, ascending; empty if there is no mismatch.
+    part : {"magnitude", "phase", "both"}
+    place : str or None
+        Of the first entry of the physics.
+    side : {"rig", "body"} or None
+        Of the first entry; None if not decided.
+    subjects : "all" or tuple of str
+    covariate : str or None
+        Which the elements follow.
+    """
+
+    bands_hz: tuple[Pair, ...]
+    part: str
+    place: str | None
+    side: str | None
+    subjects: Subjects
+    covariate: str | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class LocatedBand:
+    """A band with structure in the residuals of the network alone.
+
+    Attributes
+    ----------
+    low_hz, high_hz : float
+    part : {"magnitude", "phase"}
+    kind : {"coherent", "incoherent"}
+        Whether everybody has the same structure.
+    z : float
+        Standard deviations from nothing.
+    p_value : float
+        Corrected for everything that was tried.
+    """
+
+    low_hz: float
+    high_hz: float
+    part: str
+    kind: str
+    z: float
+    p_value: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Located:
+    """Structure in the residuals of the network alone, before anything was added.
+
+    Attributes
+    ----------
+    p_value : float
+        That there is none.
+    bands : tuple of LocatedBand
+        Most significant first.
+    magnitude_share : float or None
+        Part of the structure that is in magnitude; None if there is no structure.
+    subjects_p_value : float
+        Largest corrected p-value of a named person; 1 if nobody is named.
+    """
+
+    p_value: float
+    bands: tuple[LocatedBand, ...]
+    magnitude_share: float | None
+    subjects_p_value: float
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of an effect: median and 90 % interval in its unit.
+
+    Attributes
+    ----------
+    unit : str
+    median, q05, q95 : float
+    dispersion : float or None
+        Relative standard deviation between people; 0 if the parameter is shared, None if it was not estimated.
+    """
+
+    unit: str
+    median: float
+    q05: float
+    q95: float
+    dispersion: float | None
+
+
+@dataclass(frozen=True)
+class EvidenceOfEffect:
+    """Why an effect is believed; None for what its kind does not have.
+
+    Attributes
+    ----------
+    score : float or None
+        Chi-square statistic of the screening.
+    p_value : float or None
+        Corrected for everything that was tried.
+    elpd_gain, elpd_gain_se : float or None
+        Expected log predictive density gained on held-out people, with its standard error.
+    """
+
+    score: float | None
+    p_value: float | None
+    elpd_gain: float | None
+    elpd_gain_se: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Alias:
+    """Another explanation of the same structure.
+
+    Attributes
+    ----------
+    id, name, place : str
+    elpd_behind : float
+        By how much it explains the recordings worse, in natural logarithms; below zero if it explains them better.
+    separated : bool
+        Whether the recordings tell the two apart.
+    would_separate : str
+        The measurement that would.
+    """
+
+    id: str
+    name: str
+    place: str
+    elpd_behind: float
+    separated: bool
+    would_separate: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Physics:
+    """One thing that was left out.
+
+    Attributes
+    ----------
+    kind : Kind
+        Says which fields the file has (:data:`~bayes_impedance.diagnosis.verdict_file.PHYSICS_KEYS`).
+    id, name : str
+        Of the catalogue, or ``unknown``.
+    place : str
+        Where in the network; of a structure of the population, the element it concerns most.
+    side : {"rig", "body"} or None
+        None if not decided.
+    pooling : {"shared", "varying", "some"}
+    parameters : mapping of str to Parameter
+    evidence : EvidenceOfEffect
+    aliases : tuple of Alias
+        The closest first.
+    story, formula : str
+    look_for, source : str
+        Empty for unknown physics.
+    side_decided : bool
+        Whether the spread between people agrees with the side.
+    subjects : "all" or tuple of str
+        Who has it.
+    dispersion_interval : (float, float) or None
+        90 % interval of the relative spread between people; None if it was not estimated.
+    covariate : str or None
+        Which elements follow.
+    elements : tuple of str
+        Which follow a covariate or the repetitions, or differ in a group; the surest first.
+    frequencies_hz : tuple of float
+        Points that hum has spoilt.
+    network, connection : str
+        Of unknown physics: notation of the network that stands in (empty for a sum of several), and its connection.
+    """
+
+    kind: Kind
+    id: str
+    name: str
+    place: str
+    side: str | None
+    pooling: str
+    parameters: Mapping[str, Parameter]
+    evidence: EvidenceOfEffect
+    aliases: tuple[Alias, ...] = ()
+    story: str
+    formula: str
+    look_for: str = ""
+    source: str = ""
+    side_decided: bool = True
+    subjects: Subjects = "all"
+    dispersion_interval: Pair | None = None
+    covariate: str | None = None
+    elements: tuple[str, ...] = ()
+    frequencies_hz: tuple[float, ...] = ()
+    network: str = ""
+    connection: str = ""
+
+
+@dataclass(frozen=True)
+class BlockGain:
+    """Expected log predictive density gained on left-out blocks of frequencies; None if they were not left out."""
+
+    gain: float | None
+    se: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Improvement:
+    """What the additions change, each as (before, after), and what they gain on held-out recordings.
+
+    Attributes
+    ----------
+    delta_magnitude, delta_phase_deg : (float, float)
+        Eq. 5 of the population network, mean over frequency.
+    subject_rms_relative : (float, float)
+        Relative error of the median person's own network.
+    coverage90 : (float, float)
+        Share of recordings inside the predicted 90 % band.
+    elpd_gain, elpd_gain_se : float or None
+        On what `held_out` says.
+    blocks : BlockGain or None
+        None where nothing was fitted again to a part of the recordings.
+    held_out : str
+        What was held out, for a reader.
+    """
+
+    delta_magnitude: Pair
+    delta_phase_deg: Pair
+    subject_rms_relative: Pair
+    coverage90: Pair
+    elpd_gain: float | None
+    elpd_gain_se: float | None
+    blocks: BlockGain | None
+    held_out: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Detectable:
+    """The smallest effect of one kind at one place that would have been found.
+
+    Attributes
+    ----------
+    id, name, place : str
+    parameter : str
+        Whose size is meant.
+    above : float
+        Found nine times out of ten from here on.
+    unit : str
+    shape : mapping of str to float
+        Nonlinear parameters at which the limit holds.
+    """
+
+    id: str
+    name: str
+    place: str
+    parameter: str
+    above: float
+    unit: str
+    shape: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Joint:
+    """Correlations (P, P) of P parameters in the joint posterior of several effects."""
+
+    parameters: tuple[str, ...]
+    correlation: tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParameterDifference:
+    """How an element differs between simulation and recordings.
+
+    Attributes
+    ----------
+    element, unit : str
+    what : str
+        ``central`` or ``dispersion_between_persons`` or ``dispersion_between_repetitions``.
+    simulation, recordings : float
+    ratio, q05, q95 : float
+        Recordings over simulation, with its 90 % interval.
+    p_value : float
+        Corrected for all that were compared.
+    """
+
+    element: str
+    unit: str
+    what: str
+    simulation: float
+    recordings: float
+    ratio: float
+    q05: float
+    q95: float
+    p_value: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """What a diagnosis says.
+
+    Attributes
+    ----------
+    summary : str
+        One sentence.
+    where : Where
+    located : Located
+    physics : tuple of Physics
+        What was left out, unknown physics last; empty if nothing is missing.
+    improvement : Improvement or None
+        None if nothing is missing.
+    network : (str, str)
+        Notation before and after.
+    detectable : tuple of Detectable
+    not_identifiable : tuple of str
+        What no such recording can show.
+    elements_not_identified : tuple of str
+    seed : int
+    data_sha256 : str
+        Empty if the recordings did not come from a file.
+    title, unit : str
+        Of the recordings.
+    reliable : bool
+        Whether the network's fit came to rest.
+    remarks : tuple of str
+    version : str
+        Of this package.
+    joint : Joint or None
+        None unless several effects of the catalogue were found.
+    parameters_differ : tuple of ParameterDifference or None
+        What differs significantly from a claimed simulation; None without one.
+    """
+
+    summary: str
+    where: Where
+    located: Located
+    physics: tuple[Physics, ...]
+    improvement: Improvement | None
+    network: tuple[str, str]
+    detectable: tuple[Detectable, ...]
+    not_identifiable: tuple[str, ...]
+    elements_not_identified: tuple[str, ...]
+    seed: int
+    data_sha256: str
+    title: str
+    unit: str
+    reliable: bool
+    remarks: tuple[str, ...]
+    version: str
+    joint: Joint | None = None
+    parameters_differ: tuple[ParameterDifference, ...] | None = None
+
+    @property
+    def mismatch(self) -> bool:
+        """Whether anything is missing."""
+        return bool(self.physics)
+
+    @property
+    def unexplained(self) -> Physics | None:
+        """The entry of physics outside of the catalogue, if there is one."""
+        return next((entry for entry in self.physics if entry.kind == "unknown"), None)
