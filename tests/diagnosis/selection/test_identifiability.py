@@ -222,6 +222,14 @@ def test_names_at_different_places_in_different_bands_stay(remains: bool) -> Non
     assert_kept(result, result.held(remains))
 
 
+@pytest.mark.parametrize("remains", [False, True])
+def test_two_names_at_one_place_in_different_bands_stay(remains: bool) -> None:
+    """Tissue that moves along is felt at high frequencies, a power law beside it at lower ones."""
+    result = searched(("mass", "power_law"), ("mass", "power law"))
+    assert result.names == [("body.mass", "port"), ("body.springpot", "port")]
+    assert_kept(result, result.held(remains))
+
+
 def test_too_few_people_take_no_name_back() -> None:
     """Of nine people nobody can be held out."""
     result = searched(("power_law",), ("relaxation",), many_places=True)
