@@ -96,6 +96,8 @@ def test_nothing_is_found_where_nothing_is_missing(seed: int) -> None:
     assert result.final is result.base
     assert result.posterior is None
     assert [step.chosen for step in result.steps] == [None]
+    # Refits are made only of what is significant after correction for all that were looked at.
+    assert (result.steps[0].trials == ()) == (result.steps[0].log_p >= np.log(ALPHA))
 
 
 @pytest.mark.parametrize(

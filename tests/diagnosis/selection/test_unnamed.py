@@ -118,7 +118,13 @@ def nail(s: np.ndarray, z: np.ndarray, rng: np.random.Generator) -> tuple[np.nda
     return z + 1 / (1 / (s * mass) + 1 / (damping + stiffness / s)), np.zeros(len(z))
 
 
-HIDDEN = {"layer": layer, "nail": nail, "nothing": None}
+def layer_of_one(s: np.ndarray, z: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """The same layer, and only the first person has it."""
+    first = (np.arange(len(z)) == 0)[:, None, None]
+    return np.where(first, layer(s, z, rng)[0], z), np.zeros(len(z))
+
+
+HIDDEN = {"layer": layer, "nail": nail, "layer of one": layer_of_one, "nothing": None}
 
 
 def stand_in(hidden: str, n: int, seed: int = 1, frequency_hz: np.ndarray = FREQUENCY) -> tuple[Refit, Realised | None]:
@@ -162,6 +168,13 @@ def test_a_branch_outside_of_the_catalogue_is_stood_in_for(hidden: str, n: int) 
 @pytest.mark.parametrize(("n", "seed"), [(20, 1), (6, 1), (6, 2)])
 def test_nothing_stands_in_for_noise(n: int, seed: int) -> None:
     assert stand_in("nothing", n, seed)[1] is None
+
+
+def test_what_a_single_person_has_is_not_stood_in_for() -> None:
+    """The gain of one among twenty is no surer than that one person: it is that person's, not the population's."""
+    fit, realised = stand_in("layer of one", 20)
+    assert mean_square(fit)[0] > 1.5
+    assert realised is None
 
 
 @pytest.mark.xfail(
