@@ -1,4 +1,4 @@
-"""Person likelihoods that are made from a fit, against direct formulas, and the verdict's entries from recordings."""
+"""Person likelihoods that are made from a fit, against direct formulas, and the structures found in recordings."""
 
 from __future__ import annotations
 
@@ -7,11 +7,14 @@ from collections.abc import Callable
 import numpy as np
 from experiments import TOY, Experiment, toy
 
+from bayes_impedance.diagnosis.heterogeneity.correlations import CorrelationTest
+from bayes_impedance.diagnosis.heterogeneity.subgroups import Subgroup
 from bayes_impedance.diagnosis.heterogeneity.tests import (
+    ElementTrends,
     covariates_of,
+    find_structures,
     person_likelihoods,
     repetition_likelihoods,
-    structure_entries,
 )
 from bayes_impedance.recordings.dataset import Recordings, Subject
 
@@ -47,7 +50,7 @@ def recordings(experiment: Experiment, force: np.ndarray | None = None) -> Recor
 
 def entries(experiment: Experiment, force: np.ndarray | None = None, diagonal: bool = False):
     fit = experiment.refitter.fit(experiment.model, experiment.u, experiment.population, 80)
-    return structure_entries(fit, recordings(experiment, force), diagonal, 1)
+    return find_structures(fit, recordings(experiment, force), diagonal, 1)
 
 
 def test_deviations_between_repetitions_are_integrated_out() -> None:
@@ -80,42 +83,43 @@ def test_repetitions_are_likelihoods_of_the_deviation_from_the_person() -> None:
 
 def test_where_nothing_is_missing_there_is_no_entry() -> None:
     found, remarks = entries(toy(*TOY, seed=3, n=N, repetitions=3), FORCE, diagonal=True)
-    assert found == []
+    assert found == ()
     assert remarks == []
 
 
 def test_an_element_that_follows_a_covariate_is_an_entry() -> None:
     found, _ = entries(toy(*TOY, seed=4, n=N, hidden=damper_times(lambda i: FORCE[i] ** 0.5)), FORCE)
-    (entry,) = found
-    assert (entry["id"], entry["place"], entry["covariate"]) == ("body.covariate", "r1", "contact_force_n")
-    assert entry["name"] == "r1 follows contact_force_n"
-    assert entry["elements"] == ["r1"]
-    slope = entry["parameters"]["slope"]
-    assert slope["q05"] < 0.5 < slope["q95"]
-    assert slope["unit"] == ""
-    evidence = entry["evidence"]
-    assert evidence["p_value"] < 0.003
-    assert evidence["elpd_gain"] > 2 * evidence["elpd_gain_se"] > 0
+    (structure,) = found
+    assert isinstance(structure, ElementTrends)
+    assert structure.covariate == "contact_force_n"
+    (trend,) = structure.trends
+    assert trend.element == "r1"
+    assert trend.q05 < 0.5 < trend.q95
+    assert trend.transform == "log"
+    assert trend.p_corrected < 0.003
+    assert structure.gain > 2 * structure.gain_se > 0
 
 
 def test_a_drift_over_the_repetitions_is_an_entry() -> None:
     drifting = damper_times(lambda i: np.exp(0.1 * np.arange(3)))
     found, _ = entries(toy(*TOY, seed=5, n=N, repetitions=3, hidden=drifting))
-    (entry,) = found
-    assert (entry["id"], entry["place"], entry["covariate"]) == ("body.drift", "r1", None)
-    trend = entry["parameters"]["trend"]
-    assert trend["q05"] < 0.1 < trend["q95"]
-    assert trend["unit"] == "per repetition"
+    (structure,) = found
+    assert isinstance(structure, ElementTrends)
+    assert structure.covariate is None
+    trend = structure.trends[0]
+    assert trend.element == "r1"
+    assert trend.q05 < 0.1 < trend.q95
 
 
 def test_a_group_is_an_entry_with_its_people() -> None:
     found, _ = entries(toy(*TOY, seed=6, n=N, hidden=damper_times(lambda i: 4.0 if i < 10 else 1.0)))
-    (entry,) = found
-    assert (entry["id"], entry["place"]) == ("body.subgroup", "r1")
-    assert entry["subjects"] == list(range(10))
-    shift, fraction = entry["parameters"]["shift"], entry["parameters"]["fraction"]
-    assert abs(shift["median"] - np.log(4)) < 3 * (shift["q95"] - shift["q05"]) / 3.29
-    assert fraction["q05"] < 10 / N < fraction["q95"]
+    (group,) = found
+    assert isinstance(group, Subgroup)
+    assert group.element == "r1"
+    assert np.flatnonzero(group.membership > 0.5).tolist() == list(range(10))
+    k = TOY[0].split("|").index("r1")
+    assert abs(group.shift[k] - np.log(4)) < 3 * (group.shift_q95[k] - group.shift_q05[k]) / 3.29
+    assert group.share_q05 < 10 / N < group.share_q95
 
 
 def test_elements_that_vary_together_are_an_entry_only_against_a_diagonal_claim() -> None:
@@ -126,10 +130,12 @@ def test_elements_that_vary_together_are_an_entry_only_against_a_diagonal_claim(
         return z + z.real * (factor[:, None, None] - 1), factor
 
     experiment = toy(*TOY, seed=7, n=N, hidden=together)
-    assert entries(experiment)[0] == []
-    (entry,) = entries(experiment, diagonal=True)[0]
-    assert entry["id"] == "body.correlation"
-    assert entry["parameters"]["correlation of n1 and r1"]["q05"] > 0.2
+    assert entries(experiment)[0] == ()
+    (together_found,) = entries(experiment, diagonal=True)[0]
+    assert isinstance(together_found, CorrelationTest)
+    (pair,) = together_found.pairs
+    assert {pair.first, pair.second} == {"n1", "r1"}
+    assert pair.q05 > 0.2
 
 
 def test_covariates_are_collected_by_name_with_nan_where_unknown() -> None:
