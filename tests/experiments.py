@@ -14,10 +14,11 @@ import numpy as np
 from conftest import DATA
 
 from bayes_impedance.diagnosis.catalogue.effect import Effect, Scales, registered
-from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter
+from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.model import Addition, Model, build
 from bayes_impedance.diagnosis.fit.normal_equations import Population
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.score_scan import Screening, screen
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import PAPER_NETWORK, parse

@@ -21,8 +21,9 @@ import numpy as np
 from bayes_impedance.diagnosis.catalogue.effect import registered
 from bayes_impedance.diagnosis.diagnose import diagnose
 from bayes_impedance.diagnosis.fit.baseline import fit_network
-from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter
+from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.stepwise import search
 from bayes_impedance.diagnosis.verdict.model_bands import own_errors
 from bayes_impedance.recordings.files import Recordings, read_recordings

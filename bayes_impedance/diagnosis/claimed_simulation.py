@@ -24,9 +24,9 @@ import numpy as np
 from bayes_impedance.diagnosis.catalogue.effect import Effect
 from bayes_impedance.diagnosis.fit.baseline import Fitted, fit_network
 from bayes_impedance.diagnosis.fit.extend import extended_start, starts_of
-from bayes_impedance.diagnosis.fit.fitter import Refit
 from bayes_impedance.diagnosis.fit.model import Model, build
 from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.residuals.locate import locate
 from bayes_impedance.diagnosis.selection.stepwise import Found, search
 from bayes_impedance.diagnosis.selection.unnamed import structure_remains

@@ -11,9 +11,9 @@ from bayes_impedance.diagnosis import catalogue  # noqa: F401  (fills the regist
 from bayes_impedance.diagnosis.catalogue.effect import Effect, registered
 from bayes_impedance.diagnosis.claimed_simulation import Claim, claim_of
 from bayes_impedance.diagnosis.fit.baseline import Fitted, fit_network
-from bayes_impedance.diagnosis.fit.fitter import Refit
 from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
 from bayes_impedance.diagnosis.fit.profile_posterior import from_evidence
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.heterogeneity.compare_populations import compare_populations
 from bayes_impedance.diagnosis.heterogeneity.tests import find_structures
 from bayes_impedance.diagnosis.hum.leakage import find_skirts

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter
+from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.model import build, scales_of
 from bayes_impedance.diagnosis.fit.normal_equations import Population
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Network
 from bayes_impedance.population.em import Estimate, estimate

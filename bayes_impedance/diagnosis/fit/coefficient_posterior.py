@@ -18,9 +18,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayes_impedance.diagnosis.fit.fitter import Refit
 from bayes_impedance.diagnosis.fit.model import Model
 from bayes_impedance.diagnosis.fit.normal_equations import marginal, quadratic
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.network.elements import kind_of
 from bayes_impedance.units import unit_of
 

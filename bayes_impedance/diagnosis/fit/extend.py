@@ -9,9 +9,10 @@ import numpy as np
 
 from bayes_impedance.diagnosis.catalogue.effect import Candidate, Effect
 from bayes_impedance.diagnosis.fit.coefficient_posterior import CoefficientPosterior, coefficient_posterior
-from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter
+from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.model import Addition, Model, build
 from bayes_impedance.diagnosis.fit.normal_equations import Population
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.fit.spike_slab import members
 from bayes_impedance.network.notation import parse
 

@@ -40,11 +40,11 @@ from bayes_impedance.diagnosis.fit.normal_equations import (
     counts,
     equations_at,
     marginal,
-    owners,
     quadratic,
     sums,
     weights,
 )
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood
 
 _PRIOR_PERSONS = 2.0
@@ -58,52 +58,6 @@ _SMALLEST_RHO = 1e-3
 
 _LONGEST_STEP = 1.0
 """Largest step of the additions, in prior standard deviations or units of the coefficient."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Refit:
-    """A fitted model; two are equal only if they are the same object.
-
-    Attributes
-    ----------
-    model : Model
-    data : tuple of Likelihood
-        One per person.
-    u : ndarray, shape (M, P)
-        Parameters of every recording, person by person.
-    persons : ndarray, shape (N, V)
-        Everybody's v_i.
-    population : Population
-    equations : Equations
-        At u.
-    evidence : ndarray, shape (N,)
-    settled : bool
-        Whether persons and population came to rest.
-    """
-
-    model: Model
-    data: tuple[Likelihood, ...]
-    u: np.ndarray
-    persons: np.ndarray
-    population: Population
-    equations: Equations
-    evidence: np.ndarray
-    settled: bool
-
-    @property
-    def owner(self) -> np.ndarray:
-        """Person of every recording, shape (M,)."""
-        return owners(self.data)
-
-    @property
-    def shared_value(self) -> np.ndarray:
-        """Shared parameters, shape (S,)."""
-        return np.asarray(self.u[0, self.model.shared])
-
-    @property
-    def weight(self) -> np.ndarray:
-        """1/scale^2 of everybody's noise, shape (N,)."""
-        return weights(self.data, self.equations.chi)
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from functools import partial
 
 import numpy as np
 
-from bayes_impedance.diagnosis.fit.fitter import Refit
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood
 from bayes_impedance.runtime.executors import map_persons

@@ -32,9 +32,10 @@ import numpy as np
 
 from bayes_impedance.diagnosis.fit.coefficient_posterior import CoefficientPosterior
 from bayes_impedance.diagnosis.fit.extend import extended_start, with_pooling
-from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter
+from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.interpolated_density import design, explored, quadratic_through
 from bayes_impedance.diagnosis.fit.model import ELEMENT_SD, Addition, Model
+from bayes_impedance.diagnosis.fit.refit import Refit
 
 MINIMUM_PERSONS = 10
 """Fewer people say too little about what they differ by: a dispersion of ten is known to 24 %."""

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayes_impedance.diagnosis.fit.fitter import Refit
 from bayes_impedance.diagnosis.fit.normal_equations import quadratic
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.fit.two_group_mixture import log_mixture, membership, share_of
 
 _ROUNDS = 200

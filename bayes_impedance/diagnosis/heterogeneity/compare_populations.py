@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import norm
 
-from bayes_impedance.diagnosis.fit.fitter import Refit
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods
 from bayes_impedance.diagnosis.heterogeneity.tests import person_likelihoods
 from bayes_impedance.diagnosis.multiple_testing import holm

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayes_impedance.diagnosis.fit.fitter import Refit
 from bayes_impedance.diagnosis.fit.normal_equations import sums
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.heterogeneity.correlations import CorrelationTest, correlation_test
 from bayes_impedance.diagnosis.heterogeneity.gain import gain_of_covariate, gain_of_drift
 from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods

@@ -36,8 +36,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from bayes_impedance.diagnosis.fit.fitter import Refit
 from bayes_impedance.diagnosis.fit.model import ELEMENT_SD
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.next_experiment.virtual_recordings import Port, Recording, present_recordings
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.elements import MASS, kind_of

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayes_impedance.diagnosis.fit.fitter import Refit
 from bayes_impedance.diagnosis.fit.model import Model
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.operations import Operation
 

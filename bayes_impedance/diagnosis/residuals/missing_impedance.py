@@ -17,8 +17,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bayes_impedance.diagnosis.fit.fitter import Refit
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.residuals.sensitivity import local_impedances
 from bayes_impedance.diagnosis.types import OnePort
 

@@ -32,9 +32,9 @@ import numpy as np
 from scipy.special import logsumexp
 
 from bayes_impedance.diagnosis.fit.extend import with_pooling
-from bayes_impedance.diagnosis.fit.fitter import Refit
 from bayes_impedance.diagnosis.fit.model import TYPICAL_DISPERSION, Model
 from bayes_impedance.diagnosis.fit.normal_equations import log_densities, quadratic
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.fit.spike_slab import members
 
 LEAST_GAIN = 3.0

@@ -19,8 +19,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter
+from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.normal_equations import Population
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.folds import FOLDS, person_folds
 from bayes_impedance.person.likelihood import Likelihood
 

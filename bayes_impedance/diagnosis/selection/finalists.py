@@ -16,7 +16,8 @@ import numpy as np
 
 from bayes_impedance.diagnosis.catalogue.effect import Effect
 from bayes_impedance.diagnosis.fit.extend import extended_start, has_shapes, is_physical, with_pooling
-from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter
+from bayes_impedance.diagnosis.fit.fitter import Refitter
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import FEWEST_TO_VARY, LEAST_GAIN, log_evidence
 from bayes_impedance.diagnosis.selection.shortlist import Trial
 

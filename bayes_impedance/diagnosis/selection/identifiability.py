@@ -22,9 +22,10 @@ from itertools import combinations
 import numpy as np
 
 from bayes_impedance.diagnosis.catalogue.effect import Effect
-from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter
+from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.model import Addition
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import compare, log_evidence
 from bayes_impedance.diagnosis.selection.cross_validation import people_gain
 from bayes_impedance.diagnosis.selection.stepwise import Found, rivals

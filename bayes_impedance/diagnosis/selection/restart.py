@@ -21,7 +21,7 @@ import numpy as np
 from bayes_impedance.diagnosis.catalogue.effect import Candidate, Effect
 from bayes_impedance.diagnosis.fit.baseline import Fitted, fit_network
 from bayes_impedance.diagnosis.fit.extend import extended, extended_start
-from bayes_impedance.diagnosis.fit.fitter import Refit
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN
 from bayes_impedance.diagnosis.selection.shortlist import try_candidate
 from bayes_impedance.diagnosis.selection.stepwise import Step

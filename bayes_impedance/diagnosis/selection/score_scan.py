@@ -33,9 +33,9 @@ import numpy as np
 from scipy.special import gammaincc, gammaln, log_ndtr
 
 from bayes_impedance.diagnosis.catalogue.effect import Candidate, Effect, direction, shape_grid
-from bayes_impedance.diagnosis.fit.fitter import Refit
 from bayes_impedance.diagnosis.fit.model import Model
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.residuals.sensitivity import INSIDE, local_impedances
 from bayes_impedance.network.operations import ADDING
 

@@ -13,7 +13,8 @@ import numpy as np
 
 from bayes_impedance.diagnosis.catalogue.effect import Candidate, Effect
 from bayes_impedance.diagnosis.fit.extend import extended, extended_start, has_shapes, is_physical
-from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter
+from bayes_impedance.diagnosis.fit.fitter import Refitter
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import FEWEST_TO_VARY, log_evidence
 from bayes_impedance.diagnosis.selection.score_scan import Screening
 

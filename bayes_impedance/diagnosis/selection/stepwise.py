@@ -16,9 +16,10 @@ import numpy as np
 from bayes_impedance.diagnosis.catalogue.effect import Effect
 from bayes_impedance.diagnosis.fit.coefficient_posterior import CoefficientPosterior
 from bayes_impedance.diagnosis.fit.extend import measured, rebuilt, shrunk
-from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter
+from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.model import Addition
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN, compare, log_evidence
 from bayes_impedance.diagnosis.selection.finalists import finalists
 from bayes_impedance.diagnosis.selection.score_scan import Screening, screen

@@ -14,8 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayes_impedance.diagnosis.catalogue.effect import Effect
-from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter
+from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN
 from bayes_impedance.diagnosis.selection.cross_validation import held_out, people_gain
 from bayes_impedance.diagnosis.selection.score_scan import screen

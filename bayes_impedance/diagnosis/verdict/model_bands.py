@@ -10,8 +10,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bayes_impedance.diagnosis.fit.fitter import Refit
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.residuals.locate import residual_maps
 from bayes_impedance.diagnosis.types import Snapshot
 from bayes_impedance.recordings.files import Recordings

@@ -9,8 +9,8 @@ from importlib.metadata import version
 import numpy as np
 
 from bayes_impedance.diagnosis.fit.baseline import Fitted
-from bayes_impedance.diagnosis.fit.fitter import Refit
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.folds import FOLDS
 from bayes_impedance.diagnosis.heterogeneity.gain import HELD_OUT
 from bayes_impedance.diagnosis.heterogeneity.tests import Structure

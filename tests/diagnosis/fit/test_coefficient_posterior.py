@@ -19,12 +19,12 @@ from bayes_impedance.diagnosis.fit.coefficient_posterior import (
     reported,
     verdict_on_side,
 )
-from bayes_impedance.diagnosis.fit.fitter import Refit
 from bayes_impedance.diagnosis.fit.model import Addition, Model, build
 from bayes_impedance.diagnosis.fit.normal_equations import (
     Equations,
     Population,
 )
+from bayes_impedance.diagnosis.fit.refit import Refit
 
 # Posterior of the coefficients
 

@@ -17,11 +17,12 @@ from experiments import (
     with_mass,
 )
 
-from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter
+from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.model import Addition
 from bayes_impedance.diagnosis.fit.normal_equations import (
     Population,
 )
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.person.likelihood import SCALE_SHAPE
 
 # Evidence

@@ -12,10 +12,11 @@ from scipy.stats import binom
 from bayes_impedance.diagnosis.fit import profile_posterior
 from bayes_impedance.diagnosis.fit.coefficient_posterior import CoefficientPosterior, coefficient_posterior, reported
 from bayes_impedance.diagnosis.fit.extend import extended_start
-from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter, _with_dispersions
+from bayes_impedance.diagnosis.fit.fitter import Refitter, _with_dispersions
 from bayes_impedance.diagnosis.fit.interpolated_density import Explored, explored
 from bayes_impedance.diagnosis.fit.model import Addition, build
 from bayes_impedance.diagnosis.fit.profile_posterior import MINIMUM_PERSONS, from_evidence
+from bayes_impedance.diagnosis.fit.refit import Refit
 
 
 def both(fit: Refit, seed: int = 1) -> tuple[CoefficientPosterior, CoefficientPosterior]:

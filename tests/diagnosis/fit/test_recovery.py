@@ -24,7 +24,7 @@ from bayes_impedance.diagnosis.fit.coefficient_posterior import (
     reported,
     verdict_on_side,
 )
-from bayes_impedance.diagnosis.fit.fitter import Refit
+from bayes_impedance.diagnosis.fit.refit import Refit
 
 SHARED = {
     "rig.delay": (entry("rig.delay"), "delay", 0.1),

@@ -10,9 +10,10 @@ from scipy.optimize import least_squares
 
 from bayes_impedance.diagnosis.catalogue import body, rig
 from bayes_impedance.diagnosis.catalogue.effect import Effect, Scales
-from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter
+from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.model import Addition, Model, build
 from bayes_impedance.diagnosis.fit.normal_equations import Equations, Population
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.next_experiment.expected_separation import Proposal, best_sentence, separation
 from bayes_impedance.diagnosis.next_experiment.virtual_recordings import Port, present_recordings
 from bayes_impedance.errors import InputError

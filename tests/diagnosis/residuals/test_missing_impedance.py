@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from experiments import TOY, Experiment, toy
 
-from bayes_impedance.diagnosis.fit.fitter import Refit
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals, real_and_imaginary
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.residuals import missing_impedance as module
 from bayes_impedance.diagnosis.residuals.missing_impedance import missing_one_ports
 

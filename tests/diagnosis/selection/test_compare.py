@@ -12,8 +12,8 @@ from scipy.stats import multivariate_normal, norm
 
 from bayes_impedance.diagnosis.catalogue.effect import Candidate
 from bayes_impedance.diagnosis.fit.extend import with_pooling
-from bayes_impedance.diagnosis.fit.fitter import Refit
 from bayes_impedance.diagnosis.fit.normal_equations import log_densities, marginal, quadratic
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import compare, log_evidence
 from bayes_impedance.diagnosis.selection.finalists import in_order
 from bayes_impedance.diagnosis.selection.shortlist import Trial, poolings_for, try_candidate

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 from experiments import TOY, Experiment, Serial, entry, recovered, toy, with_mass
 
-from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter
+from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.model import build
 from bayes_impedance.diagnosis.fit.normal_equations import Population
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.cross_validation import (
     BLOCKS,
     FOLDS,

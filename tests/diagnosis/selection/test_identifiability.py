@@ -194,15 +194,7 @@ def test_two_relaxations_stay_if_they_leave_nothing() -> None:
     [
         (("relaxation", "power_law"), ("relaxation", "power law")),
         (("resonator", "relaxation"), ("resonator", "relaxation")),
-        pytest.param(
-            ("resonator", "relaxation"),
-            ("nail", "relaxation"),
-            marks=pytest.mark.xfail(
-                strict=True,
-                reason="Entries that say what the tissue at one place is made of are a list of the catalogue's own: "
-                "a one-port that a user registers is not among them.",
-            ),
-        ),
+        (("resonator", "relaxation"), ("nail", "relaxation")),
     ],
     ids=["catalogue, smooth", "catalogue, resonant", "user's own"],
 )

@@ -13,8 +13,8 @@ from bayes_impedance.diagnosis import diagnose
 from bayes_impedance.diagnosis.catalogue.effect import Candidate, registered, shape_grid
 from bayes_impedance.diagnosis.fit.baseline import fit_network
 from bayes_impedance.diagnosis.fit.extend import extended, extended_start
-from bayes_impedance.diagnosis.fit.fitter import Refit
 from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.restart import another_beginning, without
 from bayes_impedance.diagnosis.selection.score_scan import screen
 from bayes_impedance.diagnosis.selection.shortlist import try_candidate

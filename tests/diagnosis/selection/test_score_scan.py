@@ -10,9 +10,10 @@ import pytest
 from experiments import TOY, Serial, concealing, entry, recovered, residuals_of, screened, toy
 
 from bayes_impedance.diagnosis.catalogue.effect import Coefficient, Effect, registered
-from bayes_impedance.diagnosis.fit.fitter import Refit, Refitter
+from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.model import Addition, build
 from bayes_impedance.diagnosis.fit.normal_equations import owners
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.score_scan import Screening, _effective, candidates_for, screen
 from bayes_impedance.network.kernel import Kernel
 

@@ -229,11 +229,6 @@ def test_only_effects_of_the_list_are_tried(concealed: str) -> None:
     assert {effect_id for effect_id, _, _ in named(result)} <= ids
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="Whether a coefficient of the body may be the same for all is decided by whether the register, and not the "
-    "list, holds the same formula for the rig.",
-)
 def test_what_is_registered_and_not_on_the_list_changes_nothing() -> None:
     experiment, effects = experiment_with(("shared mass",), 1, 16), [user_effect("body")]
     alone = searched(experiment, effects)

@@ -12,8 +12,8 @@ from experiments import TOY, entry, toy
 
 from bayes_impedance.diagnosis.catalogue.effect import Candidate, shape_grid
 from bayes_impedance.diagnosis.fit.extend import extended
-from bayes_impedance.diagnosis.fit.fitter import Refit
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.residuals.missing_impedance import missing_one_ports
 from bayes_impedance.diagnosis.selection.score_scan import Screening
 from bayes_impedance.diagnosis.selection.shortlist import Trial

@@ -13,8 +13,8 @@ from experiments import TOY, Experiment, Serial, entry, recovered, toy
 
 from bayes_impedance.diagnosis.fit.baseline import Fitted
 from bayes_impedance.diagnosis.fit.coefficient_posterior import coefficient_posterior
-from bayes_impedance.diagnosis.fit.fitter import Refit
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.hum.line import Hum
 from bayes_impedance.diagnosis.residuals.locate import Location, locate
 from bayes_impedance.diagnosis.selection.cross_validation import HeldOut
