@@ -42,7 +42,7 @@ from bayes_impedance.diagnosis.next_experiment.virtual_recordings import Port, R
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.elements import MASS, kind_of
 from bayes_impedance.person.likelihood import SCALE_SHAPE
-from bayes_impedance.units import hertz, number_with_unit, rounded
+from bayes_impedance.units import hertz, number_with_unit, significant
 
 KINDS = ("none", "wider_high", "wider_low", "contactor_mass", "preload", "position")
 
@@ -141,7 +141,7 @@ def best_sentence(proposals: Sequence[Proposal]) -> str:
         added = p.kind not in ("wider_high", "wider_low")
         if p.kind != "none" and p.elpd > ENOUGH and p.elpd > now * (2.0 if added else 1.0):
             return (
-                f"{p.measurement}: expected to raise the difference from {rounded(now, 2)} to {rounded(p.elpd, 2)} "
+                f"{p.measurement}: expected to raise the difference from {_two_digits(now)} to {_two_digits(p.elpd)} "
                 "(natural logarithms)"
             )
     return "none of the measurements considered"
@@ -375,3 +375,8 @@ def _heavier(mass: float, impedance_unit: str) -> str:
     unit = MASS.unit(impedance_unit)
     size = number_with_unit(mass, unit, digits=2)
     return f"a second contactor that is {size} heavier" if unit == "kg" else f"a contactor with {size} more"
+
+
+def _two_digits(value: float) -> str:
+    """Two digits, a zero among them, and zeros for those that follow."""
+    return significant(float(f"{value:.2g}"), 2)
