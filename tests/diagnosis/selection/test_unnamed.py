@@ -177,9 +177,5 @@ def test_what_a_single_person_has_is_not_stood_in_for() -> None:
     assert realised is None
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="Of fewer than ten people any gain on held-out frequencies is enough, be it far from sure (6.5 +- 5.2).",
-)
 def test_nothing_stands_in_for_noise_of_few_people_by_chance() -> None:
     assert stand_in("nothing", 6, 3, np.geomspace(2, 2000, 41))[1] is None

@@ -135,7 +135,7 @@ def test_the_sentence_names_what_it_cannot_be_told_from() -> None:
         (2.1e-6, "kg", "2.1 mg"),
         (0.0, "Hz", "0 Hz"),
         (12.0, "per repetition", "12 per repetition"),
-        (0.0123, "N s/m", "0.0123 N s/m"),
+        (0.0123, "N s/m", "12.3 mN s/m"),
         (float("nan"), "s", "an unknown amount"),
         (4100.0, "Hz", "4.1 kHz"),
     ],
