@@ -140,8 +140,6 @@ def verdict_of(physics: tuple[Physics, ...], network: str, after: str | None, **
             bands=(),
             magnitude_share=0.1,
             subjects_p_value=1.0,
-            repetitions=None,
-            covariates={},
         ),
         physics=physics,
         improvement=Improvement(

@@ -30,8 +30,12 @@ def test_pulls_of_replicates_have_their_weights_as_covariance(monkeypatch):
     monkeypatch.setattr("bayes_impedance.diagnosis.heterogeneity.bootstrap._STEPS", 0)
     rng = np.random.default_rng(19)
     _, fit = centred_fit(observed(rng, population(rng, 25, covariance(2)), informations(rng, 25, 2, 0.3, unseen=1)))
-    batches = [b.in_elements() for b in replicates(fit, 1000, 250, 3)]
-    pulls, weights = (np.concatenate(x) for x in zip(*batches, strict=True))
+    own_pulls, own_weights = [], []
+    for b in replicates(fit, 1000, 250, 3):  # in the elements themselves
+        inverse = np.linalg.inv(b.factor)
+        own_pulls.append(b.pull @ inverse)
+        own_weights.append(np.swapaxes(inverse, 1, 2)[:, None] @ b.weight @ inverse[:, None])
+    pulls, weights = np.concatenate(own_pulls), np.concatenate(own_weights)
     y, root = weights[0], np.linalg.inv(fit.factor)
     np.testing.assert_allclose(y, root.T @ fit.weight @ root, atol=1e-9)
     expected = np.sum(y - y @ fit.variance @ y, axis=0)
