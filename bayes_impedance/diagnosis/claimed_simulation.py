@@ -35,7 +35,11 @@ from bayes_impedance.recordings.dataset import Recordings
 from bayes_impedance.runtime.progress import Progress
 
 _ROUNDS = 80
+"""Of the fit of a simulation, which has no noise: it settles slowly and must."""
+
 _ALIKE = 0.25
+"""Share of the median distance between two people below which the distance to one's own simulation shows that the
+simulation is of the same people. By choice."""
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from bayes_impedance.diagnosis.hum.leakage import find_skirts
 from bayes_impedance.diagnosis.hum.line import Hum, find_mains, without_hum
 from bayes_impedance.diagnosis.residuals.locate import Location, locate
 from bayes_impedance.diagnosis.residuals.missing_impedance import missing_one_ports
-from bayes_impedance.diagnosis.selection.compare import log_evidence
+from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, log_evidence
 from bayes_impedance.diagnosis.selection.cross_validation import held_out, people_gain
 from bayes_impedance.diagnosis.selection.identifiability import names_that_hold
 from bayes_impedance.diagnosis.selection.restart import another_beginning
@@ -39,9 +39,6 @@ from bayes_impedance.runtime.progress import Progress
 
 _MAINS_ALPHA = 1e-3
 """Corrected level of the search for hum; where it is found, points are left out, so it has to be surer than others."""
-
-_FEWEST_HELD_OUT = 10
-"""With fewer people no gain of a single effect is computed: five folds would hold less than two people each."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -244,7 +241,7 @@ def _gains(fitted: Fitted, found: Found, seed: int) -> tuple[tuple[float, float 
     gains: list[tuple[float, float | None] | None] = []
     for addition in found.final.model.additions[len(found.base.model.additions) :]:
         step = found.step_of(addition)
-        if step is None or step.chosen is None or len(fitted.refitter.data) < _FEWEST_HELD_OUT:
+        if step is None or step.chosen is None or len(fitted.refitter.data) < FEWEST_PEOPLE:
             gains.append(None)
         else:
             gains.append(people_gain(fitted.refitter, step.before, step.chosen.fit, seed))

@@ -126,6 +126,10 @@ class Traits:
         the place's impedance in another way.
     places : tuple of str
         Kinds of place for which its formula means something: of :data:`PLACES`.
+    one_port : bool
+        Whether it says what the tissue at one place is made of: a passive one-port beside it or in its place.
+    sums_to_any : bool
+        Whether a sum of such terms can be any passive one-port (Foster, Prony).
     passive : bool
         Whether a place that is passive stays so with every coefficient of allowed sign.
     built_as : str
@@ -155,6 +159,8 @@ class Traits:
     links: tuple[str, ...] = ("linear",)
     connection: str = "replaces"
     places: tuple[str, ...] = PLACES
+    one_port: bool = False
+    sums_to_any: bool = False
     passive: bool = True
     built_as: str = ""
     constants: Callable[[Setting], tuple[float, float]] | None = None
@@ -205,21 +211,30 @@ def _bypass_ratios(low: float, high: float) -> list[dict[str, float]]:
 
 
 TRAITS: dict[str, Traits] = {
-    "add": Traits(code=1, parameters=("coefficient",), connection="beside", built_as="elements", constants=_power_of_s),
+    "add": Traits(
+        code=1,
+        one_port=True,
+        parameters=("coefficient",),
+        connection="beside",
+        built_as="elements",
+        constants=_power_of_s,
+    ),
     "delay": Traits(code=2, parameters=("delay",), passive=False),
     "highpass": Traits(code=3, parameters=("corner",), passive=False, built_as="filter"),
     "lowpass": Traits(code=4, parameters=("time_constant",), passive=False, built_as="filter", derived=_corner),
     "power": Traits(
         code=5,
+        one_port=True,
         parameters=("exponent",),
         places=("springs",),
         built_as="ladder",
         constants=_middle_of_band,
         derived=_power_law_of_spring,
     ),
-    "hysteresis": Traits(code=6, parameters=("loss_factor",), places=("springs",)),
+    "hysteresis": Traits(code=6, parameters=("loss_factor",), places=("springs",), one_port=True),
     "line": Traits(
         code=7,
+        one_port=True,
         parameters=("mass",),
         built_as="ladder",
         scanned=lambda _low, _high: [{"level": level} for level in LINE_LEVELS],
@@ -228,6 +243,7 @@ TRAITS: dict[str, Traits] = {
     ),
     "beside_power": Traits(
         code=8,
+        one_port=True,
         parameters=("coefficient", "exponent"),
         links=("linear", "logit"),
         connection="beside",
@@ -237,6 +253,8 @@ TRAITS: dict[str, Traits] = {
     ),
     "relaxation": Traits(
         code=9,
+        one_port=True,
+        sums_to_any=True,
         parameters=("damping", "time_constant"),
         links=("linear", "log"),
         connection="beside",
@@ -245,6 +263,8 @@ TRAITS: dict[str, Traits] = {
     ),
     "resonator": Traits(
         code=10,
+        one_port=True,
+        sums_to_any=True,
         parameters=("mass", "frequency", "damping_ratio"),
         links=("linear", "log", "log"),
         connection="beside",
@@ -260,6 +280,7 @@ TRAITS: dict[str, Traits] = {
     ),
     "bypass": Traits(
         code=12,
+        one_port=True,
         parameters=("damping", "stiffness"),
         links=("linear", "linear"),
         connection="beside",

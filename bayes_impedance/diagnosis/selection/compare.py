@@ -47,7 +47,8 @@ FEWEST_TO_VARY = 3
 """With fewer people, nothing can be said of a dispersion: coefficients are the same for all."""
 
 FEWEST_PEOPLE = 10
-"""With fewer people, neither a standard error over people nor who has an effect and who has not can be estimated."""
+"""With fewer people, neither a standard error over people nor who has an effect and who has not can be estimated, and
+five folds would hold less than two people each."""
 
 _SPREAD_OF_DISPERSIONS = np.log(2.0)
 """What people differ by is known within a factor of two."""

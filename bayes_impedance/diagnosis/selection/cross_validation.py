@@ -23,11 +23,14 @@ from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.normal_equations import Population
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.folds import FOLDS, person_folds
+from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE
 from bayes_impedance.person.likelihood import Likelihood
 
 BLOCKS = 8
+"""Of the band. By choice: a block of a three-decade sweep is then 0.4 decades, wider than a resonance."""
+
 _ROUNDS = 12
-_FEWEST = 10
+"""Of a refit without a fold or a block, which begins where the fit with it has ended."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,7 @@ def held_out(refitter: Refitter, before: Refit, after: Refit, seed: int, blocks:
         Whether frequencies are held out too; with too few people for folds they always are.
     """
     n = len(refitter.data)
-    folds = n >= _FEWEST
+    folds = n >= FEWEST_PEOPLE
     people = people_se = None
     if folds:
         fold = person_folds(n, seed)

@@ -26,21 +26,19 @@ from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.model import Addition
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
 from bayes_impedance.diagnosis.fit.refit import Refit
-from bayes_impedance.diagnosis.selection.compare import compare, log_evidence
+from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, compare, log_evidence
 from bayes_impedance.diagnosis.selection.cross_validation import people_gain
 from bayes_impedance.diagnosis.selection.stepwise import Found, rivals
 from bayes_impedance.diagnosis.selection.unnamed import Realised, stand_in_network
 from bayes_impedance.diagnosis.types import OnePort
-
-SERIES_TERMS = ("relaxation", "resonator")
-"""Operations of which a sum can be any passive one-port (Foster, Prony), as branches of masses and springs can."""
-
-ONE_PORTS = ("add", "beside_power", "bypass", "hysteresis", "line", "power", "relaxation", "resonator")
-"""Operations that say what the tissue at one place is made of: passive one-ports beside it or in its place."""
+from bayes_impedance.network.operations import TRAITS
 
 _NAMED_SHARE = 0.9
+"""Share of all gain above which names are kept whatever a network without a name adds: that is a tenth. By choice."""
+
 _SAME_BAND = 0.5
-_FEWEST = 10
+"""Overlap (Bhattacharyya) from which two effects matter at the same frequencies: that of two normal distributions over
+log frequency that are 2.4 standard deviations apart. By choice."""
 
 
 def names_that_hold(
@@ -84,7 +82,7 @@ def names_that_hold(
         if alone is not None and compare(alone.trial.fit, found.final).decided:
             return _without_names(found), alone
     doubtful = _of_one_thing(found, own, residuals, remains)
-    if doubtful and len(refitter.data) >= _FEWEST:
+    if doubtful and len(refitter.data) >= FEWEST_PEOPLE:
         trial = rest.trial if rest is not None else next(s.chosen for s in reversed(found.steps) if s.chosen)
         whole = rest.trial.fit if rest is not None else found.final
         total, se = people_gain(refitter, found.base, whole, seed)
@@ -111,13 +109,15 @@ def _of_one_thing(found: Found, own: Sequence[Addition], residuals: Sequence[Per
 
 
 def _is_series_term(effect: Effect) -> bool:
-    return effect.operation in SERIES_TERMS or not effect.operation
+    return not effect.operation or TRAITS[effect.operation].sums_to_any
 
 
 def _is_one_port(effect: Effect) -> bool:
     """Whether an effect says what everybody's tissue at one place is made of."""
     return (
-        effect.side == "body" and effect.pooling != "some" and (effect.operation in ONE_PORTS or not effect.operation)
+        effect.side == "body"
+        and effect.pooling != "some"
+        and (not effect.operation or TRAITS[effect.operation].one_port)
     )
 
 

@@ -30,8 +30,21 @@ from bayes_impedance.population.starting_fits import thinned_points
 from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.runtime.progress import Progress
 
-_PEOPLE, _FEWEST = 12, 5
-_LONGER, _ROUNDS, _SHARE = 2.0, 40, 0.6
+_PEOPLE = 12
+"""People on whom the effects of the rig are tried: the effect is the same for all, so some of them show it."""
+
+_FEWEST = 5
+"""With fewer people, a single one in a local optimum decides which beginning looks best. By choice."""
+
+_LONGER = 2.0
+"""Factor by which one step may fall short because elements have absorbed part of the effect."""
+
+_ROUNDS = 40
+"""Of the refit from the new beginning, which starts far from its end."""
+
+_SHARE = 0.6
+"""Of the known gain that the effect alone must reach from the new beginning. By choice: below it, the refits that
+follow would begin further from the end than before."""
 
 
 def another_beginning(

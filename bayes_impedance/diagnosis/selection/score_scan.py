@@ -13,9 +13,10 @@ and with :math:`B = \sum b_i`, :math:`I = \sum m_i` the estimate of a **shared**
 when nothing is missing. What was added before is taken out of B and I as well. Coefficients that **vary** are looked
 for by the spread of the shares about the common coefficient,
 
-.. math:: V = \sum_i \frac{(b_i - m_i\hat x)^2 - m_i}{\sqrt{2\sum m_i^2}} ,
+.. math:: V = \sum_i \frac{(b_i - m_i\hat x)^2 - m_i}{\sqrt{2\sum m_i^2}}, \qquad \hat x = \frac{B}{I} ,
 
-a sum of chi-squares whose distribution is that of one scaled chi-square with the same mean and variance.
+with B and I before that correction, as the shares are: a sum of chi-squares whose distribution is that of one scaled
+chi-square with the same mean and variance.
 
 **The price of many.** All Z are linear in the residuals, so together they are normal with the correlations of the
 signatures: the distribution of the largest |Z| is found by drawing from it, and its tail by
@@ -40,11 +41,15 @@ from bayes_impedance.diagnosis.residuals.sensitivity import INSIDE, local_impeda
 from bayes_impedance.network.operations import ADDING
 
 _DRAWS = 6_000
+"""Draws of the largest score. The 0.98 quantile rests on 120 of them: the effective number is known to 9 %, 0.09 of a
+log p-value."""
 
 _MOST_SUMS = 128
-"""Sums of products of all signatures that travel, each of a person or, of more people, of some."""
+"""Tasks into which people are divided: each returns one Gram matrix of all signatures, so that memory does not grow
+with the number of people."""
 
 _SMALLEST_LOG = -600.0
+"""A double underflows at a logarithm of -708: below this one the asymptotic tail takes over."""
 
 _INVISIBLE = 1e-3
 """A signature of which less than this part is left outside of the elements says nothing: it is rounding."""
@@ -206,7 +211,8 @@ def _pooled(
     with np.errstate(invalid="ignore", divide="ignore"):
         cosine = net_gram / np.sqrt(np.outer(information, information))
         squares = np.sum(own**2, axis=0)
-        around = np.sum((shares - own * size) ** 2, axis=0)
+        common = pooled_score[:c] / own.sum(axis=0)  # not `size`: the shares are not corrected for additions either
+        around = np.sum((shares - own * common) ** 2, axis=0)
         spread = (around - own.sum(axis=0)) / np.sqrt(2 * squares)
         freedom = own.sum(axis=0) ** 2 / squares
         log_p = _log_chi_square_tail(around * own.sum(axis=0) / squares, freedom)

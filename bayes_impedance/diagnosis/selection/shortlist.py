@@ -22,13 +22,30 @@ ALPHA = 0.01
 """Family-wise error of one screening."""
 
 SHORTLIST = 8
+"""Candidates that are refitted because of their common score. By choice: each costs as much as fitting the network."""
 
 _LEAST_SHARE = 0.4
-_PLACES_EACH, _BY_SPREAD = 2, 2
-_CLEARLY_VARIES = -10.0  # logarithm of a p-value
-_SURE = 12.0  # chi-square of one person's own best shape
+"""Of the largest score: a candidate below it explains less than a sixth (0.4 squared) of what the best one does."""
+
+_PLACES_EACH = 2
+"""Places at which one effect is tried in the first round; the leader is tried at all others afterwards."""
+
+_BY_SPREAD = 2
+"""Candidates that are refitted because their coefficients differ between people. By choice, as `SHORTLIST`."""
+
+_CLEARLY_VARIES = -10.0
+"""Corrected log p-value (4.5e-5) of the spread over people below which starts with everybody's own shape are tried.
+It decides on starts only, so it has to be rare rather than exact."""
+
+_OWN_SHAPE_KNOWN = 12.0
+"""Chi-square of one person's own best shape above which that shape is a start: by chance 5e-4 for one shape, so below
+1 % for a grid of a dozen."""
+
 _FIRST_ROUNDS, _MORE_ROUNDS = 8, 22
+"""Rounds of a first refit, and of those that are not far behind after it. By choice: 30 in all."""
+
 _FAR_BEHIND = 40.0
+"""Log evidence that a refit that has not come to rest is not expected to make up. By choice."""
 
 
 @dataclass(frozen=True)
@@ -158,7 +175,7 @@ def own_shapes(
     b, m = screening.score[:, same], screening.information[:, same]
     strength = np.where(b > 0, b**2 / np.maximum(m, 1e-300), 0.0)
     own = np.argmax(strength, axis=1)
-    sure = strength.max(axis=1) > _SURE
+    sure = strength.max(axis=1) > _OWN_SHAPE_KNOWN
     model = extended(fit.model, chosen, "free", float(screening.size[k]))
     u, population = extended_start(begin or fit, model)
     scales, columns = model.scales, model.columns(len(model.additions) - 1)

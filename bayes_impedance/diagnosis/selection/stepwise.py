@@ -27,9 +27,16 @@ from bayes_impedance.diagnosis.selection.shortlist import ALPHA, Trial, try_shor
 from bayes_impedance.runtime.progress import Progress
 
 MOST_ADDITIONS = 4
+"""Names that one search may give. By choice: what needs more of them is a general network and not a list of effects."""
+
 _PEOPLE_PER_ADDITION = 8
+"""People for each addition, which has a mean, a dispersion and often a shape to be estimated from them. By choice."""
+
 _REPEATS = 3
+"""Times that the search begins again because the model without the addition had not come to rest."""
+
 _SECOND_CHANCES = 3
+"""Explanations of a step that are weighed, best first, until one is better beyond doubt."""
 
 SPREAD_PENALTY = float(np.log(100.0))
 """The spread between people is held to a stricter level: noise of another shape in some people looks like it."""
@@ -191,6 +198,7 @@ def _backward(refitter: Refitter, base: Refit, fit: Refit) -> Refit:
 
 
 _MOST_ALIASES = 12
+"""Rivals that a verdict lists: no more than a reader looks through."""
 
 
 def rivals(step: Step) -> list[tuple[Trial, float, bool]]:

@@ -17,7 +17,7 @@ from bayes_impedance.diagnosis.catalogue.effect import Effect
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
 from bayes_impedance.diagnosis.fit.refit import Refit
-from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN
+from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, FEWEST_TO_VARY, LEAST_GAIN, SCATTERS
 from bayes_impedance.diagnosis.selection.cross_validation import held_out, people_gain
 from bayes_impedance.diagnosis.selection.score_scan import screen
 from bayes_impedance.diagnosis.selection.shortlist import Trial, best_shapes, try_candidate
@@ -28,9 +28,16 @@ ALPHA = 1e-3
 """Structure counts as left over below this p-value."""
 
 BRANCHES = ("m", "n", "r", "n|r", "m-r", "n-r", "m-(n|r)", "n-(m|r)", "(n-r)|(n-r)", "(n-r)-(m|r)")
+"""Branches of one to four elements; with more, what a branch is like is no longer told from what it resembles."""
+
 _PLACES = 3
+"""Best places at which branches are tried."""
+
 _REFITTED = 6
-_SURE = 2.0
+"""Branches that are refitted. By choice, as `SHORTLIST` is."""
+
+_COMPARED = 3
+"""Of those, how many are compared on held-out people, which costs five refits each."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +111,7 @@ def stand_in_network(
     wanted = [port.place for port in one_ports[:_PLACES]]
     screening = screen(fit, residuals, branch_effects(), seed, executor)
     order = [k for k in best_shapes(screening) if screening.candidates[k].place in wanted][:_REFITTED]
-    pooling = "varying" if len(refitter.data) >= 3 else "shared"
+    pooling = "varying" if len(refitter.data) >= FEWEST_TO_VARY else "shared"
     trials = [
         t
         for k in order
@@ -113,8 +120,8 @@ def stand_in_network(
     good = [t for t in trials if np.isfinite(t.gain) and t.gain > LEAST_GAIN]
     if not good:
         return None
-    good = sorted(good, key=lambda t: -t.gain)[:3]
-    if len(refitter.data) < 10:
+    good = sorted(good, key=lambda t: -t.gain)[:_COMPARED]
+    if len(refitter.data) < FEWEST_PEOPLE:
         held = [held_out(refitter, fit, t.fit, seed) for t in good]
         best = int(np.argmax([h.blocks or 0.0 for h in held]))
         gain = held[best].blocks or 0.0
@@ -123,7 +130,7 @@ def stand_in_network(
     best = int(np.argmax([g for g, _ in gains]))
     total, se = gains[best]
     # What a single person gains is that person's local optimum, not physics.
-    return Realised(good[best], total, se) if total > _SURE * (se or 0.0) else None
+    return Realised(good[best], total, se) if total > SCATTERS * (se or 0.0) else None
 
 
 def _numbered(branch: str) -> str:
