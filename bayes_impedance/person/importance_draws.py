@@ -23,6 +23,7 @@ from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.marginal_likelihood import Ridge, marginal_log_likelihood
 from bayes_impedance.person.mode import Mode
+from bayes_impedance.person.valley import follow
 
 
 def widening(n_persons: int) -> float:
@@ -98,6 +99,7 @@ def draw(
     reference: Reference,
     n: int,
     seed: np.random.SeedSequence,
+    along_valley: bool = False,
 ) -> Draws:
     """Draw from a person's posterior under the reference population.
 
@@ -114,12 +116,19 @@ def draw(
     n : int
         Number of draws, a power of two.
     seed : SeedSequence
+    along_valley : bool
+        Follow a curved valley (:mod:`bayes_impedance.person.valley`) instead of adapting one t.
 
     Returns
     -------
     Draws
         Their ``effective`` number measures their quality.
     """
+    if along_valley:
+        theta, log_q = _propose_along(kernel, likelihood, mode, reference, n, seed)
+        log_ratio = marginal_log_likelihood(kernel, likelihood, ridge, theta) - log_q
+        log_weight = log_ratio + reference.log_density(theta)
+        return Draws(theta, log_ratio, log_weight - np.logaddexp.reduce(log_weight))
     centre = mode.theta
     laplace = covariance = np.linalg.inv(ridge.precision + np.linalg.inv(reference.covariance))
     best: Draws | None = None
@@ -144,6 +153,34 @@ def draw(
         covariance = (offset * weight[:, None]).T @ offset + 0.02 * laplace
     assert best is not None  # at least two rounds are made
     return best
+
+
+def _propose_along(
+    kernel: Kernel, likelihood: Likelihood, mode: Mode, reference: Reference, n: int, seed: np.random.SeedSequence
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points (n, P) of the valley's mixture and a share of the reference, and their log density (n,)."""
+    valley = follow(kernel, likelihood, mode.theta, reference.mean, np.linalg.inv(reference.covariance))
+    dimension, nu, rng = reference.mean.size, _DEGREES_OF_FREEDOM, np.random.default_rng(seed)
+    from_reference = round(_DEFENSIVE * n)
+    which = np.searchsorted(
+        np.cumsum(valley.weight), (np.arange(n - from_reference) + rng.random()) / (n - from_reference)
+    )
+    which = np.minimum(which, len(valley.weight) - 1)
+    factors = np.linalg.cholesky(valley.covariance)
+    stretch = np.sqrt(nu / rng.chisquare(nu, which.size))
+    own = valley.centre[which] + stretch[:, None] * np.einsum(
+        "npq,nq->np", factors[which], rng.normal(size=(which.size, dimension))
+    )
+    anywhere = rng.normal(size=(from_reference, dimension)) @ np.linalg.cholesky(reference.covariance).T
+    theta = np.vstack([own, reference.mean + anywhere])
+    log_t = np.full(n, -np.inf)
+    constant = gammaln((nu + dimension) / 2) - gammaln(nu / 2) - 0.5 * dimension * np.log(nu * np.pi)
+    for centre, factor, weight in zip(valley.centre, factors, valley.weight, strict=True):
+        square = np.sum(np.linalg.solve(factor, (theta - centre).T) ** 2, axis=0)
+        log_own = constant - np.sum(np.log(np.diag(factor))) - 0.5 * (nu + dimension) * np.log1p(square / nu)
+        log_t = np.logaddexp(log_t, np.log(weight) + log_own)
+    log_reference = reference.log_density(theta) - 0.5 * dimension * np.log(2 * np.pi)
+    return theta, np.logaddexp(np.log1p(-_DEFENSIVE) + log_t, np.log(_DEFENSIVE) + log_reference)
 
 
 def _propose(

@@ -32,6 +32,7 @@ from pathlib import Path
 import numpy as np
 
 from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.network.redundancy import inseparable
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.mode import Mode
 from bayes_impedance.population.e_step import (
@@ -95,7 +96,8 @@ class Estimate:
     mu_sd : ndarray, shape (P,)
         Approximate posterior standard deviation of mu.
     data_sd : ndarray, shape (P,)
-        Standard error of a common log element from all recordings together, without prior: infinite if unseen.
+        Standard error of a common log element from all recordings together, without prior: infinite if unseen, or if
+        other elements can take over whatever it does (:mod:`bayes_impedance.network.redundancy`).
     rounds : int
     rivals : tuple of float
         By how much the log evidence of other solutions for the whole population falls short of this one's.
@@ -221,7 +223,7 @@ def estimate(
         np.array([converged for _, converged, _ in outcomes]),
         tuple(deviations for _, _, deviations in outcomes),
         state.mu_sd(),
-        state.data_sd(),
+        np.where(np.isin(kernel.elements, inseparable(kernel.network)), np.inf, state.data_sd()),
         rounds,
         rivals,
     )

@@ -32,6 +32,7 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.mcmc.ensemble import QUICK, Chains, SamplerSettings, sample
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Network, parse
+from bayes_impedance.network.redundancy import Combination, merged
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.marginal_likelihood import find_ridge, marginal_log_likelihood
 from bayes_impedance.person.noise import NoiseModel
@@ -94,6 +95,10 @@ class PopulationFit:
     recordings : Recordings
     kernel : Kernel
         With the network and the order of elements.
+    written : Network
+        The network as it was given, which has like elements side by side if there are `combinations`.
+    combinations : tuple of Combination
+        Like elements of the given network of which one stands in the fitted one.
     prior : Prior
     settings : FitSettings
     seed : int
@@ -119,6 +124,8 @@ class PopulationFit:
 
     recordings: Recordings
     kernel: Kernel
+    written: Network
+    combinations: tuple[Combination, ...]
     prior: Prior
     settings: FitSettings
     seed: int
@@ -193,7 +200,9 @@ def fit_population(
 
     settings = settings or FitSettings()
     settings = replace(settings, sampler=replace(settings.sampler, workers=workers))
-    kernel = Kernel(network_of(recordings, network))
+    written = network_of(recordings, network)
+    fitted, combinations = merged(written)
+    kernel = Kernel(fitted)
     if too_few_for_correlations(len(recordings.subjects), len(kernel.elements)):
         settings = replace(settings, covariance="diagonal")
     covariates = _standardised(recordings, settings.covariates)
@@ -225,7 +234,18 @@ def fit_population(
             )
         if one:
             return _one_person(
-                recordings, kernel, prior, settings, seed, point, first, seeds[2], clock, progress, checkpoint
+                recordings,
+                kernel,
+                (written, combinations),
+                prior,
+                settings,
+                seed,
+                point,
+                first,
+                seeds[2],
+                clock,
+                progress,
+                checkpoint,
             )
         repetitions = np.array([len(s.repetitions) for s in recordings.subjects])
         full = settings.covariance == "full"
@@ -256,6 +276,8 @@ def fit_population(
     return PopulationFit(
         recordings=recordings,
         kernel=kernel,
+        written=written,
+        combinations=combinations,
         prior=prior,
         settings=settings,
         seed=seed,
@@ -276,6 +298,7 @@ def fit_population(
 def _one_person(
     recordings: Recordings,
     kernel: Kernel,
+    given: tuple[Network, tuple[Combination, ...]],
     prior: Prior,
     settings: FitSettings,
     seed: int,
@@ -315,6 +338,8 @@ def _one_person(
     return PopulationFit(
         recordings=recordings,
         kernel=kernel,
+        written=given[0],
+        combinations=given[1],
         prior=prior,
         settings=settings,
         seed=seed,

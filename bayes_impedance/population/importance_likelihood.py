@@ -280,7 +280,8 @@ class ImportanceLikelihood:
             if values.shape != shape:  # a new array for every product would cost more than the product
                 values = np.empty(shape, dtype=np.float32)
             if coefficients.ndim == 2:  # the same for every person: one product
-                np.matmul(coefficients, features, out=values.reshape(shape[0], -1))
+                with np.errstate(over="ignore"):  # a population of no spread: minus infinity, which is refused
+                    np.matmul(coefficients, features, out=values.reshape(shape[0], -1))
             else:
                 own = features.reshape(features.shape[0], persons.size, self.n_draws)
                 for n in range(persons.size):

@@ -24,9 +24,14 @@ from bayes_impedance.runtime.progress import Progress
 VARIANCE_WANTED = 0.25
 """Monte-Carlo variance of the log likelihood (a noise of half a unit) below which draws are enough; a quarter of what
 is refused (:data:`bayes_impedance.population.diagnostics.VARIANCE_LIMIT`)."""
-_MORE_DRAWS = (1, 4, 8)
+FEWEST_DRAWS = 30.0
+"""Effective draws of each person that a likelihood must rest on: with them its Monte-Carlo error is 18 %, and the
+estimate of that error can be believed. With one or two, a population is preferred for where draws happen to lie."""
+_MORE_DRAWS = (1, 4, 8, 8)
 """How many times the draws of the settings are made, attempt by attempt: variance falls as one over the number, and the
-reference has moved to the posterior between attempts."""
+reference has moved to the posterior between attempts. Where draws hold, the first or the second attempt is the last."""
+_WIDER = 2.0
+"""Factor on the spread of the reference where draws do not hold, as populations that it does not reach are wider."""
 _PILOT = SamplerSettings(ensembles=2, burn_in=(60, 60), chunk=60, longest=60)
 """Finds where the reference must move, which is a mean and a covariance: convergence is not asked for."""
 _LARGEST_COORDINATE = 8.0
@@ -140,20 +145,23 @@ class Posterior:
     def draw(self, seed: np.random.SeedSequence, executor: Executor, progress: Progress) -> None:
         """Draws for everybody; while the weights are poor, moves the reference population and draws more.
 
-        Poor weights mean that the population's spread in some direction is smaller than a person's uncertainty there:
-        no reference suits both a small and a vanishing spread, so numbers have to help.
+        Weights are poor where the population's spread in some direction is smaller than a person's uncertainty there:
+        no reference suits both a small and a vanishing spread, so numbers have to help. They collapse where a person's
+        posterior is a curved valley that one t covers a stretch of: then the valley is followed
+        (:mod:`bayes_impedance.person.valley`) under a wider reference, until draws hold for all populations nearby.
         """
         mu, covariance, slopes = self.point.mu, self.covariance, self.point.slopes
         rounds = seed.spawn(len(_MORE_DRAWS))
         # Few persons leave the population uncertain, and their draws are cheap: the product of the two stays the same.
         few = 2 ** int(np.clip(np.round(np.log2(64 / self.repetitions.size)), 0, 3))
         n_persons = self.repetitions.size
+        reach, holds = widening(n_persons), True
         for redrawn, child in enumerate(rounds):
             means = mu + self.covariates @ slopes.T
             n_draws = _MORE_DRAWS[redrawn] * self.n_draws * few
-            wide = covariance * widening(n_persons) ** 2
+            wide = covariance * reach**2
             self.marginal = KeptDraws.made(
-                self.kernel, self.point, means, wide, self.covariates, n_draws, child, executor, progress
+                self.kernel, self.point, means, wide, self.covariates, n_draws, child, executor, progress, not holds
             )
             self.redrawn = redrawn
             # The prior alone has a precision of one in most coordinates.
@@ -161,12 +169,14 @@ class Posterior:
             self.mode, self.normal_covariance = mode, normal
             pilot = np.random.default_rng(child.spawn(1)[0]).normal(size=(64, mode.size))
             nearby = np.clip(mode + pilot @ np.linalg.cholesky(normal).T, -_LARGEST_COORDINATE, _LARGEST_COORDINATE)
-            variance = self.marginal.variance(self.coordinates.unpack(nearby))
-            if (
-                noise_within(float(np.mean(variance)), n_persons, mode.size) < VARIANCE_WANTED
-                or redrawn == len(rounds) - 1
-            ):
+            populations = self.coordinates.unpack(nearby)
+            variance = float(np.mean(self.marginal.variance(populations)))
+            calm = noise_within(variance, n_persons, mode.size) < VARIANCE_WANTED
+            holds = bool(self.marginal.effective(populations).min() >= FEWEST_DRAWS)
+            if (calm and holds) or redrawn == len(rounds) - 1:
                 return
+            if not holds:
+                reach *= _WIDER
             chains = sample(
                 self.log_probability,
                 mode,

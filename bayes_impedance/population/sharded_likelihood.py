@@ -63,6 +63,7 @@ class _Plan:
     rho: np.ndarray
     covariance: np.ndarray
     n_draws: int
+    along_valley: bool
 
 
 class KeptDraws:
@@ -91,6 +92,7 @@ class KeptDraws:
         seed: np.random.SeedSequence,
         executor: Executor,
         progress: Progress,
+        along_valley: bool = False,
     ) -> KeptDraws:
         """Draw for everybody under a reference population.
 
@@ -109,9 +111,11 @@ class KeptDraws:
         seed : SeedSequence
         executor : Executor
         progress : callable
+        along_valley : bool
+            Propose along everybody's valley, where one t has missed parts of it.
         """
         n = len(means)
-        plan = _Plan(kernel, point.between_repetitions, covariance, n_draws)
+        plan = _Plan(kernel, point.between_repetitions, covariance, n_draws, along_valley)
         seeds = seed.spawn(n)
         if isinstance(executor, Cluster):
             columns = zip(point.data.parts, point.fits.parts, parts_of(n), strict=True)
@@ -206,7 +210,8 @@ def _draws_of(
     likelihood = likelihood.moved(fit.deviations)
     # The ridge holds rho at the estimate; the contrasts carry the likelihood of other values.
     ridge = find_ridge(plan.kernel, likelihood, fit.theta, fit.mode.scale, plan.rho)
-    return draw(plan.kernel, likelihood, fit.mode, ridge, Reference(mean, plan.covariance), plan.n_draws, seed)
+    reference = Reference(mean, plan.covariance)
+    return draw(plan.kernel, likelihood, fit.mode, ridge, reference, plan.n_draws, seed, plan.along_valley)
 
 
 def _watched(drawn: Iterable[Draws], n: int, progress: Progress) -> Iterator[Draws]:

@@ -13,6 +13,7 @@ from bayes_impedance.diagnosis.fit.normal_equations import Population
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Network
+from bayes_impedance.network.redundancy import merged
 from bayes_impedance.population.em import Estimate, estimate
 from bayes_impedance.population.fit import initial_likelihoods, network_of, require_enough_points
 from bayes_impedance.population.starting_fits import default_prior, first_fits
@@ -60,7 +61,7 @@ def fit_network(
     recordings: Recordings, network: Network | str | None, seed: int, executor: Executor, progress: Progress
 ) -> Fitted:
     """Fit the network to everybody, every person from many starts: an unconverged fit looks like missing physics."""
-    tree = network_of(recordings, network)
+    tree = merged(network_of(recordings, network))[0]
     kernel = Kernel(tree)
     require_enough_points(recordings, kernel)
     prior = default_prior(kernel.elements, recordings)
