@@ -278,8 +278,18 @@ def _check_repetition_spread(recordings: Recordings) -> Iterator[Finding]:
 
 
 def _check_units(recordings: Recordings) -> Iterator[Finding]:
-    # Real and imaginary part in a wrong unit are not recognisable from the curve.
-    suspects = suspect_units(recordings.subjects) if recordings.polar else ()
+    suspects = suspect_units(recordings.subjects, recordings.polar)
+    if "phase_conjugated" in suspects:
+        yield Finding(
+            id="phase_conjugated",
+            severity="warning",
+            subject=None,
+            repetition=None,
+            frequency_hz=None,
+            message="the phase agrees with the slope of the magnitude only if its sign is turned round; these seem to "
+            "be complex conjugates, of a convention exp(-jwt) or of an analyser that subtracts phases the other way: "
+            "change the sign of the imaginary part or of the phase",
+        )
     if "phase_in_radians" in suspects:
         yield Finding(
             id="phase_in_radians",

@@ -215,22 +215,25 @@ def _spread(subject: Subject) -> float:
     return float(np.median(subject.z.std(axis=0, ddof=1) / mean))
 
 
-def suspect_units(subjects: Sequence[Subject]) -> tuple[str, ...]:
-    """Return which of magnitude and phase seem to be in another unit than linear and degrees.
+def suspect_units(subjects: Sequence[Subject], polar: bool = True) -> tuple[str, ...]:
+    """Return what seems to be other than linear magnitudes and phases in degrees that lead for a mass.
 
     The phase of a passive one-port without excess delay follows from its magnitude (see `bode_phase`), to a few degrees
     within a band. If that fails, but holds for a magnitude that was in dB or a phase that was in radians, it probably
-    was. A magnitude far above 20 dB and a phase in radians together look like a damper and remain unseen.
+    was. A magnitude far above 20 dB and a phase in radians together look like a damper and remain unseen. If it holds
+    for the negative phase, the recordings are complex conjugates, as of the convention exp(-j w t).
 
     Parameters
     ----------
     subjects : sequence of Subject
         Those whose band is wider than a factor of four are used.
+    polar : bool
+        Whether they were given as magnitude and phase; real and imaginary parts have no other unit.
 
     Returns
     -------
     tuple of str
-        Any of "phase_in_radians", "magnitude_in_db".
+        Any of "phase_in_radians" and "magnitude_in_db", or "phase_conjugated" alone.
     """
     phases, linear, decibel = [], [], []
     for subject in subjects:
@@ -245,10 +248,15 @@ def suspect_units(subjects: Sequence[Subject]) -> tuple[str, ...]:
     if not phases:
         return ()
     phase, from_linear, from_decibel = (np.rad2deg(np.median(rows, axis=0)) for rows in (phases, linear, decibel))
-    misfit = {(): _rms(phase - from_linear), ("magnitude_in_db",): _rms(phase - from_decibel)}
+    misfit: dict[tuple[str, ...], float] = {
+        (): _rms(phase - from_linear),
+        ("phase_conjugated",): _rms(phase + from_linear),
+    }
+    if polar:
+        misfit["magnitude_in_db",] = _rms(phase - from_decibel)
     largest = max(float(np.abs(np.angle(subject.z)).max()) for subject in subjects)
     # Passive phases in radians reach pi/2; the double leaves room for noise and for faults.
-    if largest < np.deg2rad(np.pi):
+    if polar and largest < np.deg2rad(np.pi):
         in_radians = np.rad2deg(phase)
         misfit["phase_in_radians",] = _rms(in_radians - from_linear)
         misfit["phase_in_radians", "magnitude_in_db"] = _rms(in_radians - from_decibel)

@@ -85,6 +85,14 @@ def test_phase_in_radians() -> None:
     assert warnings(replace(data, subjects=tuple(subjects), polar=False)) == []
 
 
+@pytest.mark.parametrize("polar", [True, False])
+def test_conjugated_phase(polar: bool) -> None:
+    data = replace(simulate(1), polar=polar)
+    turned = replace(data, subjects=tuple(replace(s, z=s.z.conj()) for s in data.subjects))
+    assert "change the sign" in only(turned, "phase_conjugated").message
+    assert warnings(data) == []
+
+
 def test_damper_is_not_in_radians() -> None:
     f = np.geomspace(5, 5000, 101)
     rng = np.random.default_rng(1)

@@ -1,0 +1,212 @@
+r"""Does the network describe the recordings at all? Asked of every population fit, before its numbers are believed.
+
+It is the beginning of a diagnosis and shares its tests: the screening of all registered effects in the residuals, the
+location of structure, the tests of the population's shape. Nothing is searched for and nothing named; where something
+is found, the sentence says so and points to ``diagnose``.
+
+**Which numbers it spoils.** Every effect that the screening holds for significant is added to the network and the
+population refitted for a few rounds. An element whose centre moves by more than the half width of its own 90 % interval
+depends on whether that effect is there, and carries a mark. Where structure is significant and no effect explains it,
+or people are not of one normal population, all elements carry one.
+
+**Outliers.** With :math:`\hat\theta_i` everybody's mode, m their mean and S their covariance,
+
+.. math:: \frac{N}{(N-1)^2}\,(\hat\theta_i - m)^T S^{-1} (\hat\theta_i - m)
+          \sim \operatorname{Beta}\left(\tfrac{P}{2}, \tfrac{N - P - 1}{2}\right)
+
+for people from one normal population (Gnanadesikan and Kettenring, Biometrics 28, 81-124, 1972), so that one person far
+away does not hide behind the spread that this person makes.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor
+from contextlib import nullcontext
+
+import numpy as np
+from scipy.stats import beta
+
+from bayes_impedance.diagnosis import catalogue  # noqa: F401  (fills the register of effects)
+from bayes_impedance.diagnosis.catalogue.effect import Effect, registered
+from bayes_impedance.diagnosis.fit.fitter import Refitter
+from bayes_impedance.diagnosis.fit.model import build, scales_of
+from bayes_impedance.diagnosis.fit.normal_equations import Population
+from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
+from bayes_impedance.diagnosis.fit.refit import Refit
+from bayes_impedance.diagnosis.heterogeneity.subgroups import Subgroup
+from bayes_impedance.diagnosis.heterogeneity.tests import find_structures
+from bayes_impedance.diagnosis.residuals.absolute_fit import badly_described, copies, far_off
+from bayes_impedance.diagnosis.residuals.locate import locate
+from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN
+from bayes_impedance.diagnosis.selection.score_scan import screen
+from bayes_impedance.diagnosis.selection.shortlist import ALPHA, best_shapes, poolings_for, try_candidate
+from bayes_impedance.diagnosis.selection.stepwise import Step
+from bayes_impedance.diagnosis.selection.unnamed import ALPHA as STRUCTURE_ALPHA
+from bayes_impedance.person.likelihood import Likelihood
+from bayes_impedance.population.fit import PopulationFit
+from bayes_impedance.results.adequacy import Adequacy
+from bayes_impedance.results.curve_errors import relative_rms
+from bayes_impedance.runtime.executors import executor_of
+
+_OUTLIER_ALPHA = 0.002
+"""Corrected level of the test of each person: it is one of five, and good populations may be marked in 2 % of cases."""
+
+_TRIED = 3
+"""Significant effects whose consequences for the elements are computed, each at its best place."""
+
+_ROUNDS = 12
+"""Of the refits with them: they begin where the network alone has ended, and a shift by an interval shows early."""
+
+
+def examine(
+    fit: PopulationFit, *, workers: int = 2, executor: Executor | None = None, effects: tuple[Effect, ...] | None = None
+) -> Adequacy:
+    """Look for misfits of a population fit.
+
+    Parameters
+    ----------
+    fit : PopulationFit
+    workers : int
+        Threads; the result does not depend on their number.
+    executor : Executor, optional
+        Does what is done person by person; threads of this process if not given.
+    effects : tuple of Effect, optional
+        All that are registered if not given.
+    """
+    from threadpoolctl import threadpool_limits
+
+    candidates = tuple(registered() if effects is None else effects)
+    own = executor_of(workers) if executor is None else nullcontext(executor)
+    with threadpool_limits(1), own as running:
+        return _examine(fit, candidates, running)
+
+
+def _examine(fit: PopulationFit, effects: tuple[Effect, ...], executor: Executor) -> Adequacy:
+    recordings, n = fit.recordings, len(fit.recordings.subjects)
+    gross = [*copies(recordings), *far_off(_error(fit), fit.noise_scale)]
+    if gross:
+        return Adequacy(gross=tuple(gross))
+    refitter, base = _refitted(fit, executor)
+    residuals = tuple(person_residuals(base, recordings.names, executor))
+    location = locate(residuals, fit.seed)
+    step = Step(base, residuals, screen(base, residuals, effects, fit.seed, executor), (), None)
+    misfit, bent, names = list[str](), dict[str, float](), list[str]()
+    significant = step.log_p < np.log(ALPHA)
+    if significant:
+        bent, names = _consequences(fit, refitter, base, step)
+    structured = location.p_value < STRUCTURE_ALPHA
+    if significant or structured:
+        if not names:
+            bent = _all(fit)
+        misfit.append(_missing(fit, min(location.p_value, float(np.exp(step.log_p))), bent))
+    shape = badly_described(recordings.names, fit.noise_scale)
+    if n > 1:
+        structures, _ = find_structures(base, recordings, False, fit.seed)
+        shape += [_two_groups(s) for s in structures if isinstance(s, Subgroup)]
+        shape += _outliers(fit, base)
+    if shape:
+        bent = _all(fit) | bent
+    misfit += shape
+    return Adequacy(misfit=tuple(misfit), bent=bent, log_p=step.log_p, p_value=location.p_value, effects=tuple(names))
+
+
+def _all(fit: PopulationFit) -> dict[str, float]:
+    """Every element that is reported, bent by nobody knows how much."""
+    return {name: np.inf for name, seen in zip(fit.kernel.elements, fit.identified, strict=True) if seen}
+
+
+def _refitted(fit: PopulationFit, executor: Executor) -> tuple[Refitter, Refit]:
+    """The fit as the diagnosis has it: at rest, everybody at a mode, begun at the posterior's centre."""
+    data = [
+        Likelihood.make(s.frequency_hz, s.z, noise / scale, deviations)
+        for s, noise, scale, deviations in zip(
+            fit.recordings.subjects, fit.noise, fit.noise_scale, fit.deviations, strict=True
+        )
+    ]
+    refitter = Refitter(data, executor, fit.one_person)
+    tree = fit.kernel.network
+    model = build(tree, (), scales_of(fit.recordings), ())
+    persons = fit.person_draws.mean(axis=(0, 1))
+    u = np.concatenate([persons[i] + own for i, own in enumerate(fit.deviations)])
+    p = persons.shape[1]
+    if fit.one_person:
+        population = Population(fit.prior.centre, np.eye(p) * fit.prior.centre_sd**2, np.full(p, 0.1))
+    else:
+        rho = fit.parameters.between_repetitions.mean(axis=0)
+        population = Population(fit.parameters.mu.mean(axis=0), fit.parameters.covariance.mean(axis=0), rho)
+    base = refitter.settle(refitter.fit(model, u, population, 60), fit.seed, rounds=1)
+    return refitter, base
+
+
+def _consequences(
+    fit: PopulationFit, refitter: Refitter, base: Refit, step: Step
+) -> tuple[dict[str, float], list[str]]:
+    """Elements that significant effects bend, with the change of their logarithm, and the effects, best first."""
+    screening, bent, gains = step.screening, dict[str, float](), dict[str, float]()
+    order = [*best_shapes(screening), *best_shapes(screening, by_spread=True)]
+    p_size = screening.log_p(np.nan_to_num(screening.z))
+    tried = set[str]()
+    known = {name for name, seen in zip(fit.kernel.elements, fit.identified, strict=True) if seen}
+    half = 0.5 * np.subtract(*np.quantile(fit.parameters.mu, (0.95, 0.05), axis=0))
+    for k in order:
+        candidate = screening.candidates[k]
+        significant = min(float(p_size[k]), float(screening.log_p_spread[k])) < np.log(ALPHA)
+        if not significant or candidate.effect.id in tried or len(tried) == _TRIED:
+            continue
+        tried.add(candidate.effect.id)
+        pooling = poolings_for(candidate.effect, len(refitter.data))
+        trial = try_candidate(refitter, base, candidate, float(screening.size[k]), pooling, _ROUNDS)[-1]
+        if not (trial.physical and trial.gain > LEAST_GAIN):
+            continue
+        gains[candidate.effect.id] = trial.gain
+        e = base.model.n_elements
+        change = trial.fit.persons[:, :e].mean(axis=0) - base.persons[:, :e].mean(axis=0)
+        for name, moved, width in zip(base.model.network.elements, change, half, strict=True):
+            if not abs(moved) <= width and name in known:
+                bent[name] = max(abs(float(moved)), bent.get(name, 0.0))
+    return bent, sorted(gains, key=lambda name: -gains[name])
+
+
+def _missing(fit: PopulationFit, p: float, bent: dict[str, float]) -> str:
+    factor = float(np.median(fit.noise_scale))
+    text = (
+        f"The network leaves out something that the recordings show (p {'below 1e-300' if p <= 0 else f'= {p:.1g}'}; "
+        f"residuals are {factor:.2g} times the estimated noise): run 'bayes-impedance diagnose' to see what."
+    )
+    if len(bent) == int(fit.identified.sum()):
+        return f"{text} All elements depend on it by more than their intervals."
+    if bent:
+        return f"{text} {', '.join(bent)} depend{'s' if len(bent) == 1 else ''} on it by more than the interval."
+    return f"{text} No element depends on it by more than its interval."
+
+
+def _error(fit: PopulationFit) -> np.ndarray:
+    """Relative error of everybody's own network, shape (N,)."""
+    own = zip(fit.recordings.subjects, fit.person_draws.mean(axis=(0, 1)), strict=True)
+    return np.array([relative_rms(fit.kernel.impedance(theta, s.frequency_hz), s.mean) for s, theta in own])
+
+
+def _two_groups(group: Subgroup) -> str:
+    return (
+        f"The subjects seem to be of two groups ({100 * group.share:.0f} % differ from the others by "
+        f"{group.separation:.1f} standard deviations): one central value and one dispersion describe neither."
+    )
+
+
+def _outliers(fit: PopulationFit, base: Refit) -> list[str]:
+    seen = np.flatnonzero(fit.identified)
+    persons, n = base.persons[:, seen], len(base.persons)
+    if n < seen.size + 3 or not seen.size:
+        return []
+    offset = persons - persons.mean(axis=0)
+    distance = np.einsum("np,np->n", offset, np.linalg.lstsq(offset.T @ offset / (n - 1), offset.T, rcond=None)[0].T)
+    p = n * beta.sf(np.minimum(distance * n / (n - 1) ** 2, 1.0), seen.size / 2, (n - seen.size - 1) / 2)
+    far = np.flatnonzero(p < _OUTLIER_ALPHA)
+    if not far.size:
+        return []
+    names = ", ".join(fit.recordings.names[i] for i in far[np.argsort(p[far])][:5])
+    return [
+        f"{'Subjects' if far.size > 1 else 'Subject'} {names} lie{'' if far.size > 1 else 's'} far outside of the "
+        f"population of the others (p = {p.min():.1g}): central values and dispersions are pulled towards "
+        f"{'them' if far.size > 1 else 'it'}; check the recording, or leave it out."
+    ]
