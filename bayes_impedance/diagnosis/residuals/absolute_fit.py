@@ -81,7 +81,7 @@ def badly_described(names: Sequence[str], noise_scale: np.ndarray) -> list[str]:
         return []
     return [
         f"The network does not describe {poor.size} of {noise_scale.size} subjects "
-        f"({_some([names[i] for i in poor])}; residuals up to {float(noise_scale[poor].max()):.2g} times the noise): "
+        f"({_some([names[int(i)] for i in poor])}; residuals up to {float(noise_scale[poor].max()):.2g} times the noise): "
         "check their recordings, or leave them out."
     ]
 
