@@ -87,9 +87,7 @@ class Diagnostics:
                 f"{self._remedy}"
             )
         if not self.effective_min >= FEWEST_EFFECTIVE:
-            found.append(
-                f"there are only {self.effective_min:.0f} effective samples of some parameter: {self._remedy}"
-            )
+            found.append(f"there are only {self.effective_min:.0f} effective samples of some parameter: {self._remedy}")
         if not self.log_likelihood_variance <= VARIANCE_LIMIT:
             found.append(
                 f"the population likelihood is too noisy (variance {self.log_likelihood_variance:.2g}, limit "

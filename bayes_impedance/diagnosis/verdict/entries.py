@@ -309,8 +309,6 @@ def joint_of(found: Found) -> Joint:
     model = found.final.model
     ids = [addition.effect.id for addition in model.additions]
     said = [f"{i} at {a.place}" if ids.count(i) > 1 else i for i, a in zip(ids, model.additions, strict=True)]
-    names = tuple(
-        f"{said[p.addition]} {p.name.split('.')[-2] if '.' in p.name else p.name}" for p in model.parameters
-    )
+    names = tuple(f"{said[p.addition]} {p.name.split('.')[-2] if '.' in p.name else p.name}" for p in model.parameters)
     correlation = np.round(np.atleast_2d(np.corrcoef(found.posterior.central.T)), 3)
     return Joint(names, tuple(tuple(row) for row in correlation.tolist()))
