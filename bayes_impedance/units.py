@@ -147,7 +147,7 @@ def signed(value: float) -> str:
 
 def excludes_zero(low: float, high: float) -> bool:
     """Whether the interval of a correlation excludes zero as :func:`signed` writes it."""
-    return min(low, high) > 0 and signed(low) != "0.00" or max(low, high) < 0 and signed(high) != "0.00"
+    return (min(low, high) > 0 and signed(low) != "0.00") or (max(low, high) < 0 and signed(high) != "0.00")
 
 
 def with_interval(median: float, low: float, high: float) -> tuple[str, str]:
