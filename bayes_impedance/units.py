@@ -145,6 +145,11 @@ def signed(value: float) -> str:
     return "0.00" if float(text) == 0 else text.replace("-", "−")
 
 
+def excludes_zero(low: float, high: float) -> bool:
+    """Whether the interval of a correlation excludes zero as :func:`signed` writes it."""
+    return (min(low, high) > 0 and signed(low) != "0.00") or (max(low, high) < 0 and signed(high) != "0.00")
+
+
 def with_interval(median: float, low: float, high: float) -> tuple[str, str]:
     """A median, and its interval, with the digits that the interval's width allows."""
     places = decimals((high - low) / 2)

@@ -7,12 +7,20 @@ import json
 import numpy as np
 
 from bayes_impedance.network.notation import parse
+from bayes_impedance.results.misfit import noise_scale_summary
 from bayes_impedance.results.result import Result
 
 NETWORK = "skin:(n3|r3)-tissue:(m2|r1|n1)"
 VALUES = {"n3": 6.8e-7, "r3": 61.4, "m2": 7.9e-4, "r1": 5.0, "n1": 1.15e-3}
 CIRCUIT = "r0|(r1-n1)"
 CIRCUIT_VALUES = {"r0": 0.017, "r1": 0.03, "n1": 900.0}
+
+
+def _for_each(noise: float | tuple[float, ...], subjects: int) -> np.ndarray:
+    """For everybody alike, or for the first people, with 0.9 for the others."""
+    if isinstance(noise, float):
+        return np.full(subjects, noise)
+    return np.array([*noise, *[0.9] * subjects][:subjects])
 
 
 def make_result(
@@ -30,9 +38,16 @@ def make_result(
     points: int = 24,
     draws: int = 60,
     seed: int = 0,
+    noise: float | tuple[float, ...] = 1.0,
+    ranks: tuple[float, float] = (0.4, 0.6),
 ) -> Result:
-    """A run of two ensembles; `gap` leaves one person without data in the upper half of the band."""
+    """A run of two ensembles; `gap` leaves one person without data in the upper half of the band.
+
+    `noise` is about what the residuals are over the noise, of all or of the first people; `ranks` are those of the
+    replicated errors.
+    """
     rng = np.random.default_rng(seed)
+    noise_scale = (1 + 0.1 * np.random.default_rng(seed + 1).uniform(-1, 1, subjects)) * _for_each(noise, subjects)
     text, values = (CIRCUIT, CIRCUIT_VALUES) if electrical else (NETWORK, VALUES)
     network, unit = parse(text), "ohm" if electrical else "N s/m"
     elements = list(network.elements)
@@ -91,7 +106,7 @@ def make_result(
             "coverage_50": np.full((2, points), 0.5),
             "coverage_90": np.full((2, points), 0.9),
             "noise_relative": np.abs(0.01 + 0.002 * rng.normal(size=(n, points))),
-            "noise_scale": 1 + 0.1 * rng.normal(size=n),
+            "noise_scale": noise_scale,
             "person_relative_rms": 0.02 + 0.002 * rng.random(n),
             "pareto_k": 0.3 * rng.random(n) - 0.1,
             "effective_draws": np.full(n, 200.0),
@@ -108,7 +123,7 @@ def make_result(
         return dict(zip(interval, np.quantile(draws_of, (0.05, 0.5, 0.95)).tolist(), strict=True))
 
     curve = {"delta_magnitude": 1.2, "delta_magnitude_sd": 0.4, "delta_phase_deg": 6.0, "delta_phase_deg_sd": 2.0}
-    rank = {"replicated_rank_magnitude": 0.4, "replicated_rank_phase": 0.6}
+    rank = {"replicated_rank_magnitude": ranks[0], "replicated_rank_phase": ranks[1]}
     lookup = dict.fromkeys(curve, 0.0) if one else curve
     summary = {
         "schema": 1,
@@ -148,7 +163,8 @@ def make_result(
             },
         },
         "coverage": {"50": 0.5, "90": 0.9},
-        "noise_scale": {"median": 1.0, "max": 1.2},
+        "coverage_by_frequency": {"50": [0.3, 0.7], "90": [0.75, 1.0]},
+        "noise_scale": noise_scale_summary(noise_scale),
         "sampler": {
             "ensembles": 2,
             "steps": 200,
@@ -197,7 +213,17 @@ VARIANTS = {
     "an element unseen": {"unidentified": ("n3",)},
     "no element seen": {"unidentified": tuple(VALUES)},
     "one element seen": {"unidentified": tuple(e for e in VALUES if e != "r3")},
-    "with problems": {"problems": ("the ensembles disagree (R-hat 1.200, limit 1.05): sample longer",)},
+    "with problems": {"problems": ("the ensembles disagree (R-hat 1.200, limit 1.05): repeat it without --quick",)},
     "diagonal covariance": {"covariance": "diagonal", "gap": True},
     "with a covariate": {"covariates": ("contact_force_n",), "source": "simulated by hand"},
 }
+
+MISFITS = {
+    "gross misfit": {"noise": 38.4},
+    "misfit in some": {"subjects": 20, "noise": (6.0, 6.0, 9.0)},
+    "misfit in one of many": {"subjects": 30, "noise": (6.0,)},
+    "misfit beyond the replicates": {"noise": 3.0, "ranks": (0.0, 0.02)},
+    "one subject with a misfit": {"subjects": 1, "repetitions": 1, "noise": 12.0},
+    "more scatter expected": {"ranks": (0.97, 0.99)},
+}
+"""Residuals that are more than noise: pages and sentences of them; their pictures are those of the others."""

@@ -221,7 +221,7 @@ def population_of(result: Result, assume: Mapping[str, float] | None = None) -> 
         If the fit must not be used, is of one person, or leaves an element without a value.
     """
     if result.problems:
-        raise InputError(f"the fit is not reliable ({result.problems[0]}): repeat it with more draws before designing")
+        raise InputError(f"the fit is not reliable ({result.problems[0]}); design with a fit that is")
     posterior = result.groups["posterior"]
     if "dispersion_between_persons" not in posterior:
         raise InputError("the fit is of one subject: there is no population to draw users from; fit more recordings")

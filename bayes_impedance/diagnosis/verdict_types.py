@@ -183,7 +183,8 @@ class Physics:
     subjects : "all" or tuple of str
         Who has it.
     dispersion_interval : (float, float) or None
-        90 % interval of the relative spread between people; None if it was not estimated.
+        90 % interval of the first parameter's dispersion; where it is shared, of what the dispersion would be if it
+        were not. None if it was not estimated.
     covariate : str or None
         Which elements follow.
     elements : tuple of str

@@ -11,7 +11,7 @@ from bayes_impedance.plots.access import INTERVAL, element_scale, identified, ne
 from bayes_impedance.plots.joint import PRIOR_CENTRE_SD, PRIOR_DISPERSION_SD, half_normal_density, normal_density
 from bayes_impedance.plots.style import BLUE, ENSEMBLES, GREY, INK, LIGHT, ORANGE, RED, log_axis, log_limits
 from bayes_impedance.results.result import Result
-from bayes_impedance.units import signed
+from bayes_impedance.units import excludes_zero, signed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -153,7 +153,7 @@ def correlation(axes: Axes, result: Result) -> Axes:
     if len(names) <= _MANY:
         for i in range(1, len(names)):
             for j in range(i):
-                sure = low[i, j] > 0 or high[i, j] < 0
+                sure = excludes_zero(float(low[i, j]), float(high[i, j]))
                 colour = "white" if abs(middle[i, j]) > 0.6 else INK if sure else "#9a9a9a"
                 axes.text(
                     j,

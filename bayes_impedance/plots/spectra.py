@@ -25,7 +25,8 @@ from bayes_impedance.plots.style import (
     phase_axis,
     row_median,
 )
-from bayes_impedance.results.result import MISFIT_SCALE, Result
+from bayes_impedance.results.misfit import MISFIT_SCALE
+from bayes_impedance.results.result import Result
 from bayes_impedance.units import scale_for
 
 if TYPE_CHECKING:

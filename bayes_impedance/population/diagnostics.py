@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayes_impedance.mcmc.ensemble import Chains
+from bayes_impedance.mcmc.ensemble import QUICK, Chains
 from bayes_impedance.population.em import Estimate
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.posterior import noise_within
@@ -78,20 +78,20 @@ class Diagnostics:
         found = []
         if not self.rhat_max <= RHAT_LIMIT:
             found.append(
-                f"the ensembles disagree (R-hat {self.rhat_max:.3f}, limit {RHAT_LIMIT}): sample longer, or the "
+                f"the ensembles disagree (R-hat {self.rhat_max:.3f}, limit {RHAT_LIMIT}): {self._remedy}, or the "
                 "posterior has several modes"
             )
         if not self.steps >= SHORTEST_CHAIN * self.autocorrelation_max:
             found.append(
                 f"the chains are too short ({self.steps} steps, autocorrelation time {self.autocorrelation_max:.0f}): "
-                "sample longer"
+                f"{self._remedy}"
             )
         if not self.effective_min >= FEWEST_EFFECTIVE:
-            found.append(f"there are only {self.effective_min:.0f} effective samples of some parameter: sample longer")
+            found.append(f"there are only {self.effective_min:.0f} effective samples of some parameter: {self._remedy}")
         if not self.log_likelihood_variance <= VARIANCE_LIMIT:
             found.append(
                 f"the population likelihood is too noisy (variance {self.log_likelihood_variance:.2g}, limit "
-                f"{VARIANCE_LIMIT}): use more draws for each person"
+                f"{VARIANCE_LIMIT}): {self._remedy}"
             )
         if self.unconverged:
             some = ", ".join(self.unconverged[:5])
@@ -99,6 +99,13 @@ class Diagnostics:
                 f"the fit of {len(self.unconverged)} person(s) did not converge ({some}): check their recordings"
             )
         return tuple(found)
+
+    @property
+    def _remedy(self) -> str:
+        """What the user can do about chains that are too short or draws that are too few."""
+        if self.ensembles <= QUICK.ensembles:
+            return "repeat the fit without --quick, which samples longer and from more draws"
+        return "take a network with fewer elements, or --covariance diagonal"
 
     @property
     def remarks(self) -> tuple[str, ...]:

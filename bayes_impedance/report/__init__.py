@@ -9,9 +9,11 @@ from typing import Protocol
 from bayes_impedance.network.notation import parse
 from bayes_impedance.plots import write_pictures
 from bayes_impedance.plots.access import is_electrical, is_simulated, subjects, who
+from bayes_impedance.population.diagnostics import PARETO_LIMIT
 from bayes_impedance.report import fit_sentences, fit_tables
 from bayes_impedance.report.page_template import embedded_picture, template_environment
 from bayes_impedance.report.schematic import schematic
+from bayes_impedance.results.misfit import MISFIT_SCALE
 from bayes_impedance.results.result import Result
 from bayes_impedance.runtime.atomic_files import write_text
 
@@ -101,7 +103,9 @@ def _context(result: Result, findings: list[FindingLike], pictures: Mapping[str,
         "error_unit": unit,
         "errors": errors,
         "replication": fit_sentences.replication_sentence(result),
-        "coverage": {level: f"{100 * share:.0f} %" for level, share in result.summary["coverage"].items()},
+        "coverage": {level: fit_sentences.coverage_in_words(result, level) for level in result.summary["coverage"]},
+        "misfit_scale": f"{MISFIT_SCALE:g}",
+        "pareto_limit": f"{PARETO_LIMIT:g}",
         "outliers": fit_tables.outlier_rows(result),
         "checks": fit_tables.checks(result),
         "provenance": fit_tables.provenance_rows(result),

@@ -235,7 +235,7 @@ def improvements(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
         (f"Magnitude error of {one} (eq. 5)", entry.delta_magnitude, scale.factor, f" {scale.unit}"),
         (f"Phase error of {one} (eq. 5)", entry.delta_phase_deg, 1.0, "°"),
         (f"Error of each {people(diagnosis, 1)}'s own network (relative)", entry.subject_rms_relative, 100.0, " %"),
-        ("Recordings inside of the predicted 90 % band", entry.coverage90, 100.0, " %"),
+        ("Recordings inside of the predicted 90 % band, average over frequency", entry.coverage90, 100.0, " %"),
     )
     shown = []
     for name, pair, factor, unit in rows:

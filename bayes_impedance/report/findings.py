@@ -152,20 +152,29 @@ def why_side(entry: Physics, diagnosis: Diagnosis) -> str:
             f"One {one} was measured, so the recordings cannot show whether the effect varies between {who}: the side "
             "follows from what the effect is."
         )
-    known = [p.dispersion for p in entry.parameters.values() if p.dispersion is not None]
-    if entry.dispersion_interval is None:
-        if not known:
-            return f"How much it varies between {who} was not estimated."
-        spread = f"{_percent(max(known))}"
-    else:
-        low, high = entry.dispersion_interval
-        middle = f"{_percent(max(known))}, " if known else ""
-        spread = f"{middle}90 % interval {_percent(low)} to {_percent(high)}"
+    spread = _spread(entry)
+    if spread is None:
+        return f"How much it varies between {who} was not estimated."
     says = {
         "rig": "A rig is the same for everybody, and a spread near zero speaks for it",
         "body": "A rig is the same for everybody; a spread above zero speaks for the body",
     }.get(entry.side or "", "A rig is the same for everybody, a body is not; this does not decide between them")
-    return f"{says}. Relative spread between {who}: {spread}."
+    return f"{says}. Relative spread of {spread[0]} between {who}: {spread[1]}."
+
+
+def _spread(entry: Physics) -> tuple[str, str] | None:
+    """The parameter whose spread decides between rig and body, and that spread: value and interval are of it alone."""
+    if not entry.parameters:
+        return None
+    name, first = next(iter(entry.parameters.items()))
+    interval, text = entry.dispersion_interval, ""
+    if interval is not None:
+        text = f"90 % interval {_percent(interval[0])} to {_percent(interval[1])}"
+    if entry.pooling == "shared":  # its dispersion is zero because it was not asked for
+        return None if interval is None else (name.replace("_", " "), text)
+    if first.dispersion is None:
+        return None
+    return name.replace("_", " "), ", ".join(part for part in (_percent(first.dispersion), text) if part)
 
 
 def _quantity(name: str, parameter: Parameter) -> Quantity:
@@ -173,7 +182,7 @@ def _quantity(name: str, parameter: Parameter) -> Quantity:
     # An interval that is far wider than its middle decides the prefix.
     scale = scale_for(max(abs(x) for x in (middle, (high - low) / 4, 0.0) if math.isfinite(x)), parameter.unit)
     value, interval = interval_text(*(scale.factor * x for x in (middle, low, high)))
-    spread = _percent(parameter.dispersion)
+    spread = "the same for all" if parameter.dispersion == 0 else _percent(parameter.dispersion)
     return Quantity(name.replace("_", " "), value, interval, "" if value == ABSENT else scale.unit, spread)
 
 

@@ -9,8 +9,12 @@ import math
 
 from bayes_impedance.plots.access import frequency, needed, subjects, who
 from bayes_impedance.report.fit_tables import element_rows, population_name
-from bayes_impedance.results.result import MISFIT_SCALE, Result
+from bayes_impedance.results.misfit import misfit_words, network_misfits
+from bayes_impedance.results.result import Result
 from bayes_impedance.units import hertz, scale_for, significant
+
+_RARE = 0.05
+"""Share of the populations drawn from the model below which the measured error is called larger than it explains."""
 
 
 def answer(result: Result) -> list[str]:
@@ -28,10 +32,10 @@ def answer(result: Result) -> list[str]:
     ]
     if result.problems:
         return [*text, "The computation did not reach the accuracy it needs, so no number is given here."]
-    if summary["noise_scale"]["median"] > MISFIT_SCALE:
+    if network_misfits(summary):
         text.append(
             "It leaves out something that the recordings show: what remains is "
-            f"{summary['noise_scale']['median']:.2g} times the noise, and all numbers are those of the network that "
+            f"{misfit_words(summary['noise_scale'], n, who(result))}, and all numbers are those of the network that "
             "comes closest."
         )
     text += _values_in_words(result, n)
@@ -50,7 +54,8 @@ def _values_in_words(result: Result, n: int) -> list[str]:
         text.append(f"The values of {owner}: {', '.join(known)}.")
     if missing:
         text.append(f"These recordings do not determine {' and '.join(missing)}.")
-    spreads = [e["dispersion_between_persons"]["median"] for e in result.summary["elements"].values()]
+    identified = [e for e in result.summary["elements"].values() if e["identified"]]
+    spreads = [e["dispersion_between_persons"]["median"] for e in identified]
     factors = sorted(math.exp(s) for s in spreads if s is not None)
     if factors:
         ends = dict.fromkeys(f"{factor:.2f}" for factor in (factors[0], factors[-1]))  # once if they are equal
@@ -62,7 +67,7 @@ def _values_in_words(result: Result, n: int) -> list[str]:
 
 
 def _quality_in_words(result: Result, n: int) -> list[str]:
-    errors, coverage = result.summary["errors"], result.summary["coverage"]
+    errors = result.summary["errors"]
     own = errors["subjects"]
     middle, worst = 100 * own["relative_rms_median"], 100 * own["relative_rms_max"]
     if n == 1:
@@ -81,8 +86,15 @@ def _quality_in_words(result: Result, n: int) -> list[str]:
             f"{significant(table['delta_magnitude'] * scale.factor)} {scale.unit} and "
             f"{significant(table['delta_phase_deg'], 2)}°."
         )
-        text.append(f"The predicted 90 % band contains {100 * coverage['90']:.0f} % of what was measured.")
+        text.append(f"The predicted 90 % band contains {coverage_in_words(result, '90')} of what was measured.")
     return text
+
+
+def coverage_in_words(result: Result, level: str) -> str:
+    """Share inside of a band as an average, and between what it varies with frequency: an average hides that."""
+    least, most = (f"{100 * share:.0f} %" for share in result.summary["coverage_by_frequency"][level])
+    mean = f"{100 * result.summary['coverage'][level]:.0f} %"
+    return f"{mean} on average ({least} to {most} at single frequencies)"
 
 
 def replication_sentence(result: Result) -> str:
@@ -91,9 +103,16 @@ def replication_sentence(result: Result) -> str:
     ranks = [entry["replicated_rank_magnitude"], entry["replicated_rank_phase"]]
     shares = f"{100 * ranks[0]:.0f} % of them for the magnitude and {100 * ranks[1]:.0f} % for the phase"
     kind = "populations" if len(subjects(result)) > 1 else "recordings"
-    if min(ranks) < 0.05:
+    if network_misfits(result.summary):
+        verdict = (
+            "That says how far people differ and how large the residuals are, but not that the network describes the "
+            "recordings: it does not."
+        )
+        if min(ranks) < _RARE:
+            verdict = "The recordings stray further from the network than the model can explain."
+    elif min(ranks) < _RARE:
         verdict = "The recordings stray further from the network than the model can explain."
-    elif min(ranks) > 0.95:
+    elif min(ranks) > 1 - _RARE:
         verdict = "The model expects more scatter than the recordings have."
     else:
         verdict = "So the size of the error is what the model expects."

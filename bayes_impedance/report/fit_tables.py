@@ -25,10 +25,10 @@ from bayes_impedance.plots.access import (
     variable,
     who,
 )
-from bayes_impedance.population.diagnostics import PARETO_LIMIT, RHAT_LIMIT, VARIANCE_LIMIT
+from bayes_impedance.population.diagnostics import FEWEST_EFFECTIVE, PARETO_LIMIT, RHAT_LIMIT, VARIANCE_LIMIT
 from bayes_impedance.population.posterior import VARIANCE_WANTED
 from bayes_impedance.results.result import Result
-from bayes_impedance.units import hertz, scale_for, signed, significant, typeset, with_interval
+from bayes_impedance.units import excludes_zero, hertz, scale_for, signed, significant, typeset, with_interval
 
 NOT_DETERMINED = "not determined by these recordings"
 _WITHHELD = "withheld"
@@ -42,6 +42,12 @@ _ELECTRICAL = {
 _CORRELATIONS = 12
 """At most so many pairs are listed: those that a reader takes in."""
 _RHAT_WANTED = SamplerSettings().rhat
+_ESS_WANTED = 400
+"""Effective samples: 5 % and 95 % quantiles then have an error of a tenth of a standard deviation."""
+_ACCEPTANCE = 0.1, 0.9
+"""Share of accepted steps, by choice: stretch moves work best around a third."""
+_DRAWS_WANTED = 10
+"""Effective draws of a person, by choice: means of fewer are hardly means."""
 _OUTLIERS = 3
 """How many subjects are listed for each reason to stand out."""
 
@@ -98,12 +104,14 @@ def element_rows(result: Result) -> list[ElementRow]:
         noun, story = _ELECTRICAL[name[0]] if is_electrical(result) else (kind_of(name).name, kind_of(name).story)
         central, unit = entry["central"], typeset(entry["unit"])
         value, interval = (_WITHHELD, "") if entry["identified"] else (NOT_DETERMINED, "")
-        if central["median"] is not None:
+        if entry["identified"] and central["median"] is not None:
             scale = scale_for(central["median"], entry["unit"])
             value, interval = with_interval(*(scale.factor * central[k] for k in ("median", "q05", "q95")))
             unit = scale.unit
-        persons = _spread(entry["dispersion_between_persons"])
-        repetitions = _spread(entry["dispersion_between_repetitions"])
+        persons, repetitions = (
+            _spread(entry[f"dispersion_between_{level}"]) if entry["identified"] else (_ABSENT, "")
+            for level in ("persons", "repetitions")
+        )
         title = f"{places[name]} {noun}" if places[name] else noun
         rows.append(
             ElementRow(
@@ -148,7 +156,8 @@ def _innermost(network: Network, path: tuple[int, ...]) -> str:
 
 def correlation_rows(result: Result) -> list[tuple[str, str, str]]:
     """Pairs whose 90 % interval excludes zero, with correlation and interval; only the strongest."""
-    sure = [row for row in result.summary["correlation"] if row[3] > 0 or row[4] < 0]
+    known = {name for name, entry in result.summary["elements"].items() if entry["identified"]}
+    sure = [row for row in result.summary["correlation"] if excludes_zero(row[3], row[4]) and known >= set(row[:2])]
     sure.sort(key=lambda row: -abs(row[2]))
     return [
         (f"{a} and {b}", signed(middle), f"{signed(low)} to {signed(high)}")
@@ -162,6 +171,8 @@ def slope_rows(result: Result) -> list[tuple[str, str, str, str]]:
         return []
     slopes, rows = np.exp(samples(result, "slope")), []
     for i, name in enumerate(result.elements):
+        if not result.summary["elements"][name]["identified"]:
+            continue
         for j, covariate in enumerate(result.coords["covariate"]):
             if np.all(np.isfinite(slopes[:, i, j])):
                 low, middle, high = np.quantile(slopes[:, i, j], (0.05, 0.5, 0.95))
@@ -260,15 +271,16 @@ def checks(result: Result) -> list[Check]:
         Check(
             "Effective sample size, worst",
             f"{s['ess_min']:.0f}",
-            "above 400",
-            s["ess_min"] >= 400,
-            "How many independent draws the correlated ones are worth; 400 are enough for the ends of intervals.",
+            f"above {_ESS_WANTED}; refused below {FEWEST_EFFECTIVE:g}",
+            s["ess_min"] >= _ESS_WANTED,
+            f"How many independent draws the correlated ones are worth; {_ESS_WANTED} are enough for the ends of "
+            "intervals.",
         ),
         Check(
             "Acceptance",
             f"{s['acceptance']:.2f}",
-            "0.1 to 0.9",
-            0.1 <= s["acceptance"] <= 0.9,
+            f"{_ACCEPTANCE[0]} to {_ACCEPTANCE[1]}",
+            _ACCEPTANCE[0] <= s["acceptance"] <= _ACCEPTANCE[1],
             "Share of proposed steps that were taken. Near 0 the sampler is stuck, near 1 it hardly moves.",
         ),
         Check(
@@ -288,8 +300,8 @@ def checks(result: Result) -> list[Check]:
         Check(
             "Effective draws, worst",
             f"{s['effective_draws_min']:.0f}",
-            "above 10",
-            s["effective_draws_min"] >= 10,
+            f"above {_DRAWS_WANTED}",
+            s["effective_draws_min"] >= _DRAWS_WANTED,
             f"How many equal draws the weighted ones of a {who(result, 1)} are worth.",
         ),
     ]

@@ -19,6 +19,7 @@ import numpy as np
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.elements import kind_of
 from bayes_impedance.population.fit import PopulationFit, too_few_for_correlations
+from bayes_impedance.results.misfit import coverage_by_frequency, misfit_words, network_misfits, noise_scale_summary
 from bayes_impedance.results.predictive import PROBABILITIES, Predictive
 from bayes_impedance.runtime.atomic_files import write_json
 
@@ -27,9 +28,6 @@ if TYPE_CHECKING:
 
 SCHEMA = 1
 RESULT_FILE, SUMMARY_FILE = "result.nc", "summary.json"
-MISFIT_SCALE = 1.5
-"""Above this ratio of residual to noise, the network is said to miss something in a person's recordings: what is
-unexplained is then as large as the noise."""
 FEW_PERSONS = 10
 """With fewer persons, dispersions rest on the prior as much as on the data: a standard deviation of nine values is
 known to a quarter at best."""
@@ -294,10 +292,8 @@ def _summary(
             "50": float(np.mean(predictive.coverage50)),
             "90": float(np.mean(predictive.coverage90)),
         },
-        "noise_scale": {
-            "median": float(np.median(fit.noise_scale)),
-            "max": float(np.max(fit.noise_scale)),
-        },
+        "coverage_by_frequency": coverage_by_frequency({"50": predictive.coverage50, "90": predictive.coverage90}),
+        "noise_scale": noise_scale_summary(fit.noise_scale),
         "sampler": {
             "ensembles": d.ensembles,
             "steps": d.steps,
@@ -319,13 +315,12 @@ def _summary(
 def _remarks(fit: PopulationFit, predictive: Predictive) -> list[str]:
     """What a person should be told about the fit, in full sentences, the most important first."""
     remarks = []
-    n, missing = len(fit.recordings.subjects), fit.noise_scale > MISFIT_SCALE
-    if np.mean(missing) > 0.1:
+    n, scale = len(fit.recordings.subjects), noise_scale_summary(fit.noise_scale)
+    if network_misfits({"subjects": n, "noise_scale": scale}):
         remarks.append(
-            f"The network does not describe these recordings: residuals are {np.median(fit.noise_scale):.1f} times the "
-            f"noise (median; {np.sum(missing)} of {n} subjects are affected), and each subject's own best network is "
-            f"{100 * np.median(predictive.person_relative_rms):.1f} % off. The values below are those of the network "
-            "that comes closest, and their intervals hold only if one accepts it."
+            f"The network does not describe these recordings: what remains is {misfit_words(scale, n, 'subjects')}, "
+            f"and each subject's own best network is {100 * np.median(predictive.person_relative_rms):.1f} % off. The "
+            "values below are those of the network that comes closest, and their intervals hold only if one accepts it."
         )
     if fit.one_person:
         remarks.append("There is one subject: the values are this subject's, and no dispersion can be estimated.")

@@ -94,8 +94,8 @@ def test_stability_is_told_in_one_sentence_and_in_tables(exported: Path) -> None
     values = np.array(rows, dtype=float)
     assert len(rows) == 36
     low, share, high = (values[:, header.index(name)] for name in ("q05", "share_stable", "q95"))
-    assert np.all((low >= 0) & (low <= high) & (high <= 1))
-    assert share.max() == 1
+    assert np.all((low >= 0) & (low <= share) & (share <= high) & (high <= 1))
+    assert share.max() > 0.9
     sections = told["device"]["section"]
     assert sections[0]["values"] == {"m1": 0.072, "r1": 0.005}
 

@@ -58,9 +58,9 @@ def test_a_card_says_what_where_how_much_and_why(tmp_path: Path) -> None:
     text, page = page_of(make_diagnosis(), tmp_path)
     for said in (DELAY.name, DELAY.story, DELAY.formula, SUMMARY):
         assert said in page.words
-    assert "delay 1.500 µs 1.420 to 1.610 1.2 %" in page.words
+    assert "delay 1.500 µs 1.420 to 1.610 the same for all" in page.words
     assert "at: port belongs to: the rig the same for everybody" in page.words
-    assert "Relative spread between people: 1.2 %, 90 % interval 0 % to 3.1 %." in page.words
+    assert "Relative spread of delay between people: 90 % interval 0 % to 3.1 %." in page.words
     assert "score 2096" in page.words
     assert "p < 1e-300" in page.words
     assert "held-out gain 985 ± 40" in page.words
@@ -74,7 +74,7 @@ def test_improvement_and_limits_have_units(tmp_path: Path) -> None:
     _, page = page_of(make_diagnosis(), tmp_path)
     assert "Magnitude error of one network for all (eq. 5) 1.31 N s/m 1.27 N s/m" in page.words
     assert "Phase error of one network for all (eq. 5) 8.70° 8.10°" in page.words
-    assert "inside of the predicted 90 % band 82.0 % 89.8 %" in page.words
+    assert "inside of the predicted 90 % band, average over frequency 82.0 % 89.8 %" in page.words
     assert "5 subject folds, 8 frequency blocks" in page.words
     assert "rig.mass port 2.1 mg rig.delay port 31 ns" in page.words
     assert "body.relaxation skin 0.34 N s/m tissue 12 mN s/m rig.lowpass port 41 kHz" in page.words
@@ -87,7 +87,7 @@ def test_several_effects_have_a_card_each_and_their_dependence(tmp_path: Path) -
     assert text.count('<article class="card">') == 2
     assert "body.resonator port" not in page.words
     assert "mass 0.240 g 0.190 to 0.310 31 % resonance 1.310 kHz 1.240 to 1.390" in page.words
-    assert "speaks for the body. Relative spread between people: 31 %, 90 % interval 22 % to 44 %" in page.words
+    assert "speaks for the body. Relative spread of mass between people: 31 %, 90 % interval 22 % to 44 %" in page.words
     assert page.words.index("rig.delay delay and body.resonator resonance −0.61") < page.words.index("mass +0.12")
     assert page.words.count("body.line") == 30
     before, folded = page.words.split("22 more")

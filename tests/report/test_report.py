@@ -79,7 +79,7 @@ def test_problems_come_before_anything_else_and_numbers_are_withheld(tmp_path: P
     for name in ("curves", "overview", "forest", "traces"):
         pictures[name] = tmp_path / f"{name}.png"
         pictures[name].write_bytes(name.encode())
-    problem = "the ensembles disagree (R-hat 1.200, limit 1.05): sample longer"
+    problem = "the ensembles disagree (R-hat 1.200, limit 1.05): repeat it without --quick"
     file = write_report(make_result(problems=(problem,), remarks=("a remark",)), tmp_path, FINDINGS, pictures)
     text = file.read_text(encoding="utf-8")
     page = Page(text)

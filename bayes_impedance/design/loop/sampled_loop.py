@@ -248,7 +248,7 @@ def stable(
 
 
 def largest_stiffness(
-    loop: SampledLoop, damping: float, highest: float, *, lowest: float = 1.0
+    loop: SampledLoop, damping: float, highest: float, *, lowest: float = 1.0, halvings: int = _BISECTIONS
 ) -> tuple[np.ndarray, np.ndarray]:
     """Where stability ends when the stiffness of the wall is raised from low values on.
 
@@ -258,7 +258,9 @@ def largest_stiffness(
     damping : float
         Virtual damping in N s/m.
     highest, lowest : float
-        Between which stiffnesses in N/m the end is looked for, by steps of a few per cent and then by bisection.
+        Between which stiffnesses in N/m the end is looked for, in logarithmic steps and then by bisection.
+    halvings : int
+        Of the step in which the end lies.
 
     Returns
     -------
@@ -274,7 +276,7 @@ def largest_stiffness(
     ends = np.where(good.all(axis=1), scan.size, np.argmin(good, axis=1))
     low = np.log(scan[np.clip(ends - 1, 0, None)])
     high = np.log(scan[np.clip(ends, None, scan.size - 1)])
-    for _ in range(_BISECTIONS):
+    for _ in range(halvings):
         middle = (low + high) / 2
         fine = loop.radius(np.exp(middle)[:, None], np.full((users, 1), damping))[:, 0] < 1 + MARGIN
         low, high = np.where(fine, middle, low), np.where(fine, high, middle)

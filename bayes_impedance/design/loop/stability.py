@@ -8,21 +8,22 @@ estimated with the users' weights for it (:meth:`UserPopulation.weights`),
 
 and the posterior is many populations r. A finite number of users leaves an uncertainty of its own: with :math:`n_r =
 1/\sum_i w_{ri}^2` effective users, p is drawn from Beta(1/2 + n p, 1/2 + n (1 - p)) [1]_. Quantiles of all draws are
-the credible interval: it contains what is not known of the population and what was not simulated.
+the credible interval, and their median is the share: it contains what is not known of the population and what was not
+simulated.
 
-The limit of a share, "stable for 99 % up to K", needs no grid: every user's own limit is bisected, and its weighted
-quantile taken per population, with weights multiplied by exponential draws (Bayesian bootstrap, [2]_).
+The limit of a share, "stable for 99 % up to K", needs no grid, and is no quantile of the users: it is a quantile of
+every population of the posterior (:mod:`bayes_impedance.design.loop.population_limit`), and what is reported is the
+median and the 90 % interval of these.
 
 **Which elements make the worst user.** :math:`\ln K_\max` is followed from the centre of the population to the user on
-a straight line in log elements; the part of each element is its integrated gradient [3]_, and the parts add up to the
+a straight line in log elements; the part of each element is its integrated gradient [2]_, and the parts add up to the
 difference.
 
 References
 ----------
 .. [1] L. D. Brown, T. T. Cai, A. DasGupta, "Interval estimation for a binomial proportion", Statistical Science 16
    (2001) 101-133.
-.. [2] D. B. Rubin, "The Bayesian bootstrap", Annals of Statistics 9 (1981) 130-134.
-.. [3] M. Sundararajan, A. Taly, Q. Yan, "Axiomatic attribution for deep networks", ICML (2017).
+.. [2] M. Sundararajan, A. Taly, Q. Yan, "Axiomatic attribution for deep networks", ICML (2017).
 """
 
 from __future__ import annotations
@@ -34,11 +35,9 @@ import numpy as np
 
 from bayes_impedance.design.circuits.state_space import realise
 from bayes_impedance.design.loop.device import Device
+from bayes_impedance.design.loop.population_limit import POPULATIONS, limits_of_populations
 from bayes_impedance.design.loop.sampled_loop import SampledLoop, largest_stiffness, sampled_loop, stable
 from bayes_impedance.design.users import UserPopulation, Users
-
-POPULATIONS = 200
-"""Draws of the posterior that are used. By choice: ten of them lie beyond each end of a 90 % interval."""
 
 _STEPS = 8
 """Points of the midpoint rule along the line to the worst user. By choice: the gradient changes slowly along it."""
@@ -59,10 +58,8 @@ class StabilityMap:
         Gains K in N/m and B in N s/m.
     users : Users
     stable : ndarray of bool, shape (N, H, G)
-    probability : ndarray, shape (H, G)
-        For a new user.
-    low, high : ndarray, shape (H, G)
-        5 % and 95 % limits of the share in the population.
+    probability, low, high : ndarray, shape (H, G)
+        Share in the population: median, 5 % and 95 % quantile of its posterior.
     mean_user : ndarray of bool, shape (H, G)
         Whether it is stable with the population's centre: what one would say without a population.
     mean_user_limit : ndarray, shape (H,)
@@ -97,7 +94,7 @@ class Limit:
         B in N s/m.
     share : float
     stiffness, low, high : float
-        Limit in N/m for new users, and its 90 % credible interval.
+        Limit in N/m for that share of the population: median, 5 % and 95 % quantile of its posterior.
     mean_user, mean_user_hz : float
         Limit of the population's centre, and the frequency of the oscillation there.
     classical : float
@@ -189,14 +186,14 @@ def stability_map(
     share = np.clip(weights @ found, 0.0, 1.0)
     rng = np.random.default_rng(seed)
     draws = rng.beta(0.5 + effective[:, None] * share, 0.5 + effective[:, None] * (1 - share))
-    low, high = np.quantile(draws, (0.05, 0.95), axis=0)
+    low, middle, high = np.quantile(draws, (0.05, 0.5, 0.95), axis=0)
     return StabilityMap(
         device=device,
         stiffness=stiffness,
         damping=damping,
         users=users,
         stable=found.reshape(len(users), *shape),
-        probability=found.mean(axis=0).reshape(shape),
+        probability=middle.reshape(shape),
         low=low.reshape(shape),
         high=high.reshape(shape),
         mean_user=centre.reshape(shape),
@@ -223,7 +220,7 @@ def limit_of(
     ----------
     population : UserPopulation
     users : Users
-        Drawn from it.
+        Drawn from it: whose own limits are told. The limit of the share does not depend on them.
     device : Device
     damping : float
         Virtual damping B in N s/m.
@@ -232,21 +229,20 @@ def limit_of(
     highest : float
         Stiffness in N/m beyond which nobody asks.
     seed : int
-        Of the Bayesian bootstrap.
+        Of the users from whom the limit of the share is computed.
     populations : int
+        Of the posterior.
     """
     each, frequency = largest_stiffness(loop_of(device, users), damping, highest)
     own, own_hz = largest_stiffness(loop_of(device, population.median_user()), damping, highest)
-    weights = population.weights(users, populations)
-    weights = weights * np.random.default_rng(seed).exponential(size=weights.shape)
-    order = np.argsort(each)
-    total = np.cumsum(weights[:, order], axis=1)
-    position = np.sum(total < (1 - share) * total[:, -1:], axis=1)
-    low, high = np.quantile(each[order][np.minimum(position, len(users) - 1)], (0.05, 0.95))
+    of_populations = limits_of_populations(
+        population, device, damping, share, highest=highest, seed=seed, populations=populations
+    )
+    low, middle, high = np.quantile(of_populations, (0.05, 0.5, 0.95))
     return Limit(
         damping=damping,
         share=share,
-        stiffness=float(np.quantile(each, 1 - share)),
+        stiffness=float(middle),
         low=float(low),
         high=float(high),
         mean_user=float(own[0]),

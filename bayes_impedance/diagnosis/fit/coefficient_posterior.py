@@ -133,6 +133,13 @@ class Reported:
     dispersion_q05: float | None
     dispersion_q95: float | None
 
+    @property
+    def dispersion_interval(self) -> tuple[float, float] | None:
+        """90 % interval of the dispersion."""
+        if self.dispersion_q05 is None or self.dispersion_q95 is None:
+            return None
+        return self.dispersion_q05, self.dispersion_q95
+
 
 def reported(model: Model, addition: int, posterior: CoefficientPosterior, elements: np.ndarray) -> list[Reported]:
     """The parameters of an addition in their units.
@@ -152,10 +159,11 @@ def reported(model: Model, addition: int, posterior: CoefficientPosterior, eleme
     dispersions = posterior.relative_dispersion[:, columns]
     result = []
     if not effect.operation:
-        for k, column in enumerate(columns):
-            element = model.kernel.elements[model.n_elements + column]
-            kind = kind_of(element)
-            result.append(_reported(kind.name, kind.unit(scales.unit), np.exp(draws[:, k]), dispersions[:, k]))
+        added = [model.kernel.elements[model.n_elements + column] for column in columns]
+        kinds = [kind_of(element) for element in added]
+        for k, (element, kind) in enumerate(zip(added, kinds, strict=True)):
+            name = f"{kind.name} {element}" if kinds.count(kind) > 1 else kind.name  # no name twice
+            result.append(_reported(name, kind.unit(scales.unit), np.exp(draws[:, k]), dispersions[:, k]))
         return result
     values: list[np.ndarray] = []
     spreads: list[np.ndarray] = []

@@ -136,15 +136,27 @@ class Model:
     @property
     def notation(self) -> str:
         """The network with those additions that are made of masses, springs and dampers."""
-        network = _with_labels(self.network)
+        return self._grown()[0]
+
+    @property
+    def branches(self) -> tuple[str, ...]:
+        """What each addition puts into :attr:`notation`, in its names; empty for one that is an operation."""
+        return self._grown()[1]
+
+    def _grown(self) -> tuple[str, tuple[str, ...]]:
+        """The network with its branches, and each of these."""
+        network, branches = _with_labels(self.network), dict[int, str]()
         names = {place.name: _inner_name(network, place) for place in self.network.places()}
-        for addition in sorted(self.additions, key=lambda a: a.effect.is_outermost):  # the rig is outermost
+        order = sorted(range(len(self.additions)), key=lambda i: self.additions[i].effect.is_outermost)
+        for i in order:  # the rig is outermost
+            addition = self.additions[i]
             if addition.effect.branch:
                 target = Place((), "port") if addition.effect.is_outermost else _find(network, names[addition.place])
                 branch = _renamed(parse(addition.effect.branch), network)
                 beside = addition.effect.connection == "beside"
                 network = network.beside(target, branch) if beside else network.in_series(target, branch)
-        return str(_without_labels(network))
+                branches[i] = str(branch)
+        return str(_without_labels(network)), tuple(branches.get(i, "") for i in range(len(self.additions)))
 
 
 def scales_of(recordings: Recordings) -> Scales:

@@ -78,12 +78,13 @@ def effect_entry(
     rows = reported(model, addition, posterior, np.asarray(found.final.u[:, : model.n_elements].mean(axis=0)))
     column = model.columns(addition)[0] - model.n_elements
     dispersion = posterior.relative_dispersion[:, column]
+    interval = None
     if item.pooling == "shared" and not few_people:
         dispersion = dispersion_of_shared(found.final, addition, 1)
-    interval = None
-    if not few_people:
         low, high = (float(q) for q in np.quantile(dispersion, (0.05, 0.95)))
         interval = (low, high)
+    elif who is None and not few_people:  # among those who have it, the spread is an estimate without an interval
+        interval = rows[0].dispersion_interval
     side: str | None = effect.side
     if few_people:
         side = None
@@ -181,9 +182,11 @@ def unknown_entry(unknown: Realised, named: int) -> Physics:
     """Entry for physics without a name: what stands in for it, beyond the additions that have names."""
     terms = unknown.trial.fit.model.additions[named:]
     addition = terms[0]
-    formula = f"a small network {addition.effect.branch} {addition.effect.connection} the place"
+    branches = unknown.trial.fit.model.branches[named:]  # with names that the network does not have yet
+    formula = f"a small network {branches[0]} {addition.effect.connection} the place"
     if len(terms) > 1:
-        formula = "a sum of " + ", ".join(f"{t.effect.branch or t.effect.name} at {t.place}" for t in terms)
+        each = zip(terms, branches, strict=True)
+        formula = "a sum of " + ", ".join(f"{branch or t.effect.name} at {t.place}" for t, branch in each)
     return Physics(
         kind="unknown",
         id="unknown",
@@ -193,7 +196,7 @@ def unknown_entry(unknown: Realised, named: int) -> Physics:
         pooling="shared" if addition.pooling == "shared" else "varying",
         parameters={},
         evidence=EvidenceOfEffect(None, None, unknown.gain, unknown.gain_se),
-        network=addition.effect.branch if len(terms) == 1 else "",
+        network=branches[0] if len(terms) == 1 else "",
         connection=addition.effect.connection,
         formula=formula,
         story="Something is missing that is not in the catalogue. A network that fits stands in for it.",
@@ -304,9 +307,8 @@ def joint_of(found: Found) -> Joint:
     """Correlations of all parameters in the joint posterior of several effects."""
     assert found.posterior is not None
     model = found.final.model
-    names = tuple(
-        f"{model.additions[p.addition].effect.id} {p.name.split('.')[-2] if '.' in p.name else p.name}"
-        for p in model.parameters
-    )
+    ids = [addition.effect.id for addition in model.additions]
+    said = [f"{i} at {a.place}" if ids.count(i) > 1 else i for i, a in zip(ids, model.additions, strict=True)]
+    names = tuple(f"{said[p.addition]} {p.name.split('.')[-2] if '.' in p.name else p.name}" for p in model.parameters)
     correlation = np.round(np.atleast_2d(np.corrcoef(found.posterior.central.T)), 3)
     return Joint(names, tuple(tuple(row) for row in correlation.tolist()))

@@ -18,6 +18,8 @@ def sentence(verdict: Verdict, people: int) -> str:
     people : int
         Number of those who were measured.
     """
+    if not verdict.mismatch and not verdict.reliable:
+        return "Whether anything is missing cannot be said: the fit of the network did not come to rest."
     if not verdict.mismatch:
         return (
             f"Nothing is missing: the network describes the recordings of {_people(people)} to within their noise, "
@@ -47,7 +49,7 @@ def _clause(entry: Physics) -> str:
     others = {alias.id.split(".")[0] for alias in entry.aliases if not alias.separated}
     if not entry.side_decided or others - {entry.side}:
         side = ""  # people may differ or not, or what it cannot be told from belongs to the other side
-    if entry.id == "body.covariate":
+    if entry.id == "body.covariate" or entry.kind == "correlation":
         return f"that {entry.name}{size}"
     at = "" if entry.place == "port" and entry.side == "rig" else f" at {_place(entry.place)}"
     return f"{entry.name}{at}{size}{side}"
