@@ -43,10 +43,14 @@ def write_chain(file: Path, backend: Any, adapted: dict[str, Any]) -> None:
         "log_prob": backend.log_prob if steps else np.empty((0, walkers)),
         "accepted": backend.accepted if steps else np.zeros(walkers),
     }
-    content = io.BytesIO()  # HDF5 ends the process if it cannot write what it holds: a disk that is full must not meet it
+    content = (
+        io.BytesIO()
+    )  # HDF5 ends the process if it cannot write what it holds: a disk that is full must not meet it
     with h5py.File(content, "w") as opened:
         group = opened.create_group(_CHAIN)
-        group.attrs.update(version=emcee.__version__, nwalkers=walkers, ndim=dimensions, has_blobs=False, iteration=steps)
+        group.attrs.update(
+            version=emcee.__version__, nwalkers=walkers, ndim=dimensions, has_blobs=False, iteration=steps
+        )
         for name, values in chain.items():
             group.create_dataset(name, data=values, maxshape=None if name == "accepted" else (None, *values.shape[1:]))
         if steps:

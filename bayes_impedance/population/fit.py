@@ -7,11 +7,9 @@ The route, each step of which is a module:
    elements the recordings determine;
 3. :mod:`~bayes_impedance.person.importance_draws`: exact draws of everybody's elements under that estimate;
 4. :mod:`~bayes_impedance.population.importance_likelihood`, :mod:`~bayes_impedance.population.sharded_likelihood` and
-:mod:`~bayes_impedance.population.posterior`: with
-   them, the density of any population;
-5. :mod:`~bayes_impedance.mcmc.ensemble`: emcee over the population parameters
-(:mod:`~bayes_impedance.population.parameters`); 6. everybody's own posterior, by resampling the draws with the weights
-each sampled population gives them.
+   :mod:`~bayes_impedance.population.posterior`: with them, the density of any population;
+5. :mod:`~bayes_impedance.mcmc.ensemble`: emcee over :mod:`~bayes_impedance.population.parameters`;
+6. everybody's own posterior, by resampling the draws with the weights that each sampled population gives them.
 
 First fits, every round of the point estimate and the chains are kept as they come, if there is a folder for them; when
 a killed run is resumed, draws are made anew from them, the same ones.
@@ -51,6 +49,8 @@ IDENTIFIED_SD = 1.0
 """A central value is reported if its logarithm is known better than this in the end: within a factor e."""
 
 _POINT_ESTIMATE = "point_estimate.npz"
+
+Checked = tuple[Kernel, np.ndarray]
 
 _MOST_NUMBERS, _FEWEST_SETS = 30_000_000, 100
 """Numbers that describe persons in a result, a quarter of a gigabyte; sets of each ensemble that are kept at least."""
@@ -193,11 +193,9 @@ def fit_population(
 
     settings = settings or FitSettings()
     settings = replace(settings, sampler=replace(settings.sampler, workers=workers))
-    kernel = Kernel(network_of(recordings, network))
+    kernel, covariates = checked_model(recordings, network, settings)
     if too_few_for_correlations(len(recordings.subjects), len(kernel.elements)):
         settings = replace(settings, covariance="diagonal")
-    covariates = _standardised(recordings, settings.covariates)
-    require_enough_points(recordings, kernel)
     prior = default_prior(kernel.elements, recordings)
     seeds = np.random.SeedSequence(seed).spawn(5)
     if checkpoint is not None:
@@ -353,6 +351,14 @@ def network_of(recordings: Recordings, network: Network | str | None) -> Network
     if given is None:
         raise InputError('no network: name one with --network, or write network = "..." into dataset.toml')
     return parse(given) if isinstance(given, str) else given
+
+
+def checked_model(recordings: Recordings, network: Network | str | None, settings: FitSettings) -> Checked:
+    """The network's kernel and standardised covariates (N, Q); `InputError` if they do not fit the recordings."""
+    kernel = Kernel(network_of(recordings, network))
+    covariates = _standardised(recordings, settings.covariates)
+    require_enough_points(recordings, kernel)
+    return kernel, covariates
 
 
 def _standardised(recordings: Recordings, names: tuple[str, ...]) -> np.ndarray:
