@@ -8,6 +8,7 @@ does not depend on who has worked, and a task lost with a process or a cluster's
 
 from __future__ import annotations
 
+import asyncio
 import logging
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -32,8 +33,8 @@ _RETRIES = 5
 cluster's workers go for reasons that have nothing to do with the task."""
 
 _SCHEDULER_SECONDS, _WORKER_SECONDS, _FAREWELL_SECONDS = 15, 60, 5
-"""Time that a scheduler has to answer: a wrong address should be told within seconds. Time that it has to find a worker:
-what a worker's process needs to start, several times over. Time to close a connection that may be dead."""
+"""Time that a scheduler has to answer: a wrong address should be told within seconds. Time that it has to find a
+worker: what a worker's process needs to start, several times over. Time to close a connection that may be dead."""
 
 _say = logging.getLogger(__name__).warning
 """What is awaited: Python shows warnings on standard error where nobody has asked for anything else."""
@@ -71,11 +72,12 @@ def executor_of(threads: int = 2, processes: int | None = None, scheduler: str |
         ) from None
     _say("waiting up to %d s for the Dask scheduler at %s", _SCHEDULER_SECONDS, scheduler)
     try:
+        asyncio.run(asyncio.wait_for(_require_scheduler(scheduler), _SCHEDULER_SECONDS))
         client: Any = Client(  # type: ignore[no-untyped-call]
             scheduler, timeout=_SCHEDULER_SECONDS, set_as_default=False
         )
     except Exception as error:  # an address, a port and what answers there can be wrong in any way
-        reason = " ".join(str(error).split()) or type(error).__name__
+        reason = " ".join(str(error).split()) or "no answer"
         raise InputError(
             f"no Dask scheduler answers at '{scheduler}' within {_SCHEDULER_SECONDS} s ({reason}); start one with "
             "'dask scheduler', give its address, or leave out --scheduler"
@@ -95,6 +97,22 @@ def executor_of(threads: int = 2, processes: int | None = None, scheduler: str |
             if watch.lost or client.status != "running":  # what else is said follows from this
                 raise WorkerError(watch.lost or _lost(scheduler)) from None
             raise
+
+
+async def _require_scheduler(address: str) -> None:
+    """Ask who is there: a client of Dask waits much longer than it is told for a program that is no scheduler."""
+    from distributed.comm import connect
+    from distributed.security import Security
+
+    arguments = Security().get_connection_args("client")  # type: ignore[no-untyped-call]
+    comm: Any = await connect(address, timeout=_SCHEDULER_SECONDS, **arguments)
+    try:
+        await comm.write({"op": "identity", "reply": True})
+        answer = await comm.read()
+    finally:
+        comm.abort()
+    if not isinstance(answer, dict) or answer.get("type") != "Scheduler":
+        raise ValueError("another program answers")
 
 
 def _lost(scheduler: str) -> str:
