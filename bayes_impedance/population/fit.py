@@ -50,8 +50,6 @@ IDENTIFIED_SD = 1.0
 
 _POINT_ESTIMATE = "point_estimate.npz"
 
-Checked = tuple[Kernel, np.ndarray]
-
 _MOST_NUMBERS, _FEWEST_SETS = 30_000_000, 100
 """Numbers that describe persons in a result, a quarter of a gigabyte; sets of each ensemble that are kept at least."""
 
@@ -353,7 +351,7 @@ def network_of(recordings: Recordings, network: Network | str | None) -> Network
     return parse(given) if isinstance(given, str) else given
 
 
-def checked_model(recordings: Recordings, network: Network | str | None, settings: FitSettings) -> Checked:
+def checked_model(recordings: Recordings, network: Network | str | None, settings: FitSettings) -> tuple[Kernel, np.ndarray]:
     """The network's kernel and standardised covariates (N, Q); `InputError` if they do not fit the recordings."""
     kernel = Kernel(network_of(recordings, network))
     covariates = _standardised(recordings, settings.covariates)

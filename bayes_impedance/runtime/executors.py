@@ -82,7 +82,7 @@ def executor_of(threads: int = 2, processes: int | None = None, scheduler: str |
             f"no Dask scheduler answers at '{scheduler}' within {_SCHEDULER_SECONDS} s ({reason}); start one with "
             "'dask scheduler', give its address, or leave out --scheduler"
         ) from None
-    with _closing(client), _Watch(client, scheduler) as watch:
+    with _quiet(), _closing(client), _Watch(client, scheduler) as watch:
         try:
             _await_workers(client, scheduler)
             yield Cluster(client)
@@ -133,6 +133,20 @@ def _await_workers(client: Any, scheduler: str) -> None:
             f"the Dask scheduler at {scheduler} has had no worker for {_WORKER_SECONDS} s; start some with "
             f"'dask worker {scheduler}', or leave out --scheduler"
         ) from None
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep to itself what Dask logs of a connection that breaks: it is told in one sentence."""
+    loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)
 
 
 @contextmanager
