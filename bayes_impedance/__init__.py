@@ -15,10 +15,32 @@ The public names, in the order of a session::
 Names are imported when they are first used, so that ``import bayes_impedance`` costs nothing.
 """
 
-from __future__ import annotations
+import os
+import sys
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+
+def _leave_working_directory() -> None:
+    """``python -m bayes_impedance`` looks for modules in the working directory first; a file there is nobody's code.
+
+    While Python looks for the package that ``-m`` names, the first argument is ``-m`` itself. A package that lies in
+    the working directory itself is found there after all else. Nothing but what
+    the interpreter has loaded already may be imported before this.
+    """
+    given = sys.orig_argv
+    asked = (
+        any(given[i : i + 2] == ["-m", "bayes_impedance"] for i in range(len(given))) or "-mbayes_impedance" in given
+    )
+    if sys.flags.safe_path or not asked or not sys.argv or sys.argv[0] != "-m":
+        return
+    directory = sys.path.pop(0)
+    if __path__[0] == os.path.join(directory, "bayes_impedance"):
+        sys.path.append(directory)
+
+
+_leave_working_directory()
+
+from importlib import import_module  # noqa: E402  (from a path that is now safe)
+from typing import TYPE_CHECKING, Any  # noqa: E402
 
 if TYPE_CHECKING:
     from bayes_impedance.classical import compare_methods, identify, map_to_network, vector_fit

@@ -16,3 +16,10 @@ class WorkerError(RuntimeError):
 
     The message is one sentence, like that of :class:`InputError`; the command line exits with status 1.
     """
+
+
+class BusyError(RuntimeError):
+    """A folder that another process writes to.
+
+    The message is one sentence, like that of :class:`InputError`; the command line exits with status 1.
+    """

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bayes_impedance.commands.jobs import FitOptions, compare_dataset
+from bayes_impedance.commands.comparison import compare_dataset
+from bayes_impedance.commands.jobs import FitOptions
 
 ROOT = Path(__file__).parents[2]
 OUT = Path(__file__).parent / "results"

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
+
+from bayes_impedance.commands.terminal import complain, tell
 
 
 def parser_of_commands() -> argparse.ArgumentParser:
     """Parser of all commands; the name of the one given is `command` of what it returns."""
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="bayes-impedance",
         description="Population parameters of mechanical impedance networks, with honest uncertainty.",
         epilog="Exit status: 0 done, 1 failed or result not reliable, 2 bad input.",
@@ -43,6 +44,7 @@ def parser_of_commands() -> argparse.ArgumentParser:
     report = commands.add_parser("report", help="pictures and report of a finished fit")
     report.add_argument("out", type=Path, metavar="OUT", help="folder that 'run' or 'fit' has written")
     report.add_argument("--dataset", type=Path, help="the recordings, to list what is odd about them")
+    _overwrite(report)
 
     export = commands.add_parser("export", help="design inputs from a finished fit: users, transfer, SPICE, stability")
     _export_arguments(export)
@@ -56,6 +58,7 @@ def parser_of_commands() -> argparse.ArgumentParser:
     simulate.add_argument("--band", type=float, nargs=2, default=(5.0, 5000.0), metavar=("LOW", "HIGH"), help="in Hz")
     simulate.add_argument("--noise", type=float, help="relative noise of each part (default: 0.01)")
     simulate.add_argument("--seed", type=_seed, default=1, help="default: 1")
+    _overwrite(simulate)
     return parser
 
 
@@ -74,6 +77,7 @@ def _fit_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=_seed, default=1, help="default: 1; the same seed gives the same result")
     parser.add_argument("--quick", action="store_true", help="fewer draws: a first look")
     parser.add_argument("--resume", action="store_true", help="continue a fit that was interrupted")
+    _overwrite(parser)
     _worker_arguments(parser)
 
 
@@ -89,7 +93,15 @@ def _diagnose_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--subject", action="append", default=[], metavar="NAME", help="use only this one; repeatable")
     parser.add_argument("--seed", type=_seed, default=1, help="default: 1; the same seed gives the same verdict")
     parser.add_argument("--quick", action="store_true", help="without held-out frequencies and without proposals")
+    parser.add_argument("--resume", action="store_true", help="take up the network's fit of a diagnosis interrupted")
+    _overwrite(parser)
     _worker_arguments(parser)
+
+
+def _overwrite(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--overwrite", action="store_true", help="replace files that this package has not made or that were changed"
+    )
 
 
 def _worker_arguments(parser: argparse.ArgumentParser) -> None:
@@ -124,6 +136,7 @@ def _export_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-pictures", dest="pictures", action="store_false", help="tables only")
     parser.add_argument("--seed", type=_seed, default=1, help="default: 1; the same seed gives the same users")
     parser.add_argument("--workers", type=_count, default=2, metavar="N", help="threads of the map (default: 2)")
+    _overwrite(parser)
 
 
 def _count(text: str) -> int:
@@ -140,11 +153,20 @@ def _seed(text: str) -> int:
     return value
 
 
+class _Parser(argparse.ArgumentParser):
+    """A parser, and those of its commands, that says what is wrong in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """Say it and leave with status 2."""
+        complain(f"error: {message}; '{self.prog} --help' says what may be given")
+        self.exit(2)
+
+
 class _Version(argparse.Action):
     """Print the version; looking it up costs time that other commands need not spend."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
         from importlib.metadata import version
 
-        sys.stdout.write(f"bayes-impedance {version('bayes_impedance')}\n")
+        tell(f"bayes-impedance {version('bayes_impedance')}")
         parser.exit()

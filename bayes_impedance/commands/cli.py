@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from bayes_impedance.commands.arguments import parser_of_commands
 from bayes_impedance.commands.progress_bars import Bars
-from bayes_impedance.errors import InputError, WorkerError
+from bayes_impedance.commands.terminal import complain, prepare_streams, sentence_of, tell
+from bayes_impedance.errors import BusyError, InputError, WorkerError
 
 if TYPE_CHECKING:
     from bayes_impedance.results.result import Result
@@ -28,22 +28,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
         0 done, 1 failed (or a result that must not be used), 2 bad input.
     """
     options = parser_of_commands().parse_args(arguments)
+    prepare_streams()
     try:
         return _JOBS[options.command](options)
     except InputError as error:
-        _tell(f"error: {error}", sys.stderr)
+        complain(f"error: {error}")
         return BAD_INPUT
-    except WorkerError as error:
-        _tell(f"error: {error}", sys.stderr)
+    except (WorkerError, BusyError) as error:
+        complain(f"error: {error}")
         return FAILED
-    except KeyboardInterrupt:
-        _tell("\ninterrupted; the same command with --resume continues a fit where it was", sys.stderr)
+    except KeyboardInterrupt as stop:
+        complain(f"interrupted; {' '.join(map(str, stop.args)) or 'nothing was kept: start the command again'}")
+        return FAILED
+    except MemoryError:
+        complain("error: the memory is used up; use fewer subjects or points, or a machine with more")
         return FAILED
     except OSError as error:
-        _tell(
-            f"error: {error.filename or ''}: {error.strerror or error}; check the path, permissions and space",
-            sys.stderr,
-        )
+        complain(f"error: {sentence_of(error)}")
         return FAILED
 
 
@@ -68,31 +69,35 @@ def _fit(options: argparse.Namespace) -> int:
 
 
 def _compare(options: argparse.Namespace) -> int:
-    from bayes_impedance.commands.jobs import compare_dataset
+    from bayes_impedance.commands.comparison import compare_dataset
 
     with Bars() as bars:
         comparison = compare_dataset(
             options.dataset, options.out, _fit_options(options), options.result, options.resume, bars
         )
     for problem in comparison.problems:
-        _tell(f"NOT RELIABLE (population rows): {problem}")
-    _tell(f"\n{len(comparison.observed)} subject(s), network {comparison.network}")
-    _tell("error of one curve for all (eq. 5), mean ± standard deviation over frequency\n")
-    _tell(f"{'':32}{'the paper':20}{'|z|, ' + comparison.unit:>20}{'phase, deg':>20}  passive")
+        tell(f"NOT RELIABLE (population rows): {problem}")
+    tell()
+    tell(f"{len(comparison.observed)} subject(s), network {comparison.network}")
+    tell("error of one curve for all (eq. 5), mean ± standard deviation over frequency")
+    tell()
+    tell(f"{'':32}{'the paper':20}{'|z|, ' + comparison.unit:>20}{'phase, deg':>20}  passive")
     for method in comparison.methods:
         errors = method.errors.summary()
         cells = [f"{errors[k]:.3g} ± {errors[k + '_sd']:.2g}" for k in ("delta_magnitude", "delta_phase_deg")]
         passive = "" if method.passivity is None else "yes" if method.passivity.positive_real else "no"
-        _tell(f"{method.label:32}{method.paper:20}{cells[0]:>20}{cells[1]:>20}  {passive}".rstrip())
+        tell(f"{method.label:32}{method.paper:20}{cells[0]:>20}{cells[1]:>20}  {passive}".rstrip())
     mapping = comparison.mapping
     exact = "exactly" if any(s.positive for s in mapping.exact) else f"to {100 * mapping.distance:.2g} %"
-    _tell(f"\nthe network meets the system identification's function {exact} over the band")
+    tell()
+    tell(f"the network meets the system identification's function {exact} over the band")
     shares = {} if comparison.normality is None else comparison.normality.summary()
     tested = {part: shares.get(f"chi_square_{part}", math.nan) for part in ("magnitude", "phase")}
     if all(math.isfinite(share) for share in tested.values()):
         told = ", ".join(f"{part} {100 * share:.0f} %" for part, share in tested.items())
-        _tell(f"frequencies at which chi-square at 5 % finds impedances normal: {told} (95 % if all are)")
-    _tell(f"\ntable: {options.out / 'comparison.json'}, .csv, .png")
+        tell(f"frequencies at which chi-square at 5 % finds impedances normal: {told} (95 % if all are)")
+    tell()
+    tell(f"table: {options.out / 'comparison.json'}, .csv, .png")
     return FAILED if comparison.problems else DONE
 
 
@@ -107,22 +112,26 @@ def _diagnose(options: argparse.Namespace) -> int:
         quick=options.quick,
         workers=options.workers,
         scheduler=options.scheduler,
+        overwrite=options.overwrite,
     )
     with Bars() as bars:
-        diagnosis = diagnose_dataset(options.dataset, options.out, chosen, options.simulation, bars)
+        diagnosis = diagnose_dataset(options.dataset, options.out, chosen, options.simulation, options.resume, bars)
     verdict = diagnosis.verdict
     for remark in verdict.remarks:
-        _tell(f"note: {remark}")
+        tell(f"note: {remark}")
     if not verdict.reliable:
-        _tell("NOT RELIABLE: the fit did not come to rest")
-    _tell(f"\n{verdict.summary}\n")
+        tell("NOT RELIABLE: the fit did not come to rest")
+    tell()
+    tell(f"{verdict.summary}")
+    tell()
     for entry in verdict.physics:
-        _tell(f"{entry.id} at {entry.place} ({entry.side or 'rig or body not decided'}): {entry.name}")
+        tell(f"{entry.id} at {entry.place} ({entry.side or 'rig or body not decided'}): {entry.name}")
         for name, row in entry.parameters.items():
-            _tell(f"    {name:16} {row.median:.4g} ({row.q05:.4g} to {row.q95:.4g}) {row.unit}")
+            tell(f"    {name:16} {row.median:.4g} ({row.q05:.4g} to {row.q95:.4g}) {row.unit}")
         for alias in [a for a in entry.aliases if not a.separated][:3]:
-            _tell(f"    not told from    {alias.id} at {alias.place}; would separate: {alias.would_separate}")
-    _tell(f"\nreport: {options.out / 'report.html'}, verdict: {options.out / 'verdict.json'}")
+            tell(f"    not told from    {alias.id} at {alias.place}; would separate: {alias.would_separate}")
+    tell()
+    tell(f"report: {options.out / 'diagnosis.html'}, verdict: {options.out / 'verdict.json'}")
     return DONE if verdict.reliable else FAILED
 
 
@@ -130,7 +139,7 @@ def _report(options: argparse.Namespace) -> int:
     from bayes_impedance.commands.jobs import report_result
 
     with Bars() as bars:
-        result = report_result(options.out, bars, options.dataset)
+        result = report_result(options.out, bars, options.dataset, options.overwrite)
     return _finish(result, f"report: {options.out / 'report.html'}")
 
 
@@ -150,13 +159,15 @@ def _export(options: argparse.Namespace) -> int:
         grid=options.grid,
         pictures=options.pictures,
         workers=options.workers,
+        overwrite=options.overwrite,
     )
     with Bars() as bars:
         files, answer = export_result(options.result, options.out, chosen, bars)
     for file in files:
-        _tell(str(file))
+        tell(str(file))
     if answer is not None:
-        _tell(f"\n{answer}")
+        tell()
+        tell(f"{answer}")
     return DONE
 
 
@@ -166,13 +177,13 @@ def _check(options: argparse.Namespace) -> int:
     description, warnings, findings = check_dataset(options.dataset)
     for key, value in description.items():
         shown = " to ".join(f"{v:.4g}" for v in dict.fromkeys(value)) if _is_range(value) else value
-        _tell(f"{key.replace('_', ' '):14} {shown}")
+        tell(f"{key.replace('_', ' '):14} {shown}")
     for warning in warnings:
-        _tell(f"read: {warning}")
+        tell(f"read: {warning}")
     for finding in findings:
-        _tell(f"{finding.severity}: {finding.message}")
+        tell(f"{finding.severity}: {finding.message}")
     if not findings:
-        _tell("nothing odd was found")
+        tell("nothing odd was found")
     return DONE
 
 
@@ -188,8 +199,9 @@ def _simulate(options: argparse.Namespace) -> int:
         tuple(options.band),
         options.noise,
         options.seed,
+        options.overwrite,
     )
-    _tell(f"{options.subjects} virtual subjects in {options.out}, the truth in {options.out / 'truth.json'}")
+    tell(f"{options.subjects} virtual subjects in {options.out}, the truth in {options.out / 'truth.json'}")
     return DONE
 
 
@@ -217,6 +229,7 @@ def _fit_options(options: argparse.Namespace) -> Any:
         quick=options.quick,
         workers=options.workers,
         scheduler=options.scheduler,
+        overwrite=options.overwrite,
     )
 
 
@@ -227,28 +240,33 @@ def _finish(result: Result, last: str) -> int:
     """Print what matters: problems first, then remarks, then the table."""
     summary = result.summary
     for problem in summary["problems"]:
-        _tell(f"NOT RELIABLE: {problem}")
+        tell(f"NOT RELIABLE: {problem}")
     for remark in summary["remarks"]:
-        _tell(f"note: {remark}")
-    _tell(f"\n{summary['subjects']} subject(s), network {summary['network']}\n")
-    _tell(f"{'':6}{'unit':9}{'central value (90 %)':32}{'between persons':24}between repetitions")
+        tell(f"note: {remark}")
+    tell()
+    tell(f"{summary['subjects']} subject(s), network {summary['network']}")
+    tell()
+    tell(f"{'':6}{'unit':9}{'central value (90 %)':32}{'between persons':24}between repetitions")
     for name, element in summary["elements"].items():
         if not element["identified"]:
-            _tell(f"{name:6}{element['unit']:9}not determined by these recordings")
+            tell(f"{name:6}{element['unit']:9}not determined by these recordings")
             continue
         cells = [_interval(element["central"], ".3g")]
         cells += [_interval(element[f"dispersion_between_{level}"], ".2f") for level in ("persons", "repetitions")]
-        _tell(f"{name:6}{element['unit']:9}{cells[0]:32}{cells[1]:24}{cells[2]}".rstrip())
-    _tell("\ndispersions are standard deviations of the natural logarithm")
-    _tell(f"\n{'error of one curve for all (eq. 5)':36}{'|z|, ' + summary['unit']:>16}{'phase, deg':>14}")
+        tell(f"{name:6}{element['unit']:9}{cells[0]:32}{cells[1]:24}{cells[2]}".rstrip())
+    tell()
+    tell("dispersions are standard deviations of the natural logarithm")
+    tell()
+    tell(f"{'error of one curve for all (eq. 5)':36}{'|z|, ' + summary['unit']:>16}{'phase, deg':>14}")
     for key, label in (
         ("population_network", "population network"),
         ("lookup_mean", "look-up table of the mean"),
         ("lookup_median", "look-up table of the median"),
     ):
         error = summary["errors"][key]
-        _tell(f"{label:36}{error['delta_magnitude']:16.3g}{error['delta_phase_deg']:14.3g}")
-    _tell(f"\n{last}")
+        tell(f"{label:36}{error['delta_magnitude']:16.3g}{error['delta_phase_deg']:14.3g}")
+    tell()
+    tell(f"{last}")
     return FAILED if summary["problems"] else DONE
 
 
@@ -260,7 +278,3 @@ def _interval(values: dict[str, float | None], style: str) -> str:
 
 def _is_range(value: object) -> bool:
     return isinstance(value, list | tuple) and all(isinstance(v, int | float) for v in value) and bool(value)
-
-
-def _tell(text: str, stream: Any = None) -> None:
-    (stream or sys.stdout).write(text + "\n")

@@ -8,11 +8,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bayes_impedance.errors import InputError
+from bayes_impedance.runtime.output_folder import output_folder
 
 if TYPE_CHECKING:
+    from bayes_impedance.results.result import Result
     from bayes_impedance.runtime.progress import Progress
 
-PRODUCTS = ("users", "transfer", "spice", "stability")
+FILES = {
+    "users": ("users.csv", "users.json", "curves.csv"),
+    "transfer": ("transfer.json", "transfer.txt"),
+    "spice": ("users.lib", "monte_carlo.lib", "sweep.cir"),
+    "stability": ("stability.json", "stability.csv", "limits.csv", "transparency.csv"),
+}
+PICTURES = {"users": ("users",), "stability": ("stability", "worst_user", "transparency")}
+"""What each product consists of: files, and names of pictures."""
+PRODUCTS = tuple(FILES)
 _POINTS = 201
 """Logarithmic grid of exported curves: 67 to a decade of the paper's band."""
 
@@ -43,6 +53,8 @@ class ExportOptions:
     pictures : bool
     workers : int
         Threads.
+    overwrite : bool
+        Replace files of these names that this package has not made.
     """
 
     what: tuple[str, ...] = PRODUCTS
@@ -57,6 +69,7 @@ class ExportOptions:
     grid: int = 40
     pictures: bool = True
     workers: int = 2
+    overwrite: bool = False
 
 
 def export_result(result: Path, out: Path, options: ExportOptions, progress: Progress) -> tuple[list[Path], str | None]:
@@ -91,8 +104,22 @@ def export_result(result: Path, out: Path, options: ExportOptions, progress: Pro
         raise InputError(f"share {options.share:g}: give a number between 0 and 1, such as 0.99")
     if not 0 <= options.damping < float("inf"):
         raise InputError(f"damping {options.damping:g}: virtual damping is zero or more, in N s/m")
-    fit = load_result(result.parent if result.name == RESULT_FILE else result)
+    folder = result.parent if result.name == RESULT_FILE else result
+    fit = load_result(folder)
+    with output_folder(out, _names(options), options.overwrite):
+        return _written(fit, folder, out, options, progress)
 
+
+def _names(options: ExportOptions) -> list[str]:
+    """Every file that may be written."""
+    pictures = [name for product in options.what for name in PICTURES.get(product, ())] if options.pictures else []
+    names = [name for product in options.what for name in FILES[product]]
+    return names + [f"{name}.{kind}" for name in pictures for kind in ("svg", "png")]
+
+
+def _written(
+    fit: Result, result: Path, out: Path, options: ExportOptions, progress: Progress
+) -> tuple[list[Path], str | None]:
     import numpy as np
 
     from bayes_impedance.design.answer import design_answer

@@ -7,31 +7,41 @@ it is started again with the same arguments, and gives the same numbers as one t
 
 from __future__ import annotations
 
-import json
-import shutil
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bayes_impedance.commands.result_folders import (
+    CHECKPOINT_FOLDER,
+    DIAGNOSIS_CHECKPOINT_FOLDER,
+    DIAGNOSIS_FILE,
+    FIT_FILES,
+    PICTURE_FOLDER,
+    REPORT_FILE,
+    VERDICT_FILE,
+    discarded_if_useless,
+    fit_folder,
+    interrupted,
+    page_files,
+    pictures,
+    remove,
+)
 from bayes_impedance.errors import InputError
-from bayes_impedance.runtime.atomic_files import write_json, write_text
+from bayes_impedance.runtime.atomic_files import write_json
 from bayes_impedance.runtime.clock import Clock
+from bayes_impedance.runtime.output_folder import output_folder
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from bayes_impedance.classical import MethodComparison
     from bayes_impedance.diagnosis import Diagnosis
     from bayes_impedance.population.fit import FitSettings
     from bayes_impedance.quality.checks import Finding
     from bayes_impedance.recordings.files import Recordings
     from bayes_impedance.results.result import Result
     from bayes_impedance.runtime.progress import Progress
-
-CHECKPOINT_FOLDER, PICTURE_FOLDER = "checkpoint", "pictures"
-VERDICT_FILE = "verdict.json"
 
 _THREADS = 2
 """Of this process, if nothing is said: two cores are what a machine has at least, and the shipped dataset is done
@@ -59,6 +69,8 @@ class FitOptions:
         for two threads that do all. Does not change the result.
     scheduler : str or None
         Address of a Dask scheduler whose workers do what is done person by person; does not change the result.
+    overwrite : bool
+        Replace files of the results' names that this package has not made.
     """
 
     network: str | None = None
@@ -69,6 +81,7 @@ class FitOptions:
     quick: bool = False
     workers: int | None = None
     scheduler: str | None = None
+    overwrite: bool = False
 
     @property
     def threads(self) -> int:
@@ -104,7 +117,10 @@ def fit_dataset(dataset: Path, out: Path, options: FitOptions, resume: bool, pro
     WorkerError
         If processes or a cluster's workers die again and again; what was sampled is kept for `resume`.
     """
-    return _fit(dataset, out, options, resume, progress)[0]
+    recordings, clock = _read(dataset, options)
+    pages = page_files() if (out / PICTURE_FOLDER).exists() or (out / REPORT_FILE).exists() else []
+    with fit_folder(out, [*FIT_FILES, *pages], recordings, options, resume):
+        return _fit(recordings, out, options, clock, progress, pages)
 
 
 def run_dataset(
@@ -126,12 +142,16 @@ def run_dataset(
     """
     from bayes_impedance.quality.checks import check_recordings
 
-    result, recordings = _fit(dataset, out, options, resume, progress, helper)
-    _write_pages(result, out, check_recordings(recordings.in_memory()), progress, helper)
+    recordings, clock = _read(dataset, options)
+    pages = page_files()
+    with fit_folder(out, [*FIT_FILES, *pages], recordings, options, resume):
+        result = _fit(recordings, out, options, clock, progress, pages, helper)
+        with interrupted(f"the fit is finished: 'bayes-impedance report {shlex.quote(str(out))}' draws the pictures"):
+            _write_pages(result, out, check_recordings(recordings.in_memory()), progress, helper)
     return result
 
 
-def report_result(out: Path, progress: Progress, dataset: Path | None = None) -> Result:
+def report_result(out: Path, progress: Progress, dataset: Path | None = None, overwrite: bool = False) -> Result:
     """Pictures and report of a finished fit, from its files alone.
 
     Parameters
@@ -141,63 +161,32 @@ def report_result(out: Path, progress: Progress, dataset: Path | None = None) ->
     progress : callable
     dataset : Path, optional
         The recordings, if the report is to tell what is odd about them.
-    """
-    from bayes_impedance.results.result import load_result
-
-    result = load_result(out)
-    _write_pages(result, out, check_dataset(dataset)[2] if dataset is not None else (), progress)
-    return result
-
-
-def compare_dataset(
-    dataset: Path, out: Path, options: FitOptions, result: Path | None, resume: bool, progress: Progress
-) -> MethodComparison:
-    """The paper's methods and ours in one table; writes ``comparison.json``, ``comparison.csv`` and the pictures.
-
-    Parameters
-    ----------
-    dataset : Path
-    out : Path
-        Folder for the results.
-    options : FitOptions
-        Of the population fit, which is left in ``out/fit``.
-    result : Path or None
-        Folder of a finished fit of the same recordings, which is taken instead.
-    resume : bool
-        Continue an interrupted fit.
-    progress : callable
+    overwrite : bool
+        Replace pages that this package has not made.
 
     Raises
     ------
     InputError
-        If the input cannot be used, or the finished fit is of other recordings or another network.
+        If the folder holds no fit, or `dataset` is not what was fitted.
     """
-    from bayes_impedance.recordings.files import read_recordings
+    from bayes_impedance.results.result import load_result
 
-    recordings = _selected(read_recordings(dataset), options).in_memory()
-    if result is None:
-        fit = _fit(dataset, out / "fit", options, resume, progress)[0]
-    else:
-        from bayes_impedance.network.notation import parse
-        from bayes_impedance.results.result import load_result
+    result = load_result(out)
+    findings: Sequence[Finding] = ()
+    if dataset is not None:
+        from bayes_impedance.quality.checks import check_recordings
+        from bayes_impedance.recordings.files import read_recordings
 
-        fit = load_result(result)
-        if fit.attributes["data_sha256"] != recordings.sha256:
-            raise InputError(f"{result}: is a fit of other recordings than {dataset}; name the right folder or none")
-        if options.network is not None and str(parse(options.network)) != fit.attributes["network"]:
-            raise InputError(f"{result}: is a fit of the network {fit.attributes['network']}; leave out --network")
-
-    from bayes_impedance.classical import compare_methods
-    from bayes_impedance.plots import write_comparison
-
-    comparison = compare_methods(recordings, fit, seed=options.seed, progress=progress)
-    out.mkdir(parents=True, exist_ok=True)
-    identity = {"seed": options.seed, "data_sha256": recordings.sha256, "version": version("bayes_impedance")}
-    summary = {**comparison.summary(), **identity}
-    write_json(out / "comparison.json", summary)
-    write_text(out / "comparison.csv", comparison.csv())
-    write_comparison(comparison, out)
-    return comparison
+        recordings = read_recordings(dataset)
+        if recordings.sha256 != result.attributes["data_sha256"]:
+            raise InputError(f"{dataset}: {out} is a fit of other recordings; name those, or leave out --dataset")
+        names = [str(name) for name in result.coords["subject"]]
+        findings = check_recordings(recordings.select(names).in_memory())
+    pages = page_files()
+    with output_folder(out, pages, overwrite):
+        remove(out, pages)
+        _write_pages(result, out, findings, progress)
+    return result
 
 
 def diagnose_dataset(
@@ -205,6 +194,7 @@ def diagnose_dataset(
     out: Path,
     options: FitOptions,
     simulation: Path | None,
+    resume: bool,
     progress: Progress,
 ) -> Diagnosis:
     """What the network leaves out; writes ``verdict.json``, the report and its pictures.
@@ -218,18 +208,22 @@ def diagnose_dataset(
         Network, covariance, subjects, seed, quick, workers and scheduler.
     simulation : Path or None
         Dataset of a simulated population that claims to describe the recordings.
+    resume : bool
+        Take up the network's fit of a diagnosis that was interrupted.
     progress : callable
 
     Raises
     ------
     InputError
-        If the input cannot be used.
+        If the input cannot be used, or `resume` meets the checkpoint of another diagnosis.
+    BusyError
+        If another process writes to the folder.
     WorkerError
         If processes or a cluster's workers die again and again.
     """
     from bayes_impedance.recordings.files import read_recordings
 
-    recordings = _selected(read_recordings(dataset), options).in_memory()
+    recordings = selected(read_recordings(dataset), options).in_memory()
     claimed = None if simulation is None else read_recordings(simulation).in_memory()
     if claimed is not None and claimed.unit != recordings.unit:
         raise InputError(
@@ -238,26 +232,45 @@ def diagnose_dataset(
 
     from bayes_impedance.diagnosis import diagnose
     from bayes_impedance.diagnosis.verdict_file import to_json
+    from bayes_impedance.plots import DIAGNOSIS_PICTURES
+    from bayes_impedance.population.fit import checked_model
     from bayes_impedance.report.diagnosis_page import write_diagnosis_report
+    from bayes_impedance.runtime.checkpoint import discard, require_own
     from bayes_impedance.runtime.executors import executor_of
 
     network = options.network if options.network is not None or claimed is None else recordings.network
-    with executor_of(options.threads, options.workers, options.scheduler) as executor:
-        diagnosis = diagnose(
-            recordings,
-            network or (claimed.network if claimed is not None else None),
-            simulation=claimed,
-            diagonal=options.covariance == "diagonal",
-            quick=options.quick,
-            seed=options.seed,
-            progress=progress,
-            executor=executor,
-        )
-    out.mkdir(parents=True, exist_ok=True)
-    progress("pictures and report", 0, 1)
-    write_diagnosis_report(diagnosis, out)
-    _write_text(out / VERDICT_FILE, json.dumps(to_json(diagnosis.verdict), indent=2, allow_nan=False) + "\n")
-    progress("pictures and report", 1, 1)
+    network = network or (claimed.network if claimed is not None else None)
+    for given in (recordings, *(() if claimed is None else (claimed,))):
+        checked_model(given, network, options.settings())
+    names = [VERDICT_FILE, DIAGNOSIS_FILE, *pictures(DIAGNOSIS_PICTURES)]
+    checkpoint = out / DIAGNOSIS_CHECKPOINT_FOLDER
+    require_own(checkpoint)
+    with output_folder(out, names, options.overwrite):
+        if not resume:
+            discard(checkpoint)
+        kept = "the same command with --resume takes up the network's fit, as far as it was, and searches anew"
+        with (
+            interrupted(kept),
+            discarded_if_useless(checkpoint, resume),
+            executor_of(options.threads, options.workers, options.scheduler) as executor,
+        ):
+            diagnosis = diagnose(
+                recordings,
+                network,
+                simulation=claimed,
+                diagonal=options.covariance == "diagonal",
+                quick=options.quick,
+                seed=options.seed,
+                progress=progress,
+                executor=executor,
+                checkpoint=checkpoint,
+            )
+            progress("pictures and report", 0, 1)
+            remove(out, names)
+            write_diagnosis_report(diagnosis, out)
+            write_json(out / VERDICT_FILE, to_json(diagnosis.verdict))
+            progress("pictures and report", 1, 1)
+        discard(checkpoint)
     return diagnosis
 
 
@@ -270,26 +283,33 @@ def check_dataset(dataset: Path) -> tuple[dict[str, Any], tuple[str, ...], tuple
     return describe(recordings), recordings.warnings, check_recordings(recordings)
 
 
-def _fit(
-    dataset: Path, out: Path, options: FitOptions, resume: bool, progress: Progress, helper: Executor | None = None
-) -> tuple[Result, Recordings]:
-    """Read, fit, predict, save; the recordings are handed on so that nobody reads them twice."""
+def _read(dataset: Path, options: FitOptions) -> tuple[Recordings, Clock]:
     from bayes_impedance.recordings.files import read_recordings
 
     clock = Clock()
     with clock.measure("read"):
-        recordings = _selected(read_recordings(dataset), options)
+        return selected(read_recordings(dataset), options), clock
 
+
+def _fit(
+    recordings: Recordings,
+    out: Path,
+    options: FitOptions,
+    clock: Clock,
+    progress: Progress,
+    stale: Sequence[str],
+    helper: Executor | None = None,
+) -> Result:
+    """Fit, predict, save; pages of an earlier fit are removed before the new numbers are there."""
     from bayes_impedance.population.fit import fit_population
     from bayes_impedance.results.predictive import predict
     from bayes_impedance.results.result import make_result, save_result
+    from bayes_impedance.runtime.checkpoint import discard
     from bayes_impedance.runtime.executors import executor_of
 
     settings = options.settings()
     checkpoint = out / CHECKPOINT_FOLDER
-    if checkpoint.exists() and not resume:
-        shutil.rmtree(checkpoint)
-    try:
+    with interrupted("the same command with --resume continues the fit where it was"):
         with executor_of(options.threads, options.workers, options.scheduler) as executor:
             fit = fit_population(
                 recordings,
@@ -301,28 +321,24 @@ def _fit(
                 checkpoint=checkpoint,
                 executor=executor,
             )
-    except InputError:
-        if not resume and checkpoint.exists():
-            shutil.rmtree(checkpoint)
-        if out.exists() and not any(out.iterdir()):
-            out.rmdir()
-        raise
-    if helper is not None:
-        from bayes_impedance.plots import prepare
+        if helper is not None:
+            from bayes_impedance.plots import prepare
 
-        helper.submit(prepare)
-    clock.seconds.update(fit.seconds)
-    with clock.measure("predictive"):
-        progress("predictions", 0, 1)
-        predictive = predict(fit, seed=options.seed)
-        progress("predictions", 1, 1)
-    result = make_result(fit, predictive, clock.seconds)
-    save_result(result, out)
-    shutil.rmtree(checkpoint)
-    return result, recordings
+            helper.submit(prepare)
+        clock.seconds.update(fit.seconds)
+        with clock.measure("predictive"):
+            progress("predictions", 0, 1)
+            predictive = predict(fit, seed=options.seed)
+            progress("predictions", 1, 1)
+        result = make_result(fit, predictive, clock.seconds, options.subjects)
+        remove(out, (*stale, *FIT_FILES))
+        save_result(result, out)
+    discard(checkpoint)
+    return result
 
 
-def _selected(recordings: Recordings, options: FitOptions) -> Recordings:
+def selected(recordings: Recordings, options: FitOptions) -> Recordings:
+    """The recordings of whom the options name, or of everybody."""
     return recordings.select(options.subjects) if options.subjects else recordings
 
 
@@ -333,13 +349,7 @@ def _write_pages(
     from bayes_impedance.report import write_report
 
     progress("pictures and report", 0, 2)
-    pictures = write_pictures(result, out / PICTURE_FOLDER, helper)
+    drawn = write_pictures(result, out / PICTURE_FOLDER, helper)
     progress("pictures and report", 1, 2)
-    write_report(result, out, findings, pictures)
+    write_report(result, out, findings, drawn)
     progress("pictures and report", 2, 2)
-
-
-def _write_text(file: Path, text: str) -> None:
-    temporary = file.with_name(file.name + ".tmp")
-    temporary.write_text(text, encoding="utf-8")
-    temporary.replace(file)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayes_impedance.errors import InputError
-from bayes_impedance.runtime.atomic_files import write_json
+from bayes_impedance.runtime.atomic_files import read_json, write_json
+from bayes_impedance.runtime.output_folder import output_folder
 
 if TYPE_CHECKING:
     from bayes_impedance.population.simulate import VirtualPopulation
@@ -24,6 +24,7 @@ def simulate_dataset(
     band_hz: tuple[float, float],
     noise: float | None,
     seed: int,
+    overwrite: bool = False,
 ) -> dict[str, Any]:
     """Write a virtual population as a dataset, the truth beside it.
 
@@ -40,6 +41,8 @@ def simulate_dataset(
     noise : float or None
         Relative noise; None for the population's own.
     seed : int
+    overwrite : bool
+        Replace a dataset that this package has not made.
 
     Returns
     -------
@@ -51,7 +54,7 @@ def simulate_dataset(
     import numpy as np
 
     from bayes_impedance.population.simulate import FINGERTIP, simulate_recordings
-    from bayes_impedance.recordings.files import write_recordings
+    from bayes_impedance.recordings.files import METADATA_FILE, RECORDINGS_FILES, SUBJECTS_FILE, write_recordings
 
     low, high = band_hz
     if not 0 < low < high or n_points < 3:
@@ -60,8 +63,9 @@ def simulate_dataset(
     if noise is not None:
         people = replace(people, noise=noise)
     simulation = simulate_recordings(people, n_subjects, n_repetitions, np.geomspace(low, high, n_points), seed)
-    write_recordings(simulation.recordings, out, significant_digits=6, compress=True)
-    write_json(out / TRUTH_FILE, simulation.truth)
+    with output_folder(out, (*RECORDINGS_FILES, SUBJECTS_FILE, METADATA_FILE, TRUTH_FILE), overwrite):
+        write_recordings(simulation.recordings, out, significant_digits=6, compress=True)
+        write_json(out / TRUTH_FILE, simulation.truth)
     return simulation.truth
 
 
@@ -69,10 +73,4 @@ def _population(file: Path) -> VirtualPopulation:
     """A population to draw from, as a fit or an earlier simulation describes it."""
     from bayes_impedance.population.simulate import population_from
 
-    try:
-        described = json.loads(file.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{file}: there is no such file; give a summary.json or truth.json") from None
-    except (ValueError, OSError) as error:
-        raise InputError(f"{file}: cannot be read as JSON ({error}); give a summary.json or truth.json") from None
-    return population_from(described, str(file))
+    return population_from(read_json(file, "give a summary.json or truth.json"), str(file))

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from concurrent.futures import Executor
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from bayes_impedance.diagnosis import catalogue  # noqa: F401  (fills the register of effects)
 from bayes_impedance.diagnosis.catalogue.effect import Effect, registered
@@ -51,6 +52,7 @@ class _Job:
     seed: int
     executor: Executor
     progress: Progress
+    checkpoint: Path | None
 
 
 def diagnose(
@@ -65,6 +67,7 @@ def diagnose(
     workers: int = 2,
     progress: Progress = lambda *_: None,
     executor: Executor | None = None,
+    checkpoint: Path | None = None,
 ) -> Diagnosis:
     """Find what a network leaves out of recordings.
 
@@ -93,6 +96,9 @@ def diagnose(
     executor : Executor, optional
         Does what is done person by person and recording by recording: processes, a cluster's workers, whatever has the
         standard interface. Threads of this process if not given; the verdict is the same.
+    checkpoint : Path, optional
+        Folder where the first fit of the network is kept as it comes; an interrupted diagnosis with the same arguments
+        takes it up. What is searched afterwards is not kept.
 
     Returns
     -------
@@ -109,7 +115,15 @@ def diagnose(
     candidates = tuple(registered() if effects is None else effects)
     own = executor_of(workers) if executor is None else nullcontext(executor)
     with threadpool_limits(1), own as executor:
-        job = _Job(effects=candidates, diagonal=diagonal, quick=quick, seed=seed, executor=executor, progress=progress)
+        job = _Job(
+            effects=candidates,
+            diagonal=diagonal,
+            quick=quick,
+            seed=seed,
+            executor=executor,
+            progress=progress,
+            checkpoint=checkpoint,
+        )
         claimed = None
         if simulation is not None:
             with clock.measure("simulation"):
@@ -173,7 +187,7 @@ class _First:
 
 
 def _fit_without_hum(recordings: Recordings, network: Network | str | None, job: _Job) -> _First:
-    fitted = fit_network(recordings, network, job.seed, job.executor, job.progress)
+    fitted = fit_network(recordings, network, job.seed, job.executor, job.progress, job.checkpoint)
     residuals = person_residuals(fitted.fit, recordings.names, job.executor)
     hum = find_mains(residuals, _MAINS_ALPHA) or find_skirts(residuals, _MAINS_ALPHA)
     if hum is None:

@@ -10,6 +10,9 @@ ArviZ takes seconds to import, so it is imported inside the functions.
 
 from __future__ import annotations
 
+import hashlib
+import io
+import json
 import warnings
 from collections.abc import Mapping
 from importlib.metadata import version
@@ -18,7 +21,11 @@ from typing import Any
 
 import numpy as np
 
-from bayes_impedance.runtime.atomic_files import replacing
+from bayes_impedance.errors import InputError
+from bayes_impedance.runtime.atomic_files import write_bytes
+
+_SEAL = "content_sha256"
+"""Attribute that tells a damaged file from a whole one."""
 
 
 def _modern() -> bool:
@@ -88,27 +95,40 @@ def save(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import arviz
-    with replacing(file) as temporary, warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+
+        arguments: dict[str, Any] = {name: dict(variables) for name, variables in groups.items()}
         if _modern():
-            data = arviz.from_dict(
-                {name: dict(variables) for name, variables in groups.items()}, dims=dict(dims), coords=dict(coords)
-            )
-            data.attrs.update(attributes)
-            for name in groups:
-                data[name].attrs.update(attributes)
-            for node in data.subtree:
-                node.attrs.pop("created_at", None)  # equal runs give equal files
-            data.to_netcdf(temporary, engine="h5netcdf")
+            data = arviz.from_dict(arguments, dims=dict(dims), coords=dict(coords))
+            datasets = {name: data[name].to_dataset() for name in groups}
         else:
-            arguments: dict[str, Any] = {name: dict(variables) for name, variables in groups.items()}
-            data = arviz.from_dict(**arguments, dims=dict(dims), coords=dict(coords), attrs=dict(attributes))
-            for name in groups:
-                data[name].attrs.update(attributes)
-            for name in groups:
-                data[name].attrs.pop("created_at", None)  # equal runs give equal files
-            data.attrs.pop("created_at", None)
-            data.to_netcdf(str(temporary), engine="h5netcdf", compress=True)
+            data = arviz.from_dict(**arguments, dims=dict(dims), coords=dict(coords))
+            datasets = {name: data[name] for name in groups}
+        used = {axis for variables in groups.values() for name in variables for axis in dims.get(name, ())}
+        labels = {axis: values for axis, values in coords.items() if axis in used}
+        own = dict(attributes) | {_SEAL: _seal(groups, labels, attributes)}
+        write_bytes(file, _as_netcdf(datasets, own))
+
+
+def _as_netcdf(datasets: Mapping[str, Any], attributes: Mapping[str, Any]) -> bytes:
+    """A netCDF file of one group for each dataset.
+
+    It is made in memory: HDF5 ends the process if it cannot write what it holds, which on a disk it may not be able to.
+    """
+    import h5netcdf
+    import xarray as xr
+    from xarray.backends import H5NetCDFStore
+
+    content = io.BytesIO()
+    with h5netcdf.File(content, "w") as opened:
+        xr.Dataset(attrs=dict(attributes)).dump_to_store(H5NetCDFStore(opened, mode="w"))
+        for name, dataset in datasets.items():
+            labelled = dataset.copy()
+            labelled.attrs = dict(
+                attributes
+            )  # without the time at which ArviZ has made it: equal runs give equal files
+            numbers = {key: {"zlib": True} for key, v in labelled.variables.items() if v.dtype.kind in "iufcb"}
+            labelled.dump_to_store(H5NetCDFStore(opened, group=name, mode="a"), encoding=numbers)
+    return content.getvalue()
 
 
 def load_groups(file: Path) -> tuple[dict[str, dict[str, np.ndarray]], dict[str, Any], dict[str, Any]]:
@@ -118,22 +138,52 @@ def load_groups(file: Path) -> tuple[dict[str, dict[str, np.ndarray]], dict[str,
     -------
     groups, coords, attributes : dict
         As they were given to :func:`save`.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged, or was not written by :func:`save`.
     """
     import h5netcdf
 
     groups: dict[str, dict[str, np.ndarray]] = {}
     coords: dict[str, Any] = {}
-    with h5netcdf.File(file, "r") as data:
-        attributes = {name: _plain(value) for name, value in data["posterior"].attrs.items()}
-        for group in data.groups:
-            groups[group] = {}
-            for name, variable in data[group].variables.items():
-                values = np.asarray(variable[...])
-                if name in data[group].dimensions:
-                    coords[name] = [_plain(v) for v in values] if values.dtype.kind in "OSU" else values
-                else:
-                    groups[group][name] = values
+    content = io.BytesIO(file.read_bytes())
+    try:
+        with h5netcdf.File(content, "r") as data:
+            attributes = {name: _plain(value) for name, value in data["posterior"].attrs.items()}
+            for group in data.groups:
+                groups[group] = {}
+                for name, variable in data[group].variables.items():
+                    values = np.asarray(variable[...])
+                    if name in data[group].dimensions:
+                        coords[name] = [_plain(v) for v in values] if values.dtype.kind in "OSU" else values
+                    else:
+                        groups[group][name] = values
+            seal = attributes.pop(_SEAL, None)
+            whole = seal is not None and seal == _seal(groups, coords, attributes)
+    except Exception:  # damage shows itself in as many ways as netCDF has parts
+        whole = False
+    if not whole:
+        raise InputError(
+            f"{file}: is damaged, or of another version of this package; fit the recordings again, or take a copy"
+        )
     return groups, coords, attributes
+
+
+def _seal(
+    groups: Mapping[str, Mapping[str, np.ndarray]], coords: Mapping[str, Any], attributes: Mapping[str, Any]
+) -> str:
+    """Digest of all that the file holds, whatever the widths of its numbers."""
+    digest = hashlib.sha256(json.dumps({k: str(v) for k, v in sorted(attributes.items())}).encode())
+    arrays = {f"{group} {name}": values for group, own in groups.items() for name, values in own.items()}
+    for name in sorted(arrays):
+        values = np.asarray(arrays[name], dtype=float)
+        digest.update(f"{name} {values.shape}".encode() + values.tobytes())
+    for name in sorted(set(coords) - {"chain", "draw"}):
+        labels = [_plain(label) for label in np.asarray(coords[name]).tolist()]
+        digest.update(json.dumps([name, labels]).encode())
+    return digest.hexdigest()
 
 
 def _plain(value: Any) -> Any:

@@ -2,18 +2,23 @@
 
 An HDF5 file that is extended in place cannot be opened after a kill at the wrong moment, and cannot be extended while
 somebody reads it. So a chain is written whole to a temporary name, and the name is changed. Beside emcee's group
-``mcmc`` there is one, ``burn_in``, with what the burn-in has found.
+``mcmc`` there is one, ``burn_in``, with what the burn-in has found and a seal: a digest of all that is kept.
 """
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import Any
 
-from bayes_impedance.errors import InputError
-from bayes_impedance.runtime.atomic_files import replacing
+import numpy as np
 
-_BURN_IN, _ADAPTED = "burn_in", ("mean", "covariance", "coordinates")
+from bayes_impedance.errors import InputError
+from bayes_impedance.runtime.atomic_files import write_bytes
+from bayes_impedance.runtime.checkpoint import seal_of
+
+_CHAIN, _BURN_IN, _ADAPTED = "mcmc", "burn_in", ("mean", "covariance", "coordinates")
+_SEAL = "seal"
 
 
 def write_chain(file: Path, backend: Any, adapted: dict[str, Any]) -> None:
@@ -29,22 +34,33 @@ def write_chain(file: Path, backend: Any, adapted: dict[str, Any]) -> None:
         What the burn-in has found: mean (D,), covariance (D, D), coordinates (W, D), random_state.
     """
     import emcee
+    import h5py
 
-    with replacing(file) as temporary:
-        kept = emcee.backends.HDFBackend(temporary)
-        kept.reset(*backend.shape)
-        kept.grow(backend.iteration, None)
-        with kept.open("a") as opened:
-            group = opened[kept.name]
-            if backend.iteration:
-                group["chain"][...], group["log_prob"][...] = backend.chain, backend.log_prob
-                group["accepted"][...] = backend.accepted
-                _put_random_state(group, backend.random_state)
-            group.attrs["iteration"] = backend.iteration
-            group = opened.create_group(_BURN_IN)
-            for name in _ADAPTED:
-                group[name] = adapted[name]
-            _put_random_state(group, adapted["random_state"])
+    walkers, dimensions = backend.shape
+    steps = backend.iteration
+    chain = {
+        "chain": backend.chain if steps else np.empty((0, walkers, dimensions)),
+        "log_prob": backend.log_prob if steps else np.empty((0, walkers)),
+        "accepted": backend.accepted if steps else np.zeros(walkers),
+    }
+    content = (
+        io.BytesIO()
+    )  # HDF5 ends the process if it cannot write what it holds: a disk that is full must not meet it
+    with h5py.File(content, "w") as opened:
+        group = opened.create_group(_CHAIN)
+        group.attrs.update(
+            version=emcee.__version__, nwalkers=walkers, ndim=dimensions, has_blobs=False, iteration=steps
+        )
+        for name, values in chain.items():
+            group.create_dataset(name, data=values, maxshape=None if name == "accepted" else (None, *values.shape[1:]))
+        if steps:
+            _put_random_state(group, backend.random_state)
+        burn_in = opened.create_group(_BURN_IN)
+        for name in _ADAPTED:
+            burn_in[name] = adapted[name]
+        _put_random_state(burn_in, adapted["random_state"])
+        burn_in.attrs[_SEAL] = _seal(file, chain, adapted, backend.random_state if steps else None)
+    write_bytes(file, content.getvalue())
 
 
 def read_chain(file: Path, backend: Any) -> dict[str, Any] | None:
@@ -59,37 +75,52 @@ def read_chain(file: Path, backend: Any) -> dict[str, Any] | None:
     Returns
     -------
     dict or None
-        What the burn-in had found. None if there is no file or it is damaged: an ensemble that is sampled anew is the
-        same, so that this is not worth a message.
+        What the burn-in had found. None if there is no file, or it is damaged or of another fit: an ensemble that is
+        sampled anew is the same, so that this is not worth a message.
 
     Raises
     ------
     InputError
         If the file is of other walkers or dimensions.
     """
-    import emcee
+    import h5py
 
     if not file.exists():
         return None
-    kept = emcee.backends.HDFBackend(file, read_only=True)
     try:
-        with kept.open() as opened:
-            group, burn_in = opened[kept.name], opened[_BURN_IN]
-            shape = group.attrs["nwalkers"], group.attrs["ndim"]
+        with h5py.File(io.BytesIO(file.read_bytes()), "r") as opened:
+            group, burn_in = opened[_CHAIN], opened[_BURN_IN]
+            shape = int(group.attrs["nwalkers"]), int(group.attrs["ndim"])
             adapted = {name: burn_in[name][...] for name in _ADAPTED} | {"random_state": _random_state(burn_in)}
-            chain, log_probability = group["chain"][...], group["log_prob"][...]
-            accepted = group["accepted"][...]
-            random_state = _random_state(group) if len(chain) else None
-    except (OSError, KeyError, RuntimeError):
+            chain = {name: group[name][...] for name in ("chain", "log_prob", "accepted")}
+            random_state = _random_state(group) if len(chain["chain"]) else None
+            if str(burn_in.attrs[_SEAL]) != _seal(file, chain, adapted, random_state):
+                return None
+    except Exception:  # damage shows itself in as many ways as HDF5 has parts
         return None
     if shape != backend.shape:
         raise InputError(
             f"{file}: is of another fit ({shape[1]} parameters, not {backend.shape[1]}); name another folder"
         )
-    backend.grow(len(chain), None)
-    backend.chain[...], backend.log_prob[...], backend.accepted = chain, log_probability, accepted
-    backend.iteration, backend.random_state = len(chain), random_state
+    steps = len(chain["chain"])
+    backend.grow(steps, None)
+    backend.chain[...], backend.log_prob[...], backend.accepted = chain["chain"], chain["log_prob"], chain["accepted"]
+    backend.iteration, backend.random_state = steps, random_state
     return adapted
+
+
+def _seal(file: Path, chain: dict[str, Any], adapted: dict[str, Any], random_state: Any) -> str:
+    """Digest of all that the continuation depends on."""
+    states = repr([_told(adapted["random_state"]), _told(random_state)])
+    arrays = chain | {name: adapted[name] for name in _ADAPTED}
+    return seal_of(file.parent, {name: np.asarray(v, dtype=float) for name, v in arrays.items()} | {"states": states})
+
+
+def _told(state: Any) -> Any:
+    if state is None:
+        return None
+    kind, keys, position, has_normal, normal = state
+    return str(kind), np.asarray(keys).tolist(), int(position), int(has_normal), float(normal)
 
 
 def _put_random_state(group: Any, state: Any) -> None:

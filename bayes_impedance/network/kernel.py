@@ -32,15 +32,15 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.notation import Network
 from bayes_impedance.network.operations import Operation
 from bayes_impedance.network.program import Program, compile_network, parameter_names
 from bayes_impedance.network.transform import transform
+from bayes_impedance.runtime.compiled_functions import kept_njit
 
-compiled: Any = njit(cache=True, nogil=True, error_model="numpy")
+compiled: Any = kept_njit(nogil=True, error_model="numpy")
 """Decorator of every compiled function: kept on disk, runs beside other threads, divides as numpy does (inf, nan)."""
 
 

@@ -10,9 +10,10 @@ import cmath
 from typing import Any
 
 import numpy as np
-from numba import njit
 
-_compiled: Any = njit(cache=True, nogil=True, error_model="numpy")
+from bayes_impedance.runtime.compiled_functions import kept_njit
+
+_compiled: Any = kept_njit(nogil=True, error_model="numpy")
 
 
 @_compiled

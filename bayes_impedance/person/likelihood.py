@@ -25,10 +25,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from bayes_impedance.network.kernel import Kernel, backward, compiled, forward, workspace
 from bayes_impedance.network.program import Program
+from bayes_impedance.runtime.compiled_functions import kept_njit
 
 SCALE_SHAPE = 2.0
 """alpha = beta of the inverse gamma prior of the squared noise scale: centred near one, a factor of two either way."""
@@ -40,7 +40,7 @@ With the fingertip's eight elements the derivatives and the residual of a block 
 leaves room for the nodes in a first-level cache of 32 or 48 kB.
 """
 
-_summing: Any = njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+_summing: Any = kept_njit(nogil=True, fastmath={"reassoc", "contract"})
 """Decorator of long sums: the compiler may reorder them, and so use vector instructions."""
 
 

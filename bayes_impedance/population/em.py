@@ -51,7 +51,7 @@ from bayes_impedance.population.e_step import (
 from bayes_impedance.population.importance_likelihood import Contrasts
 from bayes_impedance.population.parameters import Prior
 from bayes_impedance.population.starting_fits import FirstFits
-from bayes_impedance.runtime.atomic_files import load_arrays, save_arrays
+from bayes_impedance.runtime.checkpoint import load_arrays, save_arrays
 from bayes_impedance.runtime.progress import Progress
 from bayes_impedance.runtime.sharded import Kept
 

@@ -7,11 +7,9 @@ The route, each step of which is a module:
    elements the recordings determine;
 3. :mod:`~bayes_impedance.person.importance_draws`: exact draws of everybody's elements under that estimate;
 4. :mod:`~bayes_impedance.population.importance_likelihood`, :mod:`~bayes_impedance.population.sharded_likelihood` and
-:mod:`~bayes_impedance.population.posterior`: with
-   them, the density of any population;
-5. :mod:`~bayes_impedance.mcmc.ensemble`: emcee over the population parameters
-(:mod:`~bayes_impedance.population.parameters`); 6. everybody's own posterior, by resampling the draws with the weights
-each sampled population gives them.
+   :mod:`~bayes_impedance.population.posterior`: with them, the density of any population;
+5. :mod:`~bayes_impedance.mcmc.ensemble`: emcee over :mod:`~bayes_impedance.population.parameters`;
+6. everybody's own posterior, by resampling the draws with the weights that each sampled population gives them.
 
 First fits, every round of the point estimate and the chains are kept as they come, if there is a folder for them; when
 a killed run is resumed, draws are made anew from them, the same ones.
@@ -200,13 +198,10 @@ def fit_population(
 
     settings = settings or FitSettings()
     settings = replace(settings, sampler=replace(settings.sampler, workers=workers))
-    written = network_of(recordings, network)
-    fitted, combinations = merged(written)
-    kernel = Kernel(fitted)
+    model, covariates = checked_model(recordings, network, settings)
+    kernel, written, combinations = model
     if too_few_for_correlations(len(recordings.subjects), len(kernel.elements)):
         settings = replace(settings, covariance="diagonal")
-    covariates = _standardised(recordings, settings.covariates)
-    require_enough_points(recordings, kernel)
     prior = default_prior(kernel.elements, recordings)
     seeds = np.random.SeedSequence(seed).spawn(5)
     if checkpoint is not None:
@@ -378,6 +373,16 @@ def network_of(recordings: Recordings, network: Network | str | None) -> Network
     if given is None:
         raise InputError('no network: name one with --network, or write network = "..." into dataset.toml')
     return parse(given) if isinstance(given, str) else given
+
+
+def checked_model(recordings: Recordings, network: Network | str | None, settings: FitSettings) -> tuple[Fitted, np.ndarray]:
+    """What is fitted, and standardised covariates (N, Q); `InputError` if they do not fit the recordings."""
+    written = network_of(recordings, network)
+    fitted, combinations = merged(written)
+    kernel = Kernel(fitted)
+    covariates = _standardised(recordings, settings.covariates)
+    require_enough_points(recordings, kernel)
+    return Fitted(kernel, written, combinations), covariates
 
 
 def _standardised(recordings: Recordings, names: tuple[str, ...]) -> np.ndarray:

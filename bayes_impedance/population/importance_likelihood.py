@@ -31,15 +31,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from bayes_impedance.network.kernel import compiled
 from bayes_impedance.person.importance_draws import Draws
 from bayes_impedance.population.parameters import PopulationParameters
+from bayes_impedance.runtime.compiled_functions import kept_njit
 
 _BLOCK = 4  # persons per matrix product: W x 4 x K single-precision numbers stay in the processor's cache
 
-_summing: Any = njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
+_summing: Any = kept_njit(nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
 """Decorator of sums that the compiler may reorder, and so use vector instructions."""
 
 

@@ -15,6 +15,7 @@ fingertips under shear.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -277,24 +278,32 @@ def population_from(described: Mapping[str, Any], where: str) -> VirtualPopulati
         persons = {name: _middle(e["dispersion_between_persons"]) or 0.0 for name, e in elements.items()}
         repetitions = {name: _middle(e["dispersion_between_repetitions"]) or 0.0 for name, e in elements.items()}
         correlation = {(str(a), str(b)): float(value) for a, b, value, *_ in described["correlation"]}
-    except (KeyError, TypeError, ValueError) as error:
+        noise = dict(described.get("noise", {}))
+        relative, corner = float(noise.get("relative_sd", 0.01)), float(noise.get("corner_hz", 8.0))
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise InputError(f"{where}: describes no population ({error}); give a summary.json or truth.json") from None
     unknown = [name for name, value in central.items() if value is None]
+    known = set(parse(network).elements)
+    if known != set(central) or any(not {a, b} <= known for a, b in correlation):
+        raise InputError(
+            f"{where}: its elements are not those of its network {network}; give a summary.json or truth.json"
+        )
     if unknown:
         raise InputError(f"{where}: element '{unknown[0]}' has no value there; fit recordings that determine it")
-    noise = described.get("noise", {})
     return VirtualPopulation(
         network=network,
         central={name: float(value) for name, value in central.items() if value is not None},
         between_persons=persons,
         between_repetitions=repetitions,
         correlation=correlation,
-        noise=float(noise.get("relative_sd", 0.01)),
-        noise_corner_hz=float(noise.get("corner_hz", 8.0)),
+        noise=relative,
+        noise_corner_hz=corner,
     )
 
 
 def _middle(value: Any) -> float | None:
     """A number, or the median of an interval."""
     number = value["median"] if isinstance(value, Mapping) else value
+    if number is not None and not math.isfinite(float(number)):
+        raise ValueError(f"{number} is not finite")
     return None if number is None else float(number)

@@ -32,8 +32,7 @@ from bayes_impedance.person.noise import (
 )
 from bayes_impedance.population.parameters import Prior
 from bayes_impedance.recordings.files import Recordings, Subject
-from bayes_impedance.runtime.atomic_files import load_arrays, save_arrays
-from bayes_impedance.runtime.checkpoint import forget_pieces, in_pieces
+from bayes_impedance.runtime.checkpoint import forget_pieces, in_pieces, load_arrays, save_arrays
 from bayes_impedance.runtime.executors import map_persons
 from bayes_impedance.runtime.progress import Progress
 

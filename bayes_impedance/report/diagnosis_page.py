@@ -17,7 +17,6 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.network.notation import Network, parse
 from bayes_impedance.plots import write_diagnosis_pictures
 from bayes_impedance.plots.missing_physics import people
-from bayes_impedance.report import REPORT_FILE
 from bayes_impedance.report.findings import (
     ABSENT,
     KINDS,
@@ -45,6 +44,8 @@ if TYPE_CHECKING:
 
 __all__ = ["write_diagnosis_report"]
 
+DIAGNOSIS_FILE = "diagnosis.html"
+"""Beside ``report.html`` of a fit, which a diagnosis leaves as it is."""
 _TEMPLATE = "diagnosis.html.j2"
 _RANKED = 15
 _ALIASES = 8
@@ -94,7 +95,7 @@ def write_diagnosis_report(diagnosis: Diagnosis, folder: Path, pictures: Mapping
     if pictures is None:
         pictures = write_diagnosis_pictures(diagnosis, folder / "pictures")
     text = template_environment().get_template(_TEMPLATE).render(**_context(diagnosis, pictures))
-    return write_text(folder / REPORT_FILE, text)
+    return write_text(folder / DIAGNOSIS_FILE, text)
 
 
 def _context(diagnosis: Diagnosis, pictures: Mapping[str, Path]) -> dict[str, object]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import dataclass
+from shlex import quote
 from typing import Any
 
 import numpy as np
@@ -323,12 +324,18 @@ def provenance_rows(result: Result) -> list[tuple[str, str]]:
 
 
 def command(result: Result) -> str:
-    """The command that gives this result again."""
+    """The command that gives this result again, quoted for the shell: names are what others have written."""
     summary: dict[str, Any] = result.summary
-    parts = ["bayes-impedance run DATASET -o OUT", f"--network '{summary['network']}'", f"--seed {summary['seed']}"]
+    parts = [
+        "bayes-impedance run DATASET -o OUT",
+        f"--network {quote(summary['network'])}",
+        f"--seed {summary['seed']}",
+    ]
     if summary["covariance"] != "full":
         parts.append(f"--covariance {summary['covariance']}")
-    parts += [f"--covariate {name}" for name in result.coords.get("covariate", [])]
+    parts += [f"--covariate {quote(str(name))}" for name in result.coords.get("covariate", [])]
+    selected = json.loads(result.attributes.get("selected_subjects") or "[]")
+    parts += [f"--subject {quote(str(name))}" for name in selected]
     if summary["sampler"]["ensembles"] == QUICK.ensembles:
         parts.append("--quick")
     return " ".join(parts)

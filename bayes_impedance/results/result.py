@@ -8,7 +8,7 @@ mistaken for a result.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -21,7 +21,7 @@ from bayes_impedance.network.elements import kind_of
 from bayes_impedance.population.fit import PopulationFit, too_few_for_correlations
 from bayes_impedance.results.misfit import coverage_by_frequency, misfit_words, network_misfits, noise_scale_summary
 from bayes_impedance.results.predictive import PROBABILITIES, Predictive
-from bayes_impedance.runtime.atomic_files import write_json
+from bayes_impedance.runtime.atomic_files import read_json, write_json
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -122,7 +122,9 @@ DIMS: dict[str, list[str]] = {
 """Axes of every variable beyond chain and draw; ``part`` is magnitude, then phase in degrees."""
 
 
-def make_result(fit: PopulationFit, predictive: Predictive, seconds: Mapping[str, float]) -> Result:
+def make_result(
+    fit: PopulationFit, predictive: Predictive, seconds: Mapping[str, float], selected: Sequence[str] = ()
+) -> Result:
     """Collect a fit and its predictions.
 
     Parameters
@@ -131,6 +133,8 @@ def make_result(fit: PopulationFit, predictive: Predictive, seconds: Mapping[str
     predictive : Predictive
     seconds : mapping
         Time of each step; part of the summary only, so that equal runs give equal netCDF files.
+    selected : sequence of str
+        The subjects that were asked for by name; empty if all were taken.
     """
     recordings, elements = fit.recordings, list(fit.kernel.elements)
     attributes = {
@@ -144,6 +148,7 @@ def make_result(fit: PopulationFit, predictive: Predictive, seconds: Mapping[str
         "covariance": fit.settings.covariance,
         "versions": json.dumps(_versions()),
         "reading_warnings": json.dumps(list(recordings.warnings)),
+        "selected_subjects": json.dumps(list(selected)),
     }
     coords = {
         "element": elements,
@@ -159,7 +164,7 @@ def make_result(fit: PopulationFit, predictive: Predictive, seconds: Mapping[str
         del coords["covariate"]
     result = Result({}, _groups(fit, predictive), coords, attributes)
     result.summary.update(_summary(fit, predictive, seconds, result))
-    attributes["summary"] = json.dumps({k: v for k, v in result.summary.items() if k != "seconds"})
+    attributes["summary"] = without_seconds(result.summary)
     return result
 
 
@@ -354,7 +359,8 @@ def save_result(result: Result, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     present = {name for group in result.groups.values() for name in group}
     dims = {name: axes for name, axes in DIMS.items() if name in present}
-    save(folder / RESULT_FILE, result.groups, dims, result.coords, result.attributes)
+    attributes = result.attributes | {"summary": without_seconds(result.summary)}
+    save(folder / RESULT_FILE, result.groups, dims, result.coords, attributes)
     write_json(folder / SUMMARY_FILE, result.summary)
 
 
@@ -364,13 +370,26 @@ def load_result(folder: Path) -> Result:
     Raises
     ------
     InputError
-        If the folder holds no finished run.
+        If the folder holds no finished run, a file of it is damaged, or the two are of different fits.
     """
     from bayes_impedance.mcmc.arviz_file import load_groups
 
-    file, summary = folder / RESULT_FILE, folder / SUMMARY_FILE
-    for needed in (file, summary):
+    file, summary_file = folder / RESULT_FILE, folder / SUMMARY_FILE
+    for needed in (file, summary_file):
         if not needed.is_file():
             raise InputError(f"{needed}: not found; give the folder that 'bayes-impedance run -o FOLDER' has written")
+    summary = read_json(summary_file, "fit the recordings again, or take a copy")
     groups, coords, attributes = load_groups(file)
-    return Result(json.loads(summary.read_text(encoding="utf-8")), groups, coords, attributes)
+    if without_seconds(summary) != attributes.get("summary"):
+        fits = "are of different fits" if _is_of_other_fit(summary, attributes) else "do not agree: one was changed"
+        raise InputError(f"{folder}: {RESULT_FILE} and {SUMMARY_FILE} {fits}; fit the recordings again, or take a copy")
+    return Result(summary, groups, coords, attributes)
+
+
+def _is_of_other_fit(summary: Mapping[str, Any], attributes: Mapping[str, Any]) -> bool:
+    return any(summary.get(name) != attributes.get(name) for name in ("data_sha256", "network", "seed"))
+
+
+def without_seconds(summary: Mapping[str, Any]) -> str:
+    """What a summary says of the fit, as text that is the same whenever the fit is."""
+    return json.dumps({k: v for k, v in summary.items() if k != "seconds"})

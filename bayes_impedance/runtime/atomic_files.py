@@ -1,24 +1,32 @@
 """Files that are complete or absent, whenever the process is killed.
 
 A file is written under a temporary name in its own folder and then renamed, because renaming within a folder is atomic:
-a reader meets the former file or the new one. A process that is killed leaves the temporary file, which nobody reads
-and which the next attempt removes; an exception removes it at once.
+a reader meets the former file or the new one. The temporary name cannot be foreseen, and the file is made with
+``O_EXCL | O_NOFOLLOW``: a link that somebody has put there is never followed. A process that is killed leaves the
+temporary file, whose name holds the process's number and its machine's; the next process that writes the same file
+removes it. An exception removes it at once.
 """
 
 from __future__ import annotations
 
+import errno
 import json
-import zipfile
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+import os
+import secrets
+import socket
+import stat
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    import numpy as np
+from bayes_impedance.errors import InputError
 
 TEMPORARY_SUFFIX = ".tmp"
-"""Added to the name of a file while it is written."""
+"""End of the name of a file while it is written."""
+
+_ATTEMPTS = 100
+"""Names of eight random bytes are tried so often; one that is taken is a coincidence of one in 1e19."""
 
 
 @contextmanager
@@ -33,17 +41,77 @@ def replacing(file: Path) -> Iterator[Path]:
     Yields
     ------
     Path
-        Temporary name in the same folder, at which there is no file; it must be written before the context ends.
+        An empty file in the same folder, which must be written before the context ends.
+
+    Raises
+    ------
+    OSError
+        With the name of `file`, whatever part of the writing has failed.
     """
-    file.parent.mkdir(parents=True, exist_ok=True)
-    temporary = file.with_name(file.name + TEMPORARY_SUFFIX)
-    temporary.unlink(missing_ok=True)  # of a process that was killed while it wrote
+    temporary = None
     try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        _remove_leftovers(file)
+        temporary = _new(file)
         yield temporary
         temporary.replace(file)
+    except OSError as error:
+        _unlink(temporary)
+        if error.errno is None:  # some libraries say it in words alone
+            raise OSError(errno.EIO, str(error), str(file)) from error
+        other = error.filename not in (None, str(temporary), temporary)
+        name = str(error.filename) if other else str(file)
+        raise OSError(error.errno, error.strerror or os.strerror(error.errno), name) from error
     except BaseException:
-        temporary.unlink(missing_ok=True)
+        _unlink(temporary)
         raise
+
+
+def _new(file: Path) -> Path:
+    """An empty file of a name that nobody could foresee."""
+    flags = os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_NOFOLLOW", 0)
+    for _ in range(_ATTEMPTS):
+        temporary = file.with_name(f"{_stem(file)}{os.getpid()}-{secrets.token_hex(8)}{TEMPORARY_SUFFIX}")
+        with suppress(FileExistsError):
+            os.close(os.open(temporary, flags, 0o666))
+            return temporary
+    raise FileExistsError(errno.EEXIST, "no temporary name is free", str(file))
+
+
+def _stem(file: Path) -> str:
+    """What the temporary names begin with that this machine gives to a file."""
+    machine = "".join(c if c.isalnum() else "_" for c in socket.gethostname())
+    return f".{file.name}.{machine}-"
+
+
+def _remove_leftovers(file: Path) -> None:
+    """Remove what killed processes of this machine have left of this file."""
+    stem = _stem(file)
+    with os.scandir(file.parent) as entries:
+        names = [e.name for e in entries if e.name.startswith(stem) and e.name.endswith(TEMPORARY_SUFFIX)]
+    for name in names:
+        number = name.removeprefix(stem).partition("-")[0]
+        if number.isdecimal() and not process_lives(int(number)):
+            _unlink(file.with_name(name))
+
+
+def _unlink(file: Path | None) -> None:
+    with suppress(OSError):
+        if file is not None and stat.S_ISREG(file.lstat().st_mode):
+            file.unlink()
+
+
+def process_lives(number: int) -> bool:
+    """Whether a process of this machine has this number; where that cannot be asked, it is taken to live."""
+    if os.name == "nt":  # os.kill would end it
+        return True
+    try:
+        os.kill(number, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except OSError:  # it is somebody else's
+        return True
+    return True
 
 
 def write_bytes(file: Path, content: bytes) -> Path:
@@ -71,6 +139,38 @@ def write_json(file: Path, content: Any, *, indent: int = 2) -> Path:
     return write_text(file, json.dumps(content, indent=indent, allow_nan=False) + "\n")
 
 
+def read_json(file: Path, remedy: str) -> dict[str, Any]:
+    """Read an object of JSON.
+
+    Parameters
+    ----------
+    file : Path
+    remedy : str
+        End of the sentence if it cannot be read.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, or it holds anything else.
+    """
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"), parse_constant=_not_a_number)
+    except FileNotFoundError:
+        raise InputError(f"{file}: there is no such file; {remedy}") from None
+    except RecursionError:
+        raise InputError(f"{file}: cannot be read as JSON (too deep); {remedy}") from None
+    except (ValueError, OSError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise InputError(f"{file}: cannot be read as JSON ({reason}); {remedy}") from None
+    if not isinstance(content, dict):
+        raise InputError(f"{file}: holds no object of JSON; {remedy}")
+    return content
+
+
+def _not_a_number(text: str) -> float:
+    raise ValueError(f"{text} is no number of JSON")
+
+
 def write_together(contents: dict[Path, bytes]) -> None:
     """Write several files of which none is replaced before all are complete."""
     with ExitStack() as stack:
@@ -78,22 +178,3 @@ def write_together(contents: dict[Path, bytes]) -> None:
         temporary = {file: stack.enter_context(replacing(file)) for file in reversed(contents)}
         for file, content in contents.items():
             temporary[file].write_bytes(content)
-
-
-def save_arrays(file: Path, arrays: Mapping[str, Any]) -> None:
-    """Write named arrays; what is there is replaced."""
-    import numpy as np
-
-    with replacing(file) as temporary, temporary.open("wb") as opened:
-        np.savez(opened, **arrays)
-
-
-def load_arrays(file: Path) -> dict[str, np.ndarray] | None:
-    """What `save_arrays` has written; None if there is no file or it is damaged."""
-    import numpy as np
-
-    try:
-        with file.open("rb") as opened, np.load(opened, allow_pickle=False) as data:
-            return {name: data[name] for name in data.files}
-    except (OSError, EOFError, ValueError, zipfile.BadZipFile):
-        return None

@@ -8,11 +8,14 @@ does not depend on who has worked, and a task lost with a process or a cluster's
 
 from __future__ import annotations
 
+import asyncio
+import logging
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
-from contextlib import contextmanager
+from concurrent.futures import CancelledError, Executor, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 from functools import partial
+from threading import Event, Thread
 from typing import Any, TypeVar
 
 import numpy as np
@@ -25,10 +28,16 @@ Result = TypeVar("Result")
 _MOST_TASKS = 64
 """A task costs a cluster about a millisecond; sixty-four are enough to keep many workers busy to the end."""
 
-_RETRIES, _PATIENCE = 5, "15s"
+_RETRIES = 5
 """A task whose worker is lost is done again so often: more than a process of this machine has (three), because a
-cluster's workers go for reasons that have nothing to do with the task. Time that a scheduler has to answer: a wrong
-address should be told within seconds."""
+cluster's workers go for reasons that have nothing to do with the task."""
+
+_SCHEDULER_SECONDS, _WORKER_SECONDS, _FAREWELL_SECONDS = 15, 60, 5
+"""Time that a scheduler has to answer: a wrong address should be told within seconds. Time that it has to find a
+worker: what a worker's process needs to start, several times over. Time to close a connection that may be dead."""
+
+_say = logging.getLogger(__name__).warning
+"""What is awaited: Python shows warnings on standard error where nobody has asked for anything else."""
 
 
 @contextmanager
@@ -49,7 +58,7 @@ def executor_of(threads: int = 2, processes: int | None = None, scheduler: str |
     InputError
         If ``distributed`` is not installed, or no scheduler answers.
     WorkerError
-        If the same task has lost its worker again and again.
+        If the same task has lost its worker again and again, or the scheduler or all its workers are gone.
     """
     if scheduler is None:
         with ThreadPoolExecutor(threads) if processes is None else Processes(processes) as executor:
@@ -61,21 +70,130 @@ def executor_of(threads: int = 2, processes: int | None = None, scheduler: str |
         raise InputError(
             'a scheduler needs the package distributed: pip install "bayes_impedance[dask]", or leave out --scheduler'
         ) from None
+    _say("waiting up to %d s for the Dask scheduler at %s", _SCHEDULER_SECONDS, scheduler)
     try:
-        client: Any = Client(scheduler, timeout=_PATIENCE, set_as_default=False)  # type: ignore[no-untyped-call]
-    except (OSError, ValueError) as error:
+        asyncio.run(asyncio.wait_for(_require_scheduler(scheduler), _SCHEDULER_SECONDS))
+        client: Any = Client(  # type: ignore[no-untyped-call]
+            scheduler, timeout=_SCHEDULER_SECONDS, set_as_default=False
+        )
+    except Exception as error:  # an address, a port and what answers there can be wrong in any way
+        reason = " ".join(str(error).split()) or "no answer"
         raise InputError(
-            f"no Dask scheduler answers at '{scheduler}' ({error}); start one with 'dask scheduler', "
-            "or leave out --scheduler"
+            f"no Dask scheduler answers at '{scheduler}' within {_SCHEDULER_SECONDS} s ({reason}); start one with "
+            "'dask scheduler', give its address, or leave out --scheduler"
         ) from None
-    with client:
+    with _quiet(), _closing(client), _Watch(client, scheduler) as watch:
         try:
+            _await_workers(client, scheduler)
             yield Cluster(client)
         except KilledWorker:
             raise WorkerError(
                 "the same task has lost one of the cluster's workers after the other, killed by somebody or for want "
                 "of memory; give workers more memory, or leave out --scheduler"
             ) from None
+        except (InputError, WorkerError):
+            raise
+        except (Exception, CancelledError):
+            if watch.lost or client.status != "running":  # what else is said follows from this
+                raise WorkerError(watch.lost or _lost(scheduler)) from None
+            raise
+
+
+async def _require_scheduler(address: str) -> None:
+    """Ask who is there: a client of Dask waits much longer than it is told for a program that is no scheduler."""
+    from distributed.comm import connect
+    from distributed.security import Security
+
+    arguments = Security().get_connection_args("client")  # type: ignore[no-untyped-call]
+    comm: Any = await connect(address, timeout=_SCHEDULER_SECONDS, **arguments)
+    try:
+        await comm.write({"op": "identity", "reply": True})
+        answer = await comm.read()
+    finally:
+        comm.abort()
+    if not isinstance(answer, dict) or answer.get("type") != "Scheduler":
+        raise ValueError("another program answers")
+
+
+def _lost(scheduler: str) -> str:
+    return (
+        f"the Dask scheduler at {scheduler} does not answer any more; start it again and repeat the command, with "
+        "--resume to go on from what was kept"
+    )
+
+
+def _await_workers(client: Any, scheduler: str) -> None:
+    if client.scheduler_info()["workers"]:
+        return
+    _say("waiting up to %d s for a worker of the Dask scheduler at %s", _WORKER_SECONDS, scheduler)
+    try:
+        client.wait_for_workers(1, timeout=_WORKER_SECONDS)
+    except TimeoutError:
+        raise WorkerError(
+            f"the Dask scheduler at {scheduler} has had no worker for {_WORKER_SECONDS} s; start some with "
+            f"'dask worker {scheduler}', or leave out --scheduler"
+        ) from None
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep to itself what Dask logs of a connection that breaks: it is told in one sentence."""
+    loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)
+
+
+@contextmanager
+def _closing(client: Any) -> Iterator[None]:
+    """Close the client; one whose scheduler is gone cannot say farewell, which nobody needs to hear."""
+    try:
+        yield
+    finally:
+        with suppress(Exception):
+            client.close(timeout=_FAREWELL_SECONDS)
+
+
+class _Watch:
+    """A thread that ends what waits for a cluster without workers, or for a scheduler that is gone."""
+
+    def __init__(self, client: Any, scheduler: str) -> None:
+        self.client, self.scheduler, self.lost = client, scheduler, ""
+        self._done = Event()
+        self._thread = Thread(target=self._look, daemon=True)
+
+    def __enter__(self) -> _Watch:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._done.set()
+        self._thread.join()
+
+    def _look(self) -> None:
+        without = 0
+        while not self._done.wait(1.0):
+            try:
+                alone = not self.client.scheduler_info()["workers"]
+            except Exception:  # the client is closing, or has lost its scheduler
+                alone = True
+            if self.client.status != "running":
+                self.lost = _lost(self.scheduler)
+            without = without + 1 if alone else 0
+            if without > _WORKER_SECONDS + _FAREWELL_SECONDS:
+                self.lost = (
+                    f"the Dask scheduler at {self.scheduler} has lost all its workers and got none for "
+                    f"{_WORKER_SECONDS} s; start some and repeat the command, with --resume to go on from what was kept"
+                )
+            if self.lost:
+                with suppress(Exception):
+                    self.client.close(timeout=_FAREWELL_SECONDS)  # everything that waits for a result hears of it
+                return
 
 
 class Cluster(Executor):

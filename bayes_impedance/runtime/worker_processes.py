@@ -6,7 +6,8 @@ each process has a pipe of its own and a thread of this process that hands it on
 ends, the thread starts another process and gives it the lost task again: nobody else is disturbed, and the results are
 the same because a task depends on its arguments alone.
 
-Processes are started afresh (``spawn``), never forked: a fork of a process with threads may hang. What is compiled is
+Processes are started afresh (``spawn``), never forked: a fork of a process with threads may hang. They do not look for
+modules in the working directory: a file that lies there by the name of a module is nobody's code. What is compiled is
 taken from numba's files on disk, and libraries of linear algebra have one thread in each process.
 """
 
@@ -31,6 +32,12 @@ _REPEATS = 3
 """A task that has lost its process more often than this is given up: it is likely what kills them."""
 
 _CONTEXT = get_context("spawn")
+
+_SAFE_PATH = "PYTHONSAFEPATH"
+"""Set for a new process, which imports modules of the standard library before it is told the path of the process that
+has started it: its interpreter would look for them in the working directory first."""
+_STARTING = Lock()
+"""Held while :data:`_SAFE_PATH` is set."""
 
 _ONE_THREAD_EACH = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
@@ -161,7 +168,7 @@ class _Worker:
             if self._abandoned.is_set():
                 raise WorkerError("the work was given up")
             self.process = _CONTEXT.Process(target=_work, args=(there,), daemon=True)
-            self.process.start()
+            _start_isolated(self.process)
         there.close()  # so that the pipe ends with the process
         self._connection = here
         return here
@@ -174,6 +181,19 @@ class _Worker:
             self.process.join()
             with self._lock:
                 self.process = None
+
+
+def _start_isolated(process: Any) -> None:
+    with _STARTING:
+        former = os.environ.get(_SAFE_PATH)
+        os.environ[_SAFE_PATH] = "1"
+        try:
+            process.start()
+        finally:
+            if former is None:
+                del os.environ[_SAFE_PATH]
+            else:
+                os.environ[_SAFE_PATH] = former
 
 
 # -------------------------------------------------------------------- in the other process

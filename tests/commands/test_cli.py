@@ -34,7 +34,12 @@ def finished(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.smoke
 def test_run_leaves_everything_and_nothing_else(finished: Path) -> None:
-    assert {p.name for p in finished.iterdir()} == {"result.nc", "summary.json", "report.html", "pictures"}
+    assert {p.name for p in finished.iterdir() if p.name[0] != "."} == {
+        "result.nc",
+        "summary.json",
+        "report.html",
+        "pictures",
+    }
     pictures = {p.name for p in (finished / "pictures").iterdir()}
     stems = {name.removesuffix(".png") for name in pictures if name.endswith(".png")}
     assert {f"{s}.svg" for s in stems} | {f"{s}.png" for s in stems} == pictures
@@ -81,7 +86,7 @@ def test_compare_prints_and_writes_the_table(
     text = capsys.readouterr().out
     for words in ("amplitude, Median", "LuT Mean", "VFMedian", "SIT", "population network", "eq. 5"):
         assert words in text
-    written = {p.name for p in (tmp_path / "new").iterdir()}
+    written = {p.name for p in (tmp_path / "new").iterdir() if p.name[0] != "."}
     pictures = {f"{name}.{end}" for name in ("comparison", "recordings", "bode") for end in ("png", "svg")}
     assert written == {"comparison.json", "comparison.csv"} | pictures
     summary = json.loads((tmp_path / "new" / "comparison.json").read_text(encoding="utf-8"))
@@ -167,7 +172,7 @@ def test_fit_writes_no_pictures_and_simulate_takes_its_summary(
 ) -> None:
     out, virtual = tmp_path / "fit", tmp_path / "virtual"
     assert main(["fit", str(dataset), "-o", str(out), "--quick", "--covariance", "diagonal"]) == 0
-    assert {p.name for p in out.iterdir()} == {"result.nc", "summary.json"}
+    assert {p.name for p in out.iterdir() if p.name[0] != "."} == {"result.nc", "summary.json"}
     assert "central value (90 %)" in capsys.readouterr().out
     arguments = ["simulate", "-o", str(virtual), "--population", str(out / "summary.json")]
     assert main([*arguments, "--subjects", "4", "--points", "20", "--seed", "9"]) == 0

@@ -241,7 +241,7 @@ def test_the_command_writes_verdict_report_and_says_it(tmp_path: Path, capsys: p
     assert verdict["summary"] in printed
     assert verdict["physics"][0]["id"] == "rig.delay"
     assert verdict["data_sha256"] == read_recordings(dataset).sha256
-    page = (out / "report.html").read_text(encoding="utf-8")
+    page = (out / "diagnosis.html").read_text(encoding="utf-8")
     assert "skew between the channels" in page
     assert not list(out.glob("*.tmp"))
 

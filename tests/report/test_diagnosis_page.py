@@ -29,7 +29,7 @@ from bayes_impedance.report.findings import p_text
 def test_page_is_well_formed_and_stands_alone(variant: str, tmp_path: Path) -> None:
     diagnosis = holes(make_diagnosis(subjects=4)) if variant == "holes" else make_diagnosis(**VARIANTS[variant])
     text, page = page_of(diagnosis, tmp_path)
-    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
+    assert [p.name for p in tmp_path.iterdir()] == ["diagnosis.html"]
     for word in ("http", "<script", "url(", "<link"):
         assert word not in text
     assert not re.search(r"\b(nan|None|null|inf|undefined)\b", page.words)

@@ -6,7 +6,15 @@ from pathlib import Path
 
 import pytest
 
-from bayes_impedance.runtime.atomic_files import replacing, write_bytes, write_json, write_text, write_together
+from bayes_impedance.errors import InputError
+from bayes_impedance.runtime.atomic_files import (
+    read_json,
+    replacing,
+    write_bytes,
+    write_json,
+    write_text,
+    write_together,
+)
 
 
 def test_a_file_appears_when_it_is_complete(tmp_path: Path) -> None:
@@ -67,3 +75,38 @@ def test_json_has_no_numbers_that_are_not_finite(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="JSON compliant"):
         write_json(tmp_path / "b.json", {"a": float("nan")})
     assert not (tmp_path / "b.json").exists()
+
+
+def test_no_link_is_followed_and_no_name_foreseen(tmp_path: Path) -> None:
+    victim = tmp_path / "victim"
+    victim.write_text("precious")
+    (tmp_path / "file.txt.tmp").symlink_to(victim)
+    (tmp_path / "file.txt").symlink_to(victim)
+    names = []
+    for _ in range(2):
+        with replacing(tmp_path / "file.txt") as temporary:
+            names.append(temporary.name)
+            temporary.write_text("new")
+    assert names[0] != names[1]
+    assert victim.read_text() == "precious"
+    assert not (tmp_path / "file.txt").is_symlink()
+
+
+def test_an_error_of_the_system_names_the_file(tmp_path: Path) -> None:
+    def full() -> None:
+        with replacing(tmp_path / "file.txt"):
+            raise OSError(28, "No space left on device")
+
+    with pytest.raises(OSError, match="No space left") as caught:
+        full()
+    assert caught.value.filename == str(tmp_path / "file.txt")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("content", [b"", b"[]", b"\xff", b'{"a": NaN}', b"{" * 50_000, b"[" * 200_000, b"1" * 5000])
+def test_what_is_no_object_of_json_is_one_sentence(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "a.json").write_bytes(content)
+    for file in (tmp_path / "a.json", tmp_path / "none.json", tmp_path):
+        with pytest.raises(InputError, match="do this") as caught:
+            read_json(file, "do this")
+        assert str(caught.value).startswith(str(file))

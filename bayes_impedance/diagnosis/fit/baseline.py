@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
 
 import numpy as np
 
@@ -18,6 +20,7 @@ from bayes_impedance.population.em import Estimate, estimate
 from bayes_impedance.population.fit import initial_likelihoods, network_of, require_enough_points
 from bayes_impedance.population.starting_fits import default_prior, first_fits
 from bayes_impedance.recordings.files import Recordings
+from bayes_impedance.runtime.checkpoint import claim
 from bayes_impedance.runtime.progress import Progress
 
 _MINIMUM_PERSONS = 5
@@ -58,19 +61,32 @@ class Fitted:
 
 
 def fit_network(
-    recordings: Recordings, network: Network | str | None, seed: int, executor: Executor, progress: Progress
+    recordings: Recordings,
+    network: Network | str | None,
+    seed: int,
+    executor: Executor,
+    progress: Progress,
+    checkpoint: Path | None = None,
 ) -> Fitted:
-    """Fit the network to everybody, every person from many starts: an unconverged fit looks like missing physics."""
+    """Fit the network to everybody, every person from many starts: an unconverged fit looks like missing physics.
+
+    With a folder for it, first fits and point estimate are kept there as they come and taken up again.
+    """
     tree = merged(network_of(recordings, network))[0]
     kernel = Kernel(tree)
     require_enough_points(recordings, kernel)
     prior = default_prior(kernel.elements, recordings)
     seeds = np.random.SeedSequence(seed).spawn(2)
     one = len(recordings.subjects) == 1
-    first = first_fits(kernel, recordings, prior, seeds[0], executor, progress)
+    if checkpoint is not None:
+        claim(checkpoint, (s.digest for s in recordings.subjects), version("bayes_impedance"), str(tree), seed)
+    first = first_fits(kernel, recordings, prior, seeds[0], executor, progress, checkpoint)
     likelihoods = initial_likelihoods(recordings, first, len(kernel.elements), executor)
     no_covariates = np.zeros((len(recordings.subjects), 0))
-    point = estimate(kernel, likelihoods, first, prior, no_covariates, True, seeds[1], progress, one_person=one)
+    kept = None if checkpoint is None else checkpoint / "point_estimate.npz"
+    point = estimate(
+        kernel, likelihoods, first, prior, no_covariates, True, seeds[1], progress, one_person=one, checkpoint=kept
+    )
     refitter = Refitter(point.likelihoods, executor, one)
     model = build(tree, (), scales_of(recordings), ())
     u = np.concatenate([m.theta + d.deviations for m, d in zip(point.modes, point.likelihoods, strict=True)])

@@ -1,0 +1,81 @@
+"""The folders of results while a command works: what belongs there, what is removed, what an interruption leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bayes_impedance.errors import InputError
+from bayes_impedance.runtime.output_folder import output_folder
+
+if TYPE_CHECKING:
+    from bayes_impedance.commands.jobs import FitOptions
+    from bayes_impedance.recordings.files import Recordings
+
+CHECKPOINT_FOLDER, PICTURE_FOLDER = "checkpoint", "pictures"
+DIAGNOSIS_CHECKPOINT_FOLDER = "diagnosis_checkpoint"
+REPORT_FILE, DIAGNOSIS_FILE, VERDICT_FILE = "report.html", "diagnosis.html", "verdict.json"
+PICTURE_KINDS = ("svg", "png")
+FIT_FILES = ("result.nc", "summary.json")
+
+
+@contextmanager
+def fit_folder(
+    out: Path, names: Iterable[str], recordings: Recordings, options: FitOptions, resume: bool
+) -> Iterator[None]:
+    """Hold the folder of a fit whose options are sound: nothing is touched before they have been looked at."""
+    from bayes_impedance.population.fit import checked_model
+    from bayes_impedance.runtime.checkpoint import discard, require_own
+
+    checked_model(recordings, options.network, options.settings())
+    checkpoint = out / CHECKPOINT_FOLDER
+    if not resume:
+        require_own(checkpoint)
+    with output_folder(out, names, options.overwrite):
+        if not resume:
+            discard(checkpoint)
+        with discarded_if_useless(checkpoint, resume):
+            yield
+
+
+@contextmanager
+def discarded_if_useless(checkpoint: Path, resume: bool) -> Iterator[None]:
+    """Keep what was computed if the work ends early, except where the input turns out to be unusable."""
+    from bayes_impedance.runtime.checkpoint import discard
+
+    try:
+        yield
+    except InputError:
+        if not resume:
+            discard(checkpoint)
+        raise
+
+
+@contextmanager
+def interrupted(words: str) -> Iterator[None]:
+    """What an interruption leaves, in words for whoever has interrupted; the innermost are the ones that hold."""
+    try:
+        yield
+    except KeyboardInterrupt as stop:
+        stop.args = stop.args or (words,)
+        raise
+
+
+def page_files() -> list[str]:
+    """The report of a fit and its pictures."""
+    from bayes_impedance.plots import PICTURES
+
+    return [REPORT_FILE, *pictures(picture.name for picture in PICTURES)]
+
+
+def pictures(names: Iterable[str]) -> list[str]:
+    """Files of the pictures of these names."""
+    return [f"{PICTURE_FOLDER}/{name}.{kind}" for name in names for kind in PICTURE_KINDS]
+
+
+def remove(out: Path, names: Iterable[str]) -> None:
+    """Remove files of a folder that is held, so that none of them contradicts what is written now."""
+    for name in names:
+        (out / name).unlink(missing_ok=True)
