@@ -21,8 +21,8 @@ from bayes_impedance.recordings.csv_table import (
     names,
     numbers,
     parse_csv,
-    similar,
 )
+from bayes_impedance.runtime.user_table import similar
 
 CARTESIAN = ("z_re", "z_im")
 POLAR = ("magnitude", "phase_deg")
