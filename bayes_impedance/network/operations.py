@@ -118,6 +118,8 @@ class Traits:
         Number of the operation in the compiled functions; 0 is no operation.
     parameters : tuple of str
         What the parameters are; the coefficient first. An effect may give them more specific names.
+    units : tuple of tuple of str
+        Units that each parameter may have, as in :class:`Setting`.
     links : tuple of str
         How each value in the operation's unit follows from the unbounded u: ``linear`` (x = scale u), ``log``
         (exp u) or ``logit`` (1/(1 + exp(-u))).
@@ -152,6 +154,7 @@ class Traits:
 
     code: int
     parameters: tuple[str, ...]
+    units: tuple[tuple[str, ...], ...]
     links: tuple[str, ...] = ("linear",)
     connection: str = "replaces"
     places: tuple[str, ...] = PLACES
@@ -205,22 +208,33 @@ def _bypass_ratios(low: float, high: float) -> list[dict[str, float]]:
 
 
 TRAITS: dict[str, Traits] = {
-    "add": Traits(code=1, parameters=("coefficient",), connection="beside", built_as="elements", constants=_power_of_s),
-    "delay": Traits(code=2, parameters=("delay",), passive=False),
-    "highpass": Traits(code=3, parameters=("corner",), passive=False, built_as="filter"),
-    "lowpass": Traits(code=4, parameters=("time_constant",), passive=False, built_as="filter", derived=_corner),
+    "add": Traits(
+        code=1,
+        parameters=("coefficient",),
+        units=(("m", "r", "k"),),
+        connection="beside",
+        built_as="elements",
+        constants=_power_of_s,
+    ),
+    "delay": Traits(code=2, parameters=("delay",), units=(("s",),), passive=False),
+    "highpass": Traits(code=3, parameters=("corner",), units=(("Hz",),), passive=False, built_as="filter"),
+    "lowpass": Traits(
+        code=4, parameters=("time_constant",), units=(("s",),), passive=False, built_as="filter", derived=_corner
+    ),
     "power": Traits(
         code=5,
         parameters=("exponent",),
+        units=(("",),),
         places=("springs",),
         built_as="ladder",
         constants=_middle_of_band,
         derived=_power_law_of_spring,
     ),
-    "hysteresis": Traits(code=6, parameters=("loss_factor",), places=("springs",)),
+    "hysteresis": Traits(code=6, parameters=("loss_factor",), units=(("",),), places=("springs",)),
     "line": Traits(
         code=7,
         parameters=("mass",),
+        units=(("m",),),
         built_as="ladder",
         scanned=lambda _low, _high: [{"level": level} for level in LINE_LEVELS],
         # The tangent at zero mass is that of a mass; what distinguishes the layer is where waves fit into it.
@@ -229,6 +243,7 @@ TRAITS: dict[str, Traits] = {
     "beside_power": Traits(
         code=8,
         parameters=("coefficient", "exponent"),
+        units=(("c",), ("",)),
         links=("linear", "logit"),
         connection="beside",
         built_as="ladder",
@@ -238,6 +253,7 @@ TRAITS: dict[str, Traits] = {
     "relaxation": Traits(
         code=9,
         parameters=("damping", "time_constant"),
+        units=(("r",), ("s",)),
         links=("linear", "log"),
         connection="beside",
         built_as="elements",
@@ -246,6 +262,7 @@ TRAITS: dict[str, Traits] = {
     "resonator": Traits(
         code=10,
         parameters=("mass", "frequency", "damping_ratio"),
+        units=(("m",), ("Hz",), ("",)),
         links=("linear", "log", "log"),
         connection="beside",
         built_as="elements",
@@ -254,6 +271,7 @@ TRAITS: dict[str, Traits] = {
     "reflex": Traits(
         code=11,
         parameters=("stiffness", "latency", "corner"),
+        units=(("k",), ("s",), ("Hz",)),
         links=("linear", "log", "log"),
         connection="beside",
         passive=False,
@@ -261,6 +279,7 @@ TRAITS: dict[str, Traits] = {
     "bypass": Traits(
         code=12,
         parameters=("damping", "stiffness"),
+        units=(("r",), ("k",)),
         links=("linear", "linear"),
         connection="beside",
         built_as="elements",
@@ -270,10 +289,13 @@ TRAITS: dict[str, Traits] = {
         scanned=_bypass_ratios,
         direction=lambda shape, omega: 1 + shape["ratio"] / (1j * omega),
     ),
-    "series_compliance": Traits(code=13, parameters=("compliance",), connection="series", built_as="elements"),
+    "series_compliance": Traits(
+        code=13, parameters=("compliance",), units=(("n",),), connection="series", built_as="elements"
+    ),
     "series_layer": Traits(
         code=14,
         parameters=("compliance", "time_constant"),
+        units=(("n",), ("s",)),
         links=("linear", "log"),
         connection="series",
         built_as="elements",
@@ -282,6 +304,7 @@ TRAITS: dict[str, Traits] = {
     "sweep": Traits(
         code=15,
         parameters=("change", "time_law"),
+        units=(("",), ("",)),
         links=("linear", "log"),
         constants=lambda setting: (setting.low, setting.high / setting.low),
     ),

@@ -1,7 +1,7 @@
 """Files that a user gives: read within bounds, as bytes, text, TOML or JSON, or refused in one sentence.
 
-Whatever a file holds, what it costs to refuse it is bounded: compressed content is unpacked only up to a limit, and what
-is nested too deeply or has too many digits for the standard library's parsers is told as a fault of the file.
+Whatever a file holds, what it costs to refuse it is bounded: compressed content is unpacked only up to a limit, and
+what is nested too deeply or has too many digits for the standard library's parsers is told as a fault of the file.
 """
 
 from __future__ import annotations

@@ -185,6 +185,10 @@ class UserTable:
             raise InputError(f'{self.where("")}: key "{key}" is missing; add it')
         return self._content[key]
 
+    def get(self, key: str, default: Any) -> Any:
+        """Value of a key, whatever it is, or the default."""
+        return self._content.get(key, default)
+
     def text(self, key: str, default: str | None = None) -> str:
         """Text of a key, or the default; without one the key must be there."""
         if default is not None and key not in self:
