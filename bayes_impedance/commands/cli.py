@@ -163,12 +163,10 @@ def _export(options: argparse.Namespace) -> int:
 def _check(options: argparse.Namespace) -> int:
     from bayes_impedance.commands.jobs import check_dataset
 
-    description, warnings, findings = check_dataset(options.dataset)
+    description, _, findings = check_dataset(options.dataset)
     for key, value in description.items():
         shown = " to ".join(f"{v:.4g}" for v in dict.fromkeys(value)) if _is_range(value) else value
         _tell(f"{key.replace('_', ' '):14} {shown}")
-    for warning in warnings:
-        _tell(f"read: {warning}")
     for finding in findings:
         _tell(f"{finding.severity}: {finding.message}")
     if not findings:

@@ -14,7 +14,8 @@ from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Network
 from bayes_impedance.population.em import Estimate, estimate
-from bayes_impedance.population.fit import initial_likelihoods, network_of, require_enough_points
+from bayes_impedance.population.fit import initial_likelihoods
+from bayes_impedance.population.requirements import network_of, require_usable
 from bayes_impedance.population.starting_fits import default_prior, first_fits
 from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.runtime.progress import Progress
@@ -62,7 +63,7 @@ def fit_network(
     """Fit the network to everybody, every person from many starts: an unconverged fit looks like missing physics."""
     tree = network_of(recordings, network)
     kernel = Kernel(tree)
-    require_enough_points(recordings, kernel)
+    require_usable(recordings, kernel)
     prior = default_prior(kernel.elements, recordings)
     seeds = np.random.SeedSequence(seed).spawn(2)
     one = len(recordings.subjects) == 1
