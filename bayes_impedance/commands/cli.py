@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from bayes_impedance.commands.arguments import parser_of_commands
 from bayes_impedance.commands.progress_bars import Bars
 from bayes_impedance.errors import InputError, WorkerError
+from bayes_impedance.runtime.user_table import in_one_line
 
 if TYPE_CHECKING:
     from bayes_impedance.results.result import Result
@@ -31,10 +32,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return _JOBS[options.command](options)
     except InputError as error:
-        _tell(f"error: {error}", sys.stderr)
+        _tell(f"error: {in_one_line(str(error))}", sys.stderr)
         return BAD_INPUT
     except WorkerError as error:
         _tell(f"error: {error}", sys.stderr)
+        return FAILED
+    except MemoryError:
+        _tell("error: there is not enough memory for it; give fewer people, points, users or gains", sys.stderr)
         return FAILED
     except KeyboardInterrupt:
         _tell("\ninterrupted; the same command with --resume continues a fit where it was", sys.stderr)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayes_impedance.errors import InputError
 from bayes_impedance.runtime.atomic_files import write_json
+from bayes_impedance.runtime.input_files import read_json
 
 if TYPE_CHECKING:
     from bayes_impedance.population.simulate import VirtualPopulation
@@ -69,10 +69,4 @@ def _population(file: Path) -> VirtualPopulation:
     """A population to draw from, as a fit or an earlier simulation describes it."""
     from bayes_impedance.population.simulate import population_from
 
-    try:
-        described = json.loads(file.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{file}: there is no such file; give a summary.json or truth.json") from None
-    except (ValueError, OSError) as error:
-        raise InputError(f"{file}: cannot be read as JSON ({error}); give a summary.json or truth.json") from None
-    return population_from(described, str(file))
+    return population_from(read_json(file, "a summary.json or truth.json"), str(file))
