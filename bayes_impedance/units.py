@@ -11,9 +11,9 @@ import math
 import re
 from dataclasses import dataclass
 
-SMALLEST_IMPEDANCE, LARGEST_IMPEDANCE = 1e-75, 1e75
-"""Of |z| and of noise, in the dataset's unit: estimates need fourth powers (variances of squares), which are not finite
-doubles, or zero, outside of 1e-77 to 1e77. What lies outside is no impedance but a mark, or a number cut in two."""
+SMALLEST_IMPEDANCE, LARGEST_IMPEDANCE = 1e-25, 1e25
+"""Of |z| and of noise, in the dataset's unit: results keep curves in single precision, which ends at 1e-38 and 3e38,
+and predicted curves need room on either side. What programs fill gaps with (1e30 to 1e38) lies outside."""
 LOWEST_HZ, HIGHEST_HZ = 1e-12, 1e15
 """Frequencies: a period of thirty thousand years, and light. Powers of s as high as networks have stay finite."""
 

@@ -58,6 +58,11 @@ def standardised_covariates(recordings: Recordings, names: tuple[str, ...]) -> n
             who = subjects[int(np.argmin(np.isfinite(values)))].name
             raise InputError(f"{what} is missing for subject {who}: add it to subjects.csv or leave it out")
         columns.append(_standardised(values, what, recordings.names))
+    if names and len(subjects) < len(names) + 2:
+        raise InputError(
+            f"{len(names)} covariates are too many for {len(subjects)} people: with fewer than {len(names) + 2}, "
+            "nothing is left to tell how people differ besides; leave some out"
+        )
     design = np.array(columns).T if columns else np.zeros((len(subjects), 0))
     _require_independent(design, names)
     return design

@@ -15,8 +15,8 @@ from typing import Any
 
 from bayes_impedance.errors import InputError
 
-LARGEST_TABLE = 512 * 2**20
-"""Bytes of a table, uncompressed: ten million rows of 50 characters. As cells of text they take ten times the memory;
+LARGEST_TABLE = 256 * 2**20
+"""Bytes of a table, uncompressed: five million rows of 50 characters. As cells of text they take ten times the memory;
 what is larger belongs into Parquet, parted by subject, which is read part by part."""
 LARGEST_DESCRIPTION = 2**20
 """Bytes of a TOML or JSON file: a description of ten thousand lines. The shipped ones have less than a hundredth; the
@@ -56,19 +56,21 @@ def read_bytes(path: Path, largest: int = LARGEST_TABLE) -> bytes:
         raise InputError(f"{path}: cannot be read ({error.strerror}); check its name and permissions") from error
     if len(data) <= largest and data.startswith(_GZIP_MAGIC):
         try:
-            data = _unpacked(data, largest)
+            unpacked = _unpacked(data, largest)
         except (EOFError, zlib.error) as error:
             raise InputError(f"{path}: the gzip file is damaged or cut short; copy or compress it again") from error
-    if len(data) > largest:
+    else:
+        unpacked = data if len(data) <= largest else None
+    if unpacked is None:
         raise InputError(
             f"{path}: the content is larger than {largest / 2**20:g} MiB, more than is read from one file of this "
             "kind; check that it is the right file, and give very large recordings as Parquet, parted by subject"
         )
-    return data
+    return unpacked
 
 
-def _unpacked(data: bytes, largest: int) -> bytes:
-    """Content of a gzip file of one or more members, not much more than `largest` bytes of it."""
+def _unpacked(data: bytes, largest: int) -> bytes | None:
+    """Content of a gzip file of one or more members; None as soon as it is larger than allowed."""
     parts: list[bytes] = []
     size = 0
     while data.startswith(_GZIP_MAGIC):
@@ -81,7 +83,7 @@ def _unpacked(data: bytes, largest: int) -> bytes:
             parts.append(part)
             size += len(part)
             if size > largest:
-                return b"".join(parts)
+                return None
         # Zeros may follow the last member: some programs fill up their blocks.
         data = member.unused_data.lstrip(b"\0")
     if data:
