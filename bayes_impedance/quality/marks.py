@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from bayes_impedance.quality.point_anomalies import (
     OUTLIER_LIMIT,
@@ -108,8 +109,8 @@ def _is_known(values: np.ndarray) -> np.ndarray:
     """Whether the parts of numbers that are not zero are marks that programs write."""
     known = np.array([*KNOWN_MARKS, FLOAT_MAXIMUM])
 
-    def listed(sizes: FloatArray) -> np.ndarray:
-        return np.any(np.abs(sizes[:, None] - known) <= 1e-6 * known, axis=1)
+    def listed(sizes: FloatArray) -> npt.NDArray[np.bool_]:
+        return np.asarray(np.any(np.abs(sizes[:, None] - known) <= 1e-6 * known, axis=1))
 
     return np.asarray(listed(np.abs(values.real)) & listed(np.abs(values.imag)))
 

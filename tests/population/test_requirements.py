@@ -103,6 +103,17 @@ def test_impedances_that_no_load_can_be_are_refused(value: float) -> None:
         require_usable(replace(data, subjects=()), kernel)
 
 
+@pytest.mark.parametrize("factor", [1e-20, 1e-7, 1e7, 1e20])
+def test_a_person_of_another_order_of_magnitude_is_refused(factor: float) -> None:
+    data = people()
+    kernel = Kernel(parse("r1|m1"))
+    far = replace(data.subjects[3], z=factor * data.subjects[3].z)
+    with pytest.raises(InputError, match=r"subject S3: \|z\| is .* check its unit"):
+        require_usable(replace(data, subjects=(*data.subjects[:3], far, *data.subjects[4:])), kernel)
+    tenfold = replace(data.subjects[3], z=100 * data.subjects[3].z)
+    require_usable(replace(data, subjects=(*data.subjects[:3], tenfold, *data.subjects[4:])), kernel)
+
+
 def test_networks_of_more_elements_than_can_be_estimated_are_refused() -> None:
     data = people()
     most = "|".join(f"m{i}" for i in range(MOST_ELEMENTS))
