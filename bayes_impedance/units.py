@@ -11,6 +11,12 @@ import math
 import re
 from dataclasses import dataclass
 
+SMALLEST_IMPEDANCE, LARGEST_IMPEDANCE = 1e-25, 1e25
+"""Of |z| and of noise, in the dataset's unit: results keep curves in single precision, which ends at 1e-38 and 3e38,
+and predicted curves need room on either side. What programs fill gaps with (1e30 to 1e38) lies outside."""
+LOWEST_HZ, HIGHEST_HZ = 1e-12, 1e15
+"""Frequencies: a period of thirty thousand years, and light. Powers of s as high as networks have stay finite."""
+
 _PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G", 12: "T"}
 # A prefix on a unit with a power would be raised to it as well, so such units get a power of ten instead.
 _FIRST_UNIT = re.compile(r"(kg|rad|ohm|Pa|N|m|s|H|F|V|A)(?![\w^])")

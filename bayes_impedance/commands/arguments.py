@@ -3,10 +3,27 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
 from bayes_impedance.commands.terminal import complain, tell
+from bayes_impedance.errors import InputError
+from bayes_impedance.runtime.user_table import number_in, shown
+from bayes_impedance.units import HIGHEST_HZ, LOWEST_HZ
+
+LARGEST_SEED = 2**63 - 1
+"""Results keep the seed as a 64-bit integer."""
+MOST_WORKERS = 1024
+"""Each is a process of some hundred megabytes; no single machine has more processors."""
+MOST_PEOPLE, MOST_REPETITIONS, MOST_POINTS = 1_000_000, 10_000, 1_000_000
+"""Of a simulation, each by itself; their product has a limit of its own."""
+MOST_USERS, MOST_GAINS = 1_000_000, 1000
+"""Virtual users of an export, and gains on each axis of its map: every pair of gains is decided for every user."""
+LARGEST_NOISE = 100.0
+"""Relative: a hundred times the impedance. Recordings of more noise than that say nothing at any length."""
+LARGEST_DAMPING = 1e6
+"""N s/m: a thousand times what any device renders."""
 
 
 def parser_of_commands() -> argparse.ArgumentParser:
@@ -52,12 +69,23 @@ def parser_of_commands() -> argparse.ArgumentParser:
     simulate = commands.add_parser("simulate", help="virtual recordings with known truth")
     simulate.add_argument("-o", "--out", type=Path, required=True, help="folder for the new dataset")
     simulate.add_argument("--population", type=Path, help="summary.json of a fit or truth.json (default: fingertips)")
-    simulate.add_argument("--subjects", type=_count, default=71, metavar="N", help="default: 71")
-    simulate.add_argument("--repetitions", type=_count, default=3, metavar="J", help="default: 3")
-    simulate.add_argument("--points", type=_count, default=401, metavar="F", help="frequencies; default: 401")
-    simulate.add_argument("--band", type=float, nargs=2, default=(5.0, 5000.0), metavar=("LOW", "HIGH"), help="in Hz")
-    simulate.add_argument("--noise", type=float, help="relative noise of each part (default: 0.01)")
-    simulate.add_argument("--seed", type=_seed, default=1, help="default: 1")
+    simulate.add_argument("--subjects", type=_whole(MOST_PEOPLE), default=71, metavar="N", help="default: 71")
+    simulate.add_argument("--repetitions", type=_whole(MOST_REPETITIONS), default=3, metavar="J", help="default: 3")
+    simulate.add_argument(
+        "--points", type=_whole(MOST_POINTS, at_least=3), default=401, metavar="F", help="frequencies; default: 401"
+    )
+    simulate.add_argument(
+        "--band",
+        type=_number(at_least=LOWEST_HZ, at_most=HIGHEST_HZ),
+        nargs=2,
+        default=(5.0, 5000.0),
+        metavar=("LOW", "HIGH"),
+        help="in Hz",
+    )
+    simulate.add_argument(
+        "--noise", type=_number(at_least=0, at_most=LARGEST_NOISE), help="relative noise of each part (default: 0.01)"
+    )
+    simulate.add_argument("--seed", type=_whole(LARGEST_SEED, at_least=0), default=1, help="default: 1")
     _overwrite(simulate)
     return parser
 
@@ -74,7 +102,12 @@ def _fit_arguments(parser: argparse.ArgumentParser) -> None:
         "--covariate", action="append", default=[], metavar="NAME", help="elements follow it; repeatable"
     )
     parser.add_argument("--subject", action="append", default=[], metavar="NAME", help="use only this one; repeatable")
-    parser.add_argument("--seed", type=_seed, default=1, help="default: 1; the same seed gives the same result")
+    parser.add_argument(
+        "--seed",
+        type=_whole(LARGEST_SEED, at_least=0),
+        default=1,
+        help="default: 1; the same seed gives the same result",
+    )
     parser.add_argument("--quick", action="store_true", help="fewer draws: a first look")
     parser.add_argument("--resume", action="store_true", help="continue a fit that was interrupted")
     _overwrite(parser)
@@ -91,7 +124,12 @@ def _diagnose_arguments(parser: argparse.ArgumentParser) -> None:
         "--covariance", choices=("full", "diagonal"), default="full", help="claim about people; default: full"
     )
     parser.add_argument("--subject", action="append", default=[], metavar="NAME", help="use only this one; repeatable")
-    parser.add_argument("--seed", type=_seed, default=1, help="default: 1; the same seed gives the same verdict")
+    parser.add_argument(
+        "--seed",
+        type=_whole(LARGEST_SEED, at_least=0),
+        default=1,
+        help="default: 1; the same seed gives the same verdict",
+    )
     parser.add_argument("--quick", action="store_true", help="without held-out frequencies and without proposals")
     parser.add_argument("--resume", action="store_true", help="take up the network's fit of a diagnosis interrupted")
     _overwrite(parser)
@@ -107,7 +145,10 @@ def _overwrite(parser: argparse.ArgumentParser) -> None:
 def _worker_arguments(parser: argparse.ArgumentParser) -> None:
     """Who does what is done person by person; the result is the same."""
     parser.add_argument(
-        "--workers", type=_count, metavar="N", help="local processes that fit people (default: two threads of this one)"
+        "--workers",
+        type=_whole(MOST_WORKERS),
+        metavar="N",
+        help="local processes that fit people (default: two threads of this one)",
     )
     parser.add_argument("--scheduler", metavar="ADDRESS", help="Dask scheduler, whose workers fit people (extra: dask)")
 
@@ -121,36 +162,71 @@ def _export_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("users", "transfer", "spice", "stability"),
         help="repeatable (default: all of them)",
     )
-    parser.add_argument("--users", type=_count, default=1000, metavar="N", help="virtual users (default: 1000)")
-    parser.add_argument("--spanning", type=_count, default=8, metavar="N", help="users who span the 95 %% region")
+    parser.add_argument(
+        "--users", type=_whole(MOST_USERS), default=1000, metavar="N", help="virtual users (default: 1000)"
+    )
+    parser.add_argument(
+        "--spanning", type=_whole(MOST_USERS), default=8, metavar="N", help="users who span the 95 %% region"
+    )
     parser.add_argument("--one-touch", action="store_true", help="users as in one touch, not as the mean of many")
     parser.add_argument(
         "--assume", action="append", default=[], metavar="NAME=VALUE", help="of an element not determined; repeatable"
     )
     parser.add_argument("--device", type=Path, metavar="TOML", help="device to be held (default: a PHANTOM 1.0)")
     parser.add_argument(
-        "--damping", type=float, default=0.0, metavar="B", help="of the virtual wall, N s/m (default: 0)"
+        "--damping",
+        type=_number(at_least=0, at_most=LARGEST_DAMPING),
+        default=0.0,
+        metavar="B",
+        help="of the virtual wall, N s/m (default: 0)",
     )
-    parser.add_argument("--share", type=float, default=0.99, help="of users who must be stable (default: 0.99)")
-    parser.add_argument("--grid", type=_count, default=40, metavar="N", help="gains on each axis (default: 40)")
+    parser.add_argument(
+        "--share", type=_number(above=0, below=1), default=0.99, help="of users who must be stable (default: 0.99)"
+    )
+    parser.add_argument(
+        "--grid", type=_whole(MOST_GAINS, at_least=2), default=40, metavar="N", help="gains on each axis (default: 40)"
+    )
     parser.add_argument("--no-pictures", dest="pictures", action="store_false", help="tables only")
-    parser.add_argument("--seed", type=_seed, default=1, help="default: 1; the same seed gives the same users")
-    parser.add_argument("--workers", type=_count, default=2, metavar="N", help="threads of the map (default: 2)")
+    parser.add_argument(
+        "--seed",
+        type=_whole(LARGEST_SEED, at_least=0),
+        default=1,
+        help="default: 1; the same seed gives the same users",
+    )
+    parser.add_argument(
+        "--workers", type=_whole(MOST_WORKERS), default=2, metavar="N", help="threads of the map (default: 2)"
+    )
     _overwrite(parser)
 
 
-def _count(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{value} is not at least 1")
-    return value
+def _whole(at_most: int, at_least: int = 1) -> Callable[[str], int]:
+    """Reader of a whole number within a range."""
+
+    def read(text: str) -> int:
+        # Twenty digits hold every number that is allowed; Python refuses to read thousands of them.
+        digits = text.strip().removeprefix("+")
+        value = int(digits) if digits.isascii() and digits.isdigit() and len(digits) <= 20 else -1
+        if not at_least <= value <= at_most:
+            raise argparse.ArgumentTypeError(f"{shown(text)} is no whole number from {at_least} to {at_most}")
+        return value
+
+    return read
 
 
-def _seed(text: str) -> int:
-    value = int(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError("a seed is not negative")
-    return value
+def _number(**bounds: float) -> Callable[[str], float]:
+    """Reader of a finite number within a range."""
+
+    def read(text: str) -> float:
+        try:
+            value: object = float(text)
+        except ValueError:
+            value = text
+        try:
+            return number_in(value, "it", **bounds)
+        except InputError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+
+    return read
 
 
 class _Parser(argparse.ArgumentParser):
@@ -158,7 +234,7 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Say it and leave with status 2."""
-        complain(f"error: {message}; '{self.prog} --help' says what may be given")
+        complain(f"error: {' '.join(message.split())}; '{self.prog} --help' says what may be given")
         self.exit(2)
 
 

@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         complain(f"interrupted; {' '.join(map(str, stop.args)) or 'nothing was kept: start the command again'}")
         return FAILED
     except MemoryError:
-        complain("error: the memory is used up; use fewer subjects or points, or a machine with more")
+        complain("error: there is not enough memory for it; give fewer people, points, users or gains")
         return FAILED
     except OSError as error:
         complain(f"error: {sentence_of(error)}")
@@ -174,12 +174,10 @@ def _export(options: argparse.Namespace) -> int:
 def _check(options: argparse.Namespace) -> int:
     from bayes_impedance.commands.jobs import check_dataset
 
-    description, warnings, findings = check_dataset(options.dataset)
+    description, _, findings = check_dataset(options.dataset)
     for key, value in description.items():
         shown = " to ".join(f"{v:.4g}" for v in dict.fromkeys(value)) if _is_range(value) else value
         tell(f"{key.replace('_', ' '):14} {shown}")
-    for warning in warnings:
-        tell(f"read: {warning}")
     for finding in findings:
         tell(f"{finding.severity}: {finding.message}")
     if not findings:

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING
 
 from bayes_impedance.errors import InputError
 from bayes_impedance.runtime.output_folder import output_folder
+from bayes_impedance.runtime.user_table import number_in, shown
 
 if TYPE_CHECKING:
+    from bayes_impedance.design.loop.device import Device
     from bayes_impedance.results.result import Result
     from bayes_impedance.runtime.progress import Progress
 
@@ -23,6 +25,8 @@ FILES = {
 PICTURES = {"users": ("users",), "stability": ("stability", "worst_user", "transparency")}
 """What each product consists of: files, and names of pictures."""
 PRODUCTS = tuple(FILES)
+LARGEST_ASSUMED = 1e15
+"""Of an element's assumed value in its unit, and of its reciprocal: no element of any kind is larger or smaller."""
 _POINTS = 201
 """Logarithmic grid of exported curves: 67 to a decade of the paper's band."""
 
@@ -95,6 +99,7 @@ def export_result(result: Path, out: Path, options: ExportOptions, progress: Pro
     InputError
         If the fit cannot be used, or an option contradicts it.
     """
+    from bayes_impedance.design.loop.device import PHANTOM, read_device
     from bayes_impedance.results.result import RESULT_FILE, load_result
 
     unknown = sorted(set(options.what) - set(PRODUCTS))
@@ -104,10 +109,11 @@ def export_result(result: Path, out: Path, options: ExportOptions, progress: Pro
         raise InputError(f"share {options.share:g}: give a number between 0 and 1, such as 0.99")
     if not 0 <= options.damping < float("inf"):
         raise InputError(f"damping {options.damping:g}: virtual damping is zero or more, in N s/m")
+    device = PHANTOM if options.device is None else read_device(options.device)
     folder = result.parent if result.name == RESULT_FILE else result
     fit = load_result(folder)
     with output_folder(out, _names(options), options.overwrite):
-        return _written(fit, folder, out, options, progress)
+        return _written(fit, folder, out, device, options, progress)
 
 
 def _names(options: ExportOptions) -> list[str]:
@@ -118,17 +124,15 @@ def _names(options: ExportOptions) -> list[str]:
 
 
 def _written(
-    fit: Result, result: Path, out: Path, options: ExportOptions, progress: Progress
+    fit: Result, result: Path, out: Path, device: Device, options: ExportOptions, progress: Progress
 ) -> tuple[list[Path], str | None]:
     import numpy as np
 
     from bayes_impedance.design.answer import design_answer
     from bayes_impedance.design.files import write_spice, write_stability, write_transfer, write_users
-    from bayes_impedance.design.loop.device import PHANTOM, read_device
     from bayes_impedance.design.representatives import representatives
     from bayes_impedance.design.users import population_of
 
-    device = PHANTOM if options.device is None else read_device(options.device)
     population = population_of(fit, options.assume)
     if "stability" in options.what and population.unit != "N s/m":
         raise InputError(f"{result}: the impedance is in {population.unit}; a device needs one in N s/m")
@@ -182,13 +186,17 @@ def assumed(texts: Sequence[str]) -> dict[str, float]:
     InputError
         If a text has another form.
     """
-    found = {}
+    found: dict[str, float] = {}
     for text in texts:
-        name, sign, number = text.partition("=")
+        name, sign, number = (part.strip() for part in text.partition("="))
+        what = f"--assume {shown(text)}"
         try:
-            found[name.strip()] = float(number)
+            value: object = float(number)
         except ValueError:
             sign = ""
-        if not sign:
-            raise InputError(f"--assume {text}: give an element and its value, such as n3=6.8e-7")
+        if not sign or not name:
+            raise InputError(f"{what}: give an element and its value, such as n3=6.8e-7")
+        if name in found:
+            raise InputError(f"{what}: {shown(name)} has a value already; give one")
+        found[name] = number_in(value, f"{what}: the value", at_least=1 / LARGEST_ASSUMED, at_most=LARGEST_ASSUMED)
     return found

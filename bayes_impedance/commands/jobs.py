@@ -232,8 +232,8 @@ def diagnose_dataset(
 
     from bayes_impedance.diagnosis import diagnose
     from bayes_impedance.diagnosis.verdict_file import to_json
-    from bayes_impedance.plots import DIAGNOSIS_PICTURES
-    from bayes_impedance.population.fit import checked_model
+    from bayes_impedance.plots.missing_physics import DIAGNOSIS_PICTURES
+    from bayes_impedance.population.requirements import checked_model
     from bayes_impedance.report.diagnosis_page import write_diagnosis_report
     from bayes_impedance.runtime.checkpoint import discard, require_own
     from bayes_impedance.runtime.executors import executor_of
@@ -241,7 +241,7 @@ def diagnose_dataset(
     network = options.network if options.network is not None or claimed is None else recordings.network
     network = network or (claimed.network if claimed is not None else None)
     for given in (recordings, *(() if claimed is None else (claimed,))):
-        checked_model(given, network, options.settings())
+        checked_model(given, network, options.covariates)
     names = [VERDICT_FILE, DIAGNOSIS_FILE, *pictures(DIAGNOSIS_PICTURES)]
     checkpoint = out / DIAGNOSIS_CHECKPOINT_FOLDER
     require_own(checkpoint)

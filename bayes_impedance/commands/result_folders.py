@@ -26,10 +26,10 @@ def fit_folder(
     out: Path, names: Iterable[str], recordings: Recordings, options: FitOptions, resume: bool
 ) -> Iterator[None]:
     """Hold the folder of a fit whose options are sound: nothing is touched before they have been looked at."""
-    from bayes_impedance.population.fit import checked_model
+    from bayes_impedance.population.requirements import checked_model
     from bayes_impedance.runtime.checkpoint import discard, require_own
 
-    checked_model(recordings, options.network, options.settings())
+    checked_model(recordings, options.network, options.covariates)
     checkpoint = out / CHECKPOINT_FOLDER
     if not resume:
         require_own(checkpoint)

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayes_impedance.errors import InputError
-from bayes_impedance.runtime.atomic_files import read_json, write_json
+from bayes_impedance.runtime.atomic_files import write_json
+from bayes_impedance.runtime.input_files import read_json
 from bayes_impedance.runtime.output_folder import output_folder
 
 if TYPE_CHECKING:
@@ -73,4 +74,4 @@ def _population(file: Path) -> VirtualPopulation:
     """A population to draw from, as a fit or an earlier simulation describes it."""
     from bayes_impedance.population.simulate import population_from
 
-    return population_from(read_json(file, "give a summary.json or truth.json"), str(file))
+    return population_from(read_json(file, "a summary.json or truth.json"), str(file))

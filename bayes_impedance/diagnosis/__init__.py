@@ -7,7 +7,8 @@ the network (``fit``), searches (``selection``) for what of the ``catalogue`` ex
 out, with the verdict of :mod:`.verdict_types`, which :mod:`.verdict_file` writes and reads as ``verdict.json``.
 """
 
-from bayes_impedance.diagnosis.catalogue.effect import Coefficient, Effect, register, registered, unregister
+from bayes_impedance.diagnosis.catalogue.coefficient import Coefficient
+from bayes_impedance.diagnosis.catalogue.effect import Effect, register, registered, unregister
 from bayes_impedance.diagnosis.diagnose import diagnose
 from bayes_impedance.diagnosis.types import Diagnosis
 

@@ -4,9 +4,25 @@ In comes notation such as ``(n3|r3)-(m2|r1|n1)``; out comes impedance over frequ
 Open :mod:`.notation` first (the tree), then :mod:`.elements` (mass, compliance, damper), :mod:`.program` (the network
 as arrays) and :mod:`.kernel` (compiled evaluation). :mod:`.operations` is the table of operations on the impedance of a
 place, :mod:`.transform` their formulas, :mod:`.rational` the network as a ratio of polynomials.
+
+The kernel is imported when it is first used: the notation alone needs no compiler.
 """
 
-from bayes_impedance.network.kernel import Kernel
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
 from bayes_impedance.network.notation import PAPER_NETWORK, Element, Network, parse
 
+if TYPE_CHECKING:
+    from bayes_impedance.network.kernel import Kernel
+
 __all__ = ["PAPER_NETWORK", "Element", "Kernel", "Network", "parse"]
+
+
+def __getattr__(name: str) -> Any:
+    if name != "Kernel":
+        raise AttributeError(f"module 'bayes_impedance.network' has no attribute '{name}'")
+    from bayes_impedance.network.kernel import Kernel
+
+    return Kernel

@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Self
 
@@ -34,11 +34,18 @@ import numpy.typing as npt
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.elements import kind_of
 from bayes_impedance.network.rational import TransferFunction, add_fractions, monomial
+from bayes_impedance.runtime.user_table import shown, text_in
 
 PAPER_NETWORK = "skin:(n3|r3)-tissue:(m2|r1|n1|limb:(m1-(n2|r2)))"
 """The fingertip network of fig. 1 and eq. 4 of the paper, with its groups named."""
 
-_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,59}")
+
+DEEPEST = 50
+"""Levels of parentheses and labels: a tree is walked by recursion, a few calls to a level, of which Python allows a
+thousand in all. The fingertip's network has four levels."""
+LONGEST = 10_000
+"""Characters: a thousand elements with their groups, far more than anything estimates."""
 
 
 class Place(NamedTuple):
@@ -209,7 +216,7 @@ class Element(Network):
 
     def __post_init__(self) -> None:
         if _NAME.fullmatch(self.name) is None:
-            raise InputError(f"'{self.name}' is not a name of an element: use a letter m, n or r and then digits")
+            raise InputError(f"{shown(self.name)} is not a name of an element: use a letter m, n or r and then digits")
         kind_of(self.name)
 
     def _notation(self) -> str:
@@ -295,7 +302,11 @@ class _Parser:
     """Recursive descent: expr = term {'|' term}; term = part {'-' part}; part = [label ':'] name | '(' expr ')'."""
 
     def __init__(self, text: str) -> None:
-        self.text = text
+        self.text = text_in(text, "a network")
+        if len(text) > LONGEST:
+            raise InputError(f"network {shown(text)} has {len(text)} characters; at most {LONGEST} are read")
+        self.shown = shown(text) if len(text) > 200 or not text.isprintable() else f"'{text}'"
+        self.depth = 0
         self.tokens = [(m.group(), m.start()) for m in re.finditer(r"[A-Za-z_][A-Za-z0-9_]*|\S", text)]
         self.position = 0
 
@@ -316,31 +327,41 @@ class _Parser:
 
     def error(self, expected: str) -> InputError:
         if not self.peek():
-            return InputError(f"network '{self.text}' ends too early: expected {expected}")
+            return InputError(f"network {self.shown} ends too early: expected {expected}")
         token, start = self.tokens[self.position]
-        return InputError(f"network '{self.text}': '{token}' at character {start + 1} is not {expected}")
+        token = repr(token) if len(token) <= 60 else shown(token)
+        return InputError(f"network {self.shown}: {token} at character {start + 1} is not {expected}")
 
     def expression(self) -> Network:
-        network = self.term()
-        while self.peek() == "|":
-            self.take()
-            network = network | self.term()
-        return network
+        return self.group("|", Parallel, self.term)
 
     def term(self) -> Network:
-        network = self.part()
-        while self.peek() == "-":
+        return self.group("-", Series, self.part)
+
+    def group(self, sign: str, kind: type[_Group], read: Callable[[], Network]) -> Network:
+        # Made at once: part by part, the checks of a group would be repeated for each.
+        parts = [read()]
+        while self.peek() == sign:
             self.take()
-            network = network - self.part()
-        return network
+            parts.append(read())
+        return parts[0] if len(parts) == 1 else kind(_flatten(kind, parts))
 
     def part(self) -> Network:
+        self.depth += 1
+        if self.depth > DEEPEST:
+            raise InputError(f"network {self.shown} is nested more than {DEEPEST} levels deep; write it in fewer")
+        try:
+            return self._part()
+        finally:
+            self.depth -= 1
+
+    def _part(self) -> Network:
         if self.peek(1) == ":" and _NAME.fullmatch(self.peek()):
             label = self.take()
             self.take()
             part = self.part()
             if part.label is not None:
-                raise InputError(f"network '{self.text}': '{label}:{part.label}:' gives one group two labels; keep one")
+                raise InputError(f"network {self.shown}: '{label}:{part.label}:' gives one group two labels; keep one")
             return part.labelled(label)
         if self.peek() == "(":
             self.take()

@@ -118,6 +118,8 @@ class Traits:
         Number of the operation in the compiled functions; 0 is no operation.
     parameters : tuple of str
         What the parameters are; the coefficient first. An effect may give them more specific names.
+    units : tuple of tuple of str
+        Units that each parameter may have, as in :class:`Setting`.
     links : tuple of str
         How each value in the operation's unit follows from the unbounded u: ``linear`` (x = scale u), ``log``
         (exp u) or ``logit`` (1/(1 + exp(-u))).
@@ -156,6 +158,7 @@ class Traits:
 
     code: int
     parameters: tuple[str, ...]
+    units: tuple[tuple[str, ...], ...]
     links: tuple[str, ...] = ("linear",)
     connection: str = "replaces"
     places: tuple[str, ...] = PLACES
@@ -215,27 +218,32 @@ TRAITS: dict[str, Traits] = {
         code=1,
         one_port=True,
         parameters=("coefficient",),
+        units=(("m", "r", "k"),),
         connection="beside",
         built_as="elements",
         constants=_power_of_s,
     ),
-    "delay": Traits(code=2, parameters=("delay",), passive=False),
-    "highpass": Traits(code=3, parameters=("corner",), passive=False, built_as="filter"),
-    "lowpass": Traits(code=4, parameters=("time_constant",), passive=False, built_as="filter", derived=_corner),
+    "delay": Traits(code=2, parameters=("delay",), units=(("s",),), passive=False),
+    "highpass": Traits(code=3, parameters=("corner",), units=(("Hz",),), passive=False, built_as="filter"),
+    "lowpass": Traits(
+        code=4, parameters=("time_constant",), units=(("s",),), passive=False, built_as="filter", derived=_corner
+    ),
     "power": Traits(
         code=5,
         one_port=True,
         parameters=("exponent",),
+        units=(("",),),
         places=("springs",),
         built_as="ladder",
         constants=_middle_of_band,
         derived=_power_law_of_spring,
     ),
-    "hysteresis": Traits(code=6, parameters=("loss_factor",), places=("springs",), one_port=True),
+    "hysteresis": Traits(code=6, parameters=("loss_factor",), units=(("",),), places=("springs",), one_port=True),
     "line": Traits(
         code=7,
         one_port=True,
         parameters=("mass",),
+        units=(("m",),),
         built_as="ladder",
         scanned=lambda _low, _high: [{"level": level} for level in LINE_LEVELS],
         # The tangent at zero mass is that of a mass; what distinguishes the layer is where waves fit into it.
@@ -245,6 +253,7 @@ TRAITS: dict[str, Traits] = {
         code=8,
         one_port=True,
         parameters=("coefficient", "exponent"),
+        units=(("c",), ("",)),
         links=("linear", "logit"),
         connection="beside",
         built_as="ladder",
@@ -256,6 +265,7 @@ TRAITS: dict[str, Traits] = {
         one_port=True,
         sums_to_any=True,
         parameters=("damping", "time_constant"),
+        units=(("r",), ("s",)),
         links=("linear", "log"),
         connection="beside",
         built_as="elements",
@@ -266,6 +276,7 @@ TRAITS: dict[str, Traits] = {
         one_port=True,
         sums_to_any=True,
         parameters=("mass", "frequency", "damping_ratio"),
+        units=(("m",), ("Hz",), ("",)),
         links=("linear", "log", "log"),
         connection="beside",
         built_as="elements",
@@ -274,6 +285,7 @@ TRAITS: dict[str, Traits] = {
     "reflex": Traits(
         code=11,
         parameters=("stiffness", "latency", "corner"),
+        units=(("k",), ("s",), ("Hz",)),
         links=("linear", "log", "log"),
         connection="beside",
         passive=False,
@@ -282,6 +294,7 @@ TRAITS: dict[str, Traits] = {
         code=12,
         one_port=True,
         parameters=("damping", "stiffness"),
+        units=(("r",), ("k",)),
         links=("linear", "linear"),
         connection="beside",
         built_as="elements",
@@ -291,10 +304,13 @@ TRAITS: dict[str, Traits] = {
         scanned=_bypass_ratios,
         direction=lambda shape, omega: 1 + shape["ratio"] / (1j * omega),
     ),
-    "series_compliance": Traits(code=13, parameters=("compliance",), connection="series", built_as="elements"),
+    "series_compliance": Traits(
+        code=13, parameters=("compliance",), units=(("n",),), connection="series", built_as="elements"
+    ),
     "series_layer": Traits(
         code=14,
         parameters=("compliance", "time_constant"),
+        units=(("n",), ("s",)),
         links=("linear", "log"),
         connection="series",
         built_as="elements",
@@ -303,6 +319,7 @@ TRAITS: dict[str, Traits] = {
     "sweep": Traits(
         code=15,
         parameters=("change", "time_law"),
+        units=(("",), ("",)),
         links=("linear", "log"),
         constants=lambda setting: (setting.low, setting.high / setting.low),
     ),

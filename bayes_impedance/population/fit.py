@@ -29,8 +29,8 @@ import numpy as np
 from bayes_impedance.errors import InputError
 from bayes_impedance.mcmc.ensemble import QUICK, Chains, SamplerSettings, sample
 from bayes_impedance.network.kernel import Kernel
-from bayes_impedance.network.notation import Network, parse
-from bayes_impedance.network.redundancy import Combination, merged
+from bayes_impedance.network.notation import Network
+from bayes_impedance.network.redundancy import Combination
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.marginal_likelihood import find_ridge, marginal_log_likelihood
 from bayes_impedance.person.noise import NoiseModel
@@ -38,6 +38,7 @@ from bayes_impedance.population.diagnostics import Diagnostics, assess
 from bayes_impedance.population.em import Estimate, estimate
 from bayes_impedance.population.parameters import PopulationParameters, Prior
 from bayes_impedance.population.posterior import Posterior
+from bayes_impedance.population.requirements import CheckedModel, checked_model
 from bayes_impedance.population.starting_fits import FirstFits, default_prior, first_fits, noise_of
 from bayes_impedance.recordings.files import Recordings, Subject
 from bayes_impedance.runtime.checkpoint import claim
@@ -79,6 +80,8 @@ class FitSettings:
     def __post_init__(self) -> None:
         if self.covariance not in ("full", "diagonal"):
             raise InputError(f"covariance is '{self.covariance}': choose 'full' or 'diagonal'")
+        if not isinstance(self.covariates, tuple) or not all(isinstance(name, str) for name in self.covariates):
+            raise InputError("covariates must be a tuple of names, such as ('age_y',)")
 
 
 QUICK_SETTINGS = FitSettings(draws=256, sampler=QUICK)
@@ -191,15 +194,15 @@ def fit_population(
     Raises
     ------
     InputError
-        If there is no network, a covariate is unknown or incomplete, somebody has fewer points than elements, or
-        `checkpoint` is of another fit.
+        If there is no network, a covariate is unknown, incomplete or follows from others, somebody has fewer points
+        than elements, or `checkpoint` is of another fit.
     """
     from threadpoolctl import threadpool_limits
 
     settings = settings or FitSettings()
     settings = replace(settings, sampler=replace(settings.sampler, workers=workers))
-    model, covariates = checked_model(recordings, network, settings)
-    kernel, written, combinations = model
+    model = checked_model(recordings, network, settings.covariates)
+    kernel, covariates = model.kernel, model.covariates
     if too_few_for_correlations(len(recordings.subjects), len(kernel.elements)):
         settings = replace(settings, covariance="diagonal")
     prior = default_prior(kernel.elements, recordings)
@@ -231,7 +234,7 @@ def fit_population(
             return _one_person(
                 recordings,
                 kernel,
-                (written, combinations),
+                model,
                 prior,
                 settings,
                 seed,
@@ -271,8 +274,8 @@ def fit_population(
     return PopulationFit(
         recordings=recordings,
         kernel=kernel,
-        written=written,
-        combinations=combinations,
+        written=model.written,
+        combinations=model.combinations,
         prior=prior,
         settings=settings,
         seed=seed,
@@ -293,7 +296,7 @@ def fit_population(
 def _one_person(
     recordings: Recordings,
     kernel: Kernel,
-    given: tuple[Network, tuple[Combination, ...]],
+    model: CheckedModel,
     prior: Prior,
     settings: FitSettings,
     seed: int,
@@ -333,8 +336,8 @@ def _one_person(
     return PopulationFit(
         recordings=recordings,
         kernel=kernel,
-        written=given[0],
-        combinations=given[1],
+        written=model.written,
+        combinations=model.combinations,
         prior=prior,
         settings=settings,
         seed=seed,
@@ -365,48 +368,6 @@ def too_few_for_correlations(n_persons: int, n_elements: int) -> bool:
     The posterior of a full one then piles up at singular matrices, held back by nothing but the prior.
     """
     return n_persons < n_elements + 2
-
-
-def network_of(recordings: Recordings, network: Network | str | None) -> Network:
-    """The network asked for, or the dataset's own."""
-    given = network if network is not None else recordings.network
-    if given is None:
-        raise InputError('no network: name one with --network, or write network = "..." into dataset.toml')
-    return parse(given) if isinstance(given, str) else given
-
-
-def checked_model(recordings: Recordings, network: Network | str | None, settings: FitSettings) -> tuple[Fitted, np.ndarray]:
-    """What is fitted, and standardised covariates (N, Q); `InputError` if they do not fit the recordings."""
-    written = network_of(recordings, network)
-    fitted, combinations = merged(written)
-    kernel = Kernel(fitted)
-    covariates = _standardised(recordings, settings.covariates)
-    require_enough_points(recordings, kernel)
-    return Fitted(kernel, written, combinations), covariates
-
-
-def _standardised(recordings: Recordings, names: tuple[str, ...]) -> np.ndarray:
-    """Covariates (N, Q) with mean 0 and standard deviation 1."""
-    columns = []
-    for name in names:
-        values = np.array([s.covariates.get(name, np.nan) for s in recordings.subjects], dtype=float)
-        if not np.all(np.isfinite(values)):
-            who = recordings.subjects[int(np.argmin(np.isfinite(values)))].name
-            raise InputError(f"covariate '{name}' is missing for subject {who}: add it to subjects.csv or leave it out")
-        if values.std() == 0:
-            raise InputError(f"covariate '{name}' is the same for everybody: leave it out")
-        columns.append((values - values.mean()) / values.std())
-    return np.array(columns).T if columns else np.zeros((len(recordings.subjects), 0))
-
-
-def require_enough_points(recordings: Recordings, kernel: Kernel) -> None:
-    """Refuse people with fewer numbers than elements."""
-    for subject in recordings.subjects:
-        if 2 * subject.frequency_hz.size <= len(kernel.elements):
-            raise InputError(
-                f"subject {subject.name} has {subject.frequency_hz.size} frequencies, too few for "
-                f"{len(kernel.elements)} elements: record more or use a smaller network"
-            )
 
 
 def initial_likelihoods(recordings: Recordings, first: FirstFits, n_elements: int, executor: Executor) -> Kept:

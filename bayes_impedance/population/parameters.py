@@ -26,6 +26,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr, ndtri
 
+from bayes_impedance.errors import InputError
+from bayes_impedance.runtime.user_table import number_in
+
 
 @dataclass(frozen=True)
 class Prior:
@@ -50,6 +53,13 @@ class Prior:
     dispersion_sd: float = 1.0
     concentration: float = 2.0
     slope_sd: float = 1.0
+
+    def __post_init__(self) -> None:
+        centre = np.asarray(self.centre)
+        if centre.ndim != 1 or centre.dtype.kind not in "fiu" or not np.all(np.isfinite(centre)):
+            raise InputError("prior: centre must be a one-dimensional array of finite numbers, one for each element")
+        for name in ("centre_sd", "dispersion_sd", "concentration", "slope_sd"):
+            number_in(getattr(self, name), f"prior: {name}", above=0)
 
 
 @dataclass(frozen=True)

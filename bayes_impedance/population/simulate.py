@@ -15,7 +15,6 @@ fingertips under shear.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -26,6 +25,8 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import PAPER_NETWORK, parse
 from bayes_impedance.recordings.files import Recordings, Subject
+from bayes_impedance.runtime.user_table import UserTable, hint, number_in, shown, text_in
+from bayes_impedance.units import HIGHEST_HZ, LARGEST_IMPEDANCE, LOWEST_HZ, SMALLEST_IMPEDANCE
 
 _PERSON_FORCE = 0.07
 _REPETITION_FORCE = 0.03
@@ -33,6 +34,17 @@ _REPETITION_FORCE = 0.03
 
 _SCALE_SPREAD = 0.15
 """Standard deviation of the logarithm of each person's size of noise: an assumption."""
+
+MOST_NUMBERS = 20_000_000
+"""Impedances of one simulation: 200 times the paper's recordings. Numbers, noise and text take some hundred bytes of
+memory each."""
+
+LARGEST_DISPERSION = 10.0
+"""Standard deviation of a logarithm: two people would usually differ by a factor of a million."""
+
+_UNIT = "N s/m"
+_ELEMENT_KEYS = ("central", "dispersion_between_persons", "dispersion_between_repetitions", "contact_force_exponent")
+_TRUTH_KEYS = ("seed", "network", "elements", "correlation", "noise")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,13 +144,21 @@ def simulate_recordings(
     InputError
         If a central value is missing or not positive, or there is nobody to record.
     """
-    kernel = Kernel(parse(population.network))
-    central = population.vector(population.central)
-    if np.any(central <= 0):
-        missing = kernel.elements[int(np.argmin(central))]
-        raise InputError(f"element '{missing}' has no positive central value: give one for each of {kernel.elements}")
+    _require_usable(population)
     if n_subjects < 1 or n_repetitions < 1:
         raise InputError("at least one subject and one repetition are needed")
+    if n_subjects * n_repetitions * frequency_hz.size > MOST_NUMBERS:
+        raise InputError(
+            f"{n_subjects} subjects with {n_repetitions} repetitions at {frequency_hz.size} frequencies are more than "
+            f"{MOST_NUMBERS} numbers; simulate fewer"
+        )
+    ascending = frequency_hz.size and np.all(np.diff(frequency_hz) > 0)
+    if not ascending or not LOWEST_HZ <= frequency_hz[0] <= frequency_hz[-1] <= HIGHEST_HZ:
+        raise InputError(
+            f"frequencies must ascend between {LOWEST_HZ:g} and {HIGHEST_HZ:g} Hz; a band this narrow or wide does not"
+        )
+    kernel = Kernel(parse(population.network))
+    central = population.vector(population.central)
     rng = np.random.default_rng(seed)
     tau, rho = population.vector(population.between_persons), population.vector(population.between_repetitions)
     exponent = population.vector(population.force_exponent)
@@ -151,11 +171,19 @@ def simulate_recordings(
     force = 1 + person_force[:, None] + repetition_force
     deviation = rho * rng.normal(size=(n_subjects, n_repetitions, p))
     theta = person[:, None] + deviation + exponent * np.log(force)[..., None]
-    z = kernel.impedance(theta, frequency_hz)
+    with np.errstate(all="ignore"):  # what is not finite is refused below
+        z = kernel.impedance(theta, frequency_hz)
     scale = np.exp(_SCALE_SPREAD * rng.normal(size=n_subjects))
     noise = population.noise * np.sqrt(1 + (population.noise_corner_hz / frequency_hz) ** 4)
     parts = rng.normal(size=(2, n_subjects, n_repetitions, f))
-    z = z + np.abs(z) * scale[:, None, None] * noise * (parts[0] + 1j * parts[1])
+    with np.errstate(all="ignore"):
+        z = z + np.abs(z) * scale[:, None, None] * noise * (parts[0] + 1j * parts[1])
+        size = np.abs(z)
+    if not np.all((size >= SMALLEST_IMPEDANCE) & (size <= LARGEST_IMPEDANCE)):
+        raise InputError(
+            f"the simulated impedances are not all between {SMALLEST_IMPEDANCE:g} and {LARGEST_IMPEDANCE:g} "
+            f"{_UNIT}: take smaller dispersions, less noise or a narrower band"
+        )
 
     width = len(str(n_subjects))
     subjects = tuple(
@@ -171,7 +199,7 @@ def simulate_recordings(
     )
     recordings = Recordings(
         title=title,
-        unit="N s/m",
+        unit=_UNIT,
         network=population.network,
         source=f"simulated by bayes_impedance, seed {seed}: virtual persons, not measured",
         licence="MIT",
@@ -180,6 +208,36 @@ def simulate_recordings(
         warnings=(),
     )
     return Simulation(recordings, person + exponent * np.log1p(person_force)[:, None], _truth(population, seed))
+
+
+def _require_usable(population: VirtualPopulation) -> None:
+    """Refuse a population of which no people can be drawn: element by element, in one sentence."""
+    elements = parse(text_in(population.network, "a population's network")).elements
+    for what, values, bounds in (
+        ("central value", population.central, {"above": 0.0}),
+        ("dispersion between persons", population.between_persons, _DISPERSION),
+        ("dispersion between repetitions", population.between_repetitions, _DISPERSION),
+        ("force exponent", population.force_exponent, {"at_least": -LARGEST_DISPERSION, "at_most": LARGEST_DISPERSION}),
+    ):
+        for name, value in values.items():
+            if name not in elements:
+                raise InputError(
+                    f"{what} of {shown(name)}: the network {population.network} has no such element; "
+                    f"{hint(str(name), elements)}"
+                )
+            number_in(value, f"{what} of '{name}'", **bounds)
+    missing = [name for name in elements if name not in population.central]
+    if missing:
+        raise InputError(f"element '{missing[0]}' has no positive central value: give one for each of {elements}")
+    for pair, value in population.correlation.items():
+        if len(set(pair)) != 2 or not set(pair) <= set(elements):
+            raise InputError(f"a correlation is between {' and '.join(map(shown, pair))}: name two different elements")
+        number_in(value, f"correlation of {pair[0]} and {pair[1]}", at_least=-1, at_most=1)
+    number_in(population.noise, "relative noise", at_least=0)
+    number_in(population.noise_corner_hz, "noise_corner_hz", at_least=0, at_most=HIGHEST_HZ)
+
+
+_DISPERSION = {"at_least": 0.0, "at_most": LARGEST_DISPERSION}
 
 
 def _truth(population: VirtualPopulation, seed: int) -> dict[str, Any]:
@@ -272,17 +330,19 @@ def population_from(described: Mapping[str, Any], where: str) -> VirtualPopulati
     InputError
         If it describes none, or leaves elements undetermined.
     """
-    try:
-        network, elements = str(described["network"]), dict(described["elements"])
-        central = {name: _middle(e["central"]) for name, e in elements.items()}
-        persons = {name: _middle(e["dispersion_between_persons"]) or 0.0 for name, e in elements.items()}
-        repetitions = {name: _middle(e["dispersion_between_repetitions"]) or 0.0 for name, e in elements.items()}
-        correlation = {(str(a), str(b)): float(value) for a, b, value, *_ in described["correlation"]}
-        noise = dict(described.get("noise", {}))
-        relative, corner = float(noise.get("relative_sd", 0.01)), float(noise.get("corner_hz", 8.0))
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise InputError(f"{where}: describes no population ({error}); give a summary.json or truth.json") from None
+    # A fit's summary holds much besides; what a person writes like a truth.json has these keys and no others.
+    table = UserTable(described, where, _TRUTH_KEYS, tolerant=isinstance(described, Mapping) and "schema" in described)
+    elements = table["elements"]
+    if not isinstance(elements, Mapping) or not elements:
+        raise InputError(f"{where}: describes no population (elements is {shown(elements)}, but must be a table)")
+    rows = {
+        str(name): UserTable(row, f"{where}: element {shown(str(name))}", _ELEMENT_KEYS, tolerant="schema" in described)
+        for name, row in elements.items()
+        if not (isinstance(row, Mapping) and row.get("combined_in"))  # another element stands in the network for it
+    }
+    central = {name: _middle(row, "central") for name, row in rows.items()}
     unknown = [name for name, value in central.items() if value is None]
+    network, correlation = table.text("network"), _correlations(table["correlation"], where)
     known = set(parse(network).elements)
     if known != set(central) or any(not {a, b} <= known for a, b in correlation):
         raise InputError(
@@ -290,20 +350,38 @@ def population_from(described: Mapping[str, Any], where: str) -> VirtualPopulati
         )
     if unknown:
         raise InputError(f"{where}: element '{unknown[0]}' has no value there; fit recordings that determine it")
-    return VirtualPopulation(
+    noise = UserTable(table.get("noise", {}), f"{where}: noise", ("relative_sd", "corner_hz"))
+    population = VirtualPopulation(
         network=network,
-        central={name: float(value) for name, value in central.items() if value is not None},
-        between_persons=persons,
-        between_repetitions=repetitions,
+        central={name: value for name, value in central.items() if value is not None},
+        between_persons={name: _middle(row, "dispersion_between_persons") or 0.0 for name, row in rows.items()},
+        between_repetitions={name: _middle(row, "dispersion_between_repetitions") or 0.0 for name, row in rows.items()},
         correlation=correlation,
-        noise=relative,
-        noise_corner_hz=corner,
+        noise=noise.number("relative_sd", 0.01),
+        noise_corner_hz=noise.number("corner_hz", 8.0),
     )
+    try:
+        _require_usable(population)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+    return population
 
 
-def _middle(value: Any) -> float | None:
-    """A number, or the median of an interval."""
-    number = value["median"] if isinstance(value, Mapping) else value
-    if number is not None and not math.isfinite(float(number)):
-        raise ValueError(f"{number} is not finite")
-    return None if number is None else float(number)
+def _correlations(content: object, where: str) -> dict[tuple[str, str], float]:
+    if not isinstance(content, list):
+        raise InputError(f'{where}: correlation is {shown(content)}, but must be a list such as [["n1", "r1", -0.4]]')
+    found = {}
+    for i, row in enumerate(content, 1):
+        if not isinstance(row, list) or len(row) < 3:
+            raise InputError(f"{where}: entry {i} of correlation must hold two elements and a number")
+        a, b = (text_in(name, f"{where}: an element in entry {i} of correlation") for name in row[:2])
+        found[a, b] = number_in(row[2], f"{where}: correlation of {shown(a)} and {shown(b)}", at_least=-1, at_most=1)
+    return found
+
+
+def _middle(row: UserTable, key: str) -> float | None:
+    """A number, or the median of an interval; None where it is not known."""
+    value = row[key]
+    if isinstance(value, Mapping):
+        value = UserTable(value, f"{row.where(key)}: {key}", ("median", "q05", "q95"), tolerant=True)["median"]
+    return None if value is None else number_in(value, f"{row.where(key)}: {key}")

@@ -8,13 +8,16 @@ means is for its reader to decide, and nothing is removed.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
+from bayes_impedance.errors import InputError
+from bayes_impedance.network.notation import parse
 from bayes_impedance.quality import point_anomalies
 from bayes_impedance.quality.curve_anomalies import duplicates, odd_subjects, repetition_spreads, suspect_units
+from bayes_impedance.quality.marks import Mark, marks
 from bayes_impedance.recordings.dataset import Recordings, Subject
 
 COMMON = 0.5
@@ -30,8 +33,8 @@ class Finding:
     Attributes
     ----------
     id : str
-        Kind: not_passive, jump, outlier, duplicate_subject, odd_subject, repetition_spread, phase_in_radians,
-        magnitude_in_db, one_subject, one_repetition.
+        Kind: reading, network, mark, not_passive, jump, outlier, duplicate_subject, odd_subject, repetition_spread,
+        phase_in_radians, magnitude_in_db, one_subject, one_repetition.
     severity : {"note", "warning"}
         A note says what cannot be estimated; a warning says what may be wrong.
     subject, repetition : str or None
@@ -71,14 +74,24 @@ def check_recordings(recordings: Recordings) -> tuple[Finding, ...]:
     Returns
     -------
     tuple of Finding
-        Warnings first; empty if there is nothing to tell.
+        Warnings first, and of these what was changed or left aside when the files were read; empty if there is
+        nothing to tell.
     """
+    read = [*_check_reading(recordings), *_check_network(recordings)]
     if not recordings.subjects:
-        return ()
-    curves = list(_check_curves(recordings))
+        return tuple(read)
+    found, where = marks(recordings.subjects)
+    # What is marked as no value is one fault: it is not searched for others.
+    unmarked = tuple(
+        replace(subject, z=point_anomalies.without(subject.frequency_hz, subject.z, off)) if off.any() else subject
+        for subject, off in zip(recordings.subjects, where, strict=True)
+    )
+    recordings = replace(recordings, subjects=unmarked)
+    curves = [*map(_mark_finding, found), *_check_curves(recordings)]
     # A jump in one repetition makes the repetitions differ, which is not a second fault.
     jumped = {finding.subject for finding in curves if finding.id == "jump"}
     findings = [
+        *read,
         *curves,
         *_check_duplicates(recordings),
         *_check_odd_subjects(recordings),
@@ -124,6 +137,45 @@ def describe(recordings: Recordings) -> dict[str, object]:
         "covariates": sorted({name for subject in subjects for name in subject.covariates}),
         "sha256": recordings.sha256,
     }
+
+
+def _check_reading(recordings: Recordings) -> Iterator[Finding]:
+    """What was changed, dropped or not used when the files were read."""
+    for warning in recordings.warnings:
+        yield Finding(
+            id="reading", severity="warning", subject=None, repetition=None, frequency_hz=None, message=warning
+        )
+
+
+def _check_network(recordings: Recordings) -> Iterator[Finding]:
+    """A network that cannot be read would stop the first fit that does not name another."""
+    try:
+        parse(recordings.network or "m1")
+    except InputError as error:
+        message = f"dataset.toml: the network cannot be used ({error}); correct it"
+        yield Finding(
+            id="network", severity="warning", subject=None, repetition=None, frequency_hz=None, message=message
+        )
+
+
+def _mark_finding(mark: Mark) -> Finding:
+    subject, repetition, frequency = mark.points[0]
+    value = f"{mark.value:g}" if mark.value.imag else f"{mark.value.real:g}"
+    recordings = {point[:2] for point in mark.points}
+    one = len(recordings) == 1
+    many = "1 point" if len(mark.points) == 1 else f"{len(mark.points)} points"
+    many += "" if one else f" of {len(recordings)} recordings"
+    low, high = min(point[2] for point in mark.points), max(point[2] for point in mark.points)
+    return Finding(
+        id="mark",
+        severity="warning",
+        subject=subject if one else None,
+        repetition=repetition if one else None,
+        frequency_hz=(low, high),
+        message=f'{mark.part} is exactly {value} at {many}, far from the curve around (the first: subject "{subject}", '
+        f'repetition "{repetition}", {frequency:.4g} Hz); that looks like a mark for no value or a stuck channel: '
+        "leave the cells empty there",
+    )
 
 
 def _check_curves(recordings: Recordings) -> Iterator[Finding]:

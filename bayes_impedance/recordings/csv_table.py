@@ -8,20 +8,18 @@ over cells runs only to find the cell at fault.
 from __future__ import annotations
 
 import csv
-import difflib
-import gzip
 import io
 import re
-import zlib
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from bayes_impedance.errors import InputError
+from bayes_impedance.runtime.input_files import decode
+from bayes_impedance.runtime.user_table import shown
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -33,8 +31,6 @@ MISSING_CELLS = frozenset({"", "-", "na", "n/a", "#n/a", "null", "none"})
 
 _SEPARATOR_NAMES = {";": "semicolons", "\t": "tabs", "|": "bars"}
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
-_GZIP_MAGIC = b"\x1f\x8b"
-_UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 
 
 @dataclass(frozen=True)
@@ -54,57 +50,6 @@ class Table:
     file: str
     columns: dict[str, Cells]
     row: IntArray
-
-
-def read_bytes(path: Path) -> bytes:
-    """Return the content of a file, uncompressed where it is a gzip file.
-
-    Parameters
-    ----------
-    path : Path
-        File to read; gzip is recognised by its content, not by its name.
-
-    Returns
-    -------
-    bytes
-        Uncompressed content.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be opened or its gzip stream is damaged.
-    """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check its name and permissions") from error
-    if not data.startswith(_GZIP_MAGIC):
-        return data
-    try:
-        return gzip.decompress(data)
-    except (EOFError, OSError, zlib.error) as error:
-        raise InputError(f"{path}: the gzip file is damaged or cut short; copy or compress it again") from error
-
-
-def decode(data: bytes, file: str) -> str:
-    """Return UTF-8 text (a byte order mark is removed).
-
-    Raises
-    ------
-    InputError
-        If the bytes are not text, or text in another encoding than UTF-8.
-    """
-    if data.startswith(_UTF16_MARKS):
-        raise InputError(f'{file}: the text is UTF-16 and not UTF-8; save it as "CSV UTF-8"')
-    if b"\0" in data:
-        raise InputError(f"{file}: this is a binary file and not text; export the data as CSV (UTF-8)")
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        row = data.count(b"\n", 0, error.start) + 1
-        raise InputError(
-            f'{file}, row {row}: the text is not UTF-8 (byte 0x{data[error.start]:02x}); save it as "CSV UTF-8"'
-        ) from error
 
 
 def parse_csv(data: bytes, file: str, known: Collection[str]) -> Table:
@@ -134,6 +79,11 @@ def parse_csv(data: bytes, file: str, known: Collection[str]) -> Table:
     try:
         records.extend(reader)
     except csv.Error as error:
+        if "field limit" in str(error):
+            raise InputError(
+                f"{file}, row {len(records) + 1}: a cell has more than {csv.field_size_limit()} characters; "
+                "look for a quotation mark that is never closed, or another kind of file"
+            ) from error
         raise InputError(
             f"{file}, row {len(records) + 1}: the quotation marks do not match ({error}); correct the row"
         ) from error
@@ -182,7 +132,7 @@ def _check_header(header: list[str], records: list[list[str]], file: str) -> Non
             )
     if any(_is_number(cell) for cell in header):
         raise InputError(
-            f'{file}, row 1: "{next(filter(_is_number, header))}" is a number and not a column name; '
+            f"{file}, row 1: {shown(next(filter(_is_number, header)))} is a number and not a column name; "
             "insert a row of column names above the data"
         )
     named = [name for name in header if name]
@@ -284,7 +234,7 @@ def _number(cell: str, table: Table, column: str, index: int) -> float:
             raise ValueError
         return float(text)
     except ValueError:
-        where = f'{table.file}, row {table.row[index]}: {column} is "{text}"'
+        where = f"{table.file}, row {table.row[index]}: {column} is {shown(text)}"
     if _DECIMAL_COMMA.fullmatch(text):
         raise InputError(f"{where}, which has a decimal comma; write decimal points in the whole file")
     raise InputError(f"{where}, which is not a number; correct it, or leave the cell empty where there is no value")
@@ -302,12 +252,6 @@ def encode(cells: Cells) -> tuple[tuple[str, ...], IntArray]:
     """
     index = {name: i for i, name in enumerate(dict.fromkeys(cells))}
     return tuple(index), np.fromiter(map(index.__getitem__, cells), dtype=np.int64, count=cells.size)
-
-
-def similar(name: str, candidates: Iterable[str]) -> str | None:
-    """Return the candidate that looks most like a misspelt name, or None."""
-    close = difflib.get_close_matches(name, list(candidates), n=1, cutoff=0.6)
-    return close[0] if close else None
 
 
 @dataclass(frozen=True)

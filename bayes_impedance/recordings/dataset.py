@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayes_impedance.errors import InputError
-from bayes_impedance.recordings.csv_table import ComplexArray, FloatArray, has_control_character, similar
+from bayes_impedance.recordings.csv_table import ComplexArray, FloatArray, has_control_character
+from bayes_impedance.runtime.user_table import similar
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from bayes_impedance.errors import InputError
-from bayes_impedance.recordings.csv_table import CovariateTable, IntArray, parse_covariates, read_bytes
+from bayes_impedance.recordings.csv_table import CovariateTable, IntArray, parse_covariates
 from bayes_impedance.recordings.dataset import Recordings, Subject
 from bayes_impedance.recordings.long_table import CARTESIAN, KNOWN, RecordingTable, check_cells, parse_recordings
 from bayes_impedance.recordings.metadata import SIGNS, Metadata, parse_metadata
@@ -26,6 +26,7 @@ from bayes_impedance.recordings.out_of_core import StoredRows, StoredSubject
 from bayes_impedance.recordings.parquet import SUFFIX, parquet_table, partitions
 from bayes_impedance.recordings.repetitions import signed_factor, subjects_of
 from bayes_impedance.runtime.atomic_files import write_together
+from bayes_impedance.runtime.input_files import LARGEST_DESCRIPTION, read_bytes
 
 __all__ = ["Recordings", "Subject", "read_recordings", "write_recordings"]
 
@@ -75,7 +76,7 @@ def read_recordings(path: str | os.PathLike[str]) -> Recordings:
         covariates = parse_covariates(described[-1], str(subjects_file))
     metadata_file = (folder or given.parent) / METADATA_FILE
     if folder is not None and metadata_file.exists():
-        described.append(read_bytes(metadata_file))
+        described.append(read_bytes(metadata_file, LARGEST_DESCRIPTION))
         metadata = parse_metadata(described[-1], str(metadata_file), metadata.title)
     reading = _Reading(file, metadata, covariates)
     for table, place in _tables(file, digest):

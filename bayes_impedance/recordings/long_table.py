@@ -21,8 +21,9 @@ from bayes_impedance.recordings.csv_table import (
     names,
     numbers,
     parse_csv,
-    similar,
 )
+from bayes_impedance.runtime.user_table import similar
+from bayes_impedance.units import HIGHEST_HZ, LARGEST_IMPEDANCE, LOWEST_HZ, SMALLEST_IMPEDANCE
 
 CARTESIAN = ("z_re", "z_im")
 POLAR = ("magnitude", "phase_deg")
@@ -139,6 +140,7 @@ def check_cells(cells: Table, may_be_empty: bool = False) -> RecordingTable:
         noise_sd <= 0,
         lambda i: f"noise_sd is {noise_sd[i]:g}, but must be above zero; correct it or leave the column out",
     )
+    _check_sizes(cells, z, noise_sd, frequency_hz)
     table = RecordingTable(
         file=file,
         subject_names=subject_names,
@@ -158,6 +160,28 @@ def check_cells(cells: Table, may_be_empty: bool = False) -> RecordingTable:
     _check_duplicates(table)
     _check_sorted(table)
     return table
+
+
+def _check_sizes(cells: Table, z: ComplexArray, noise_sd: FloatArray, frequency_hz: FloatArray) -> None:
+    """Refuse numbers that no load, noise or frequency can be."""
+    with np.errstate(over="ignore"):
+        size = np.hypot(z.real, z.imag)
+    for name, number, low, high in (
+        ("|z|", size, SMALLEST_IMPEDANCE, LARGEST_IMPEDANCE),
+        ("noise_sd", noise_sd, SMALLEST_IMPEDANCE, LARGEST_IMPEDANCE),
+        ("frequency_hz", frequency_hz, LOWEST_HZ, HIGHEST_HZ),
+    ):
+        wrong = (number < low) | (number > high)
+        if not wrong.any():
+            continue
+        value = number[int(np.argmax(wrong))]
+        told = "z is exactly 0" if name == "|z|" and value == 0 else f"{name} is {value:g}"
+        more = f" (and so are {int(wrong.sum()) - 1} more rows)" if wrong.sum() > 1 else ""
+        message = (
+            f"{told}, which nothing measured can be{more}; leave the cells empty where there is no value, or delete "
+            "the row"
+        )
+        _refuse(cells, wrong, lambda _, message=message: message)  # type: ignore[misc]
 
 
 def values(cells: Table, polar: bool) -> tuple[ComplexArray, FloatArray]:

@@ -7,15 +7,17 @@ mechanical, rotational, acoustic and electrical one-ports. Values are kept in th
 from __future__ import annotations
 
 import re
-import tomllib
 from dataclasses import dataclass
 
 from bayes_impedance.errors import InputError
-from bayes_impedance.recordings.csv_table import decode, similar
+from bayes_impedance.runtime.input_files import decode, line_of, parse_toml
+from bayes_impedance.runtime.user_table import UserTable, shown
 
 DEFAULT_UNIT = "N s/m"
 SIGNS = ("passive positive", "passive negative")
 _KEYS = ("title", "unit", "sign", "network", "source", "licence")
+RECIPE = "import"
+"""Key of the table that keeps how the dataset was made from other files; it is not used again."""
 
 #: Spellings, without spaces and signs of multiplication and of powers, of each unit that is kept.
 _SPELLINGS = {
@@ -111,55 +113,43 @@ def parse_metadata(data: bytes, file: str, default_title: str) -> Metadata:
         If the file is not TOML, a value is no string, or the unit or sign is none of those known.
     """
     text = decode(data, file)
-    try:
-        content = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f'{file}: {_toml_problem(str(error))}; correct it, e.g. title = "My data"') from error
-    warnings = []
-    for key, value in content.items():
-        if key not in _KEYS:
-            guess = similar(key, _KEYS)
-            hint = f'did you mean "{guess}"?' if guess else f"known keys are {', '.join(_KEYS)}"
-            warnings.append(f'{file}, line {_line(text, key)}: key "{key}" is not used; {hint}')
-        elif not isinstance(value, str):
-            raise InputError(
-                f"{file}, line {_line(text, key)}: {key} is {value!r}, but must be text; put it in quotation marks"
-            )
-    where = f"{file}, line {_line(text, 'unit')}"
-    unit, factor = parse_unit(content.get("unit", DEFAULT_UNIT), where)
+
+    def where(key: str) -> str:
+        return f"{file}, line {line_of(text, key)}"
+
+    # Notes of others may stand beside what is used: unknown keys are told, not refused.
+    table = UserTable(parse_toml(text, file), where, _KEYS, tolerant=True)
+    warnings = [table.about_unknown(key) for key in table.unknown if key != RECIPE]
+    title, source, licence, network, declared, given_sign = (
+        table.text(key, default)
+        for key, default in (
+            ("title", ""),
+            ("source", ""),
+            ("licence", ""),
+            ("network", ""),
+            ("unit", DEFAULT_UNIT),
+            ("sign", SIGNS[0]),
+        )
+    )
+    unit, factor = parse_unit(declared, where("unit"))
     if factor != 1.0:
-        warnings.append(f"{where}: values in {content['unit'].strip()} were multiplied by {factor:g} to be in {unit}")
-    sign = " ".join(content.get("sign", SIGNS[0]).lower().split())
+        warnings.append(f"{where('unit')}: values in {declared.strip()} were multiplied by {factor:g} to be in {unit}")
+    sign = " ".join(given_sign.lower().split())
     if sign not in SIGNS:
         raise InputError(
-            f'{file}, line {_line(text, "sign")}: sign "{content["sign"]}" is unknown; '
+            f"{where('sign')}: sign {shown(given_sign)} is unknown; "
             f'write "{SIGNS[0]}" (Re z >= 0 for a passive load) or "{SIGNS[1]}"'
         )
     return Metadata(
-        title=content.get("title", "").strip() or default_title,
+        title=title.strip() or default_title,
         unit=unit,
         factor=factor,
         sign=sign,
-        network=content.get("network", "").strip() or None,
-        source=content.get("source", ""),
-        licence=content.get("licence", ""),
+        network=network.strip() or None,
+        source=source,
+        licence=licence,
         warnings=tuple(warnings),
     )
-
-
-def _toml_problem(message: str) -> str:
-    """Rewrite "Something (at line 3, column 5)" as "line 3 is not valid TOML (something)"."""
-    match = re.fullmatch(r"(.*) \(at (line \d+), column \d+\)", message, flags=re.DOTALL)
-    if match is None:
-        # The decoder reports trouble at the end of the file without a line.
-        return f"the last line is not valid TOML ({message})"
-    return f"{match[2]} is not valid TOML ({match[1]})"
-
-
-def _line(text: str, key: str) -> int:
-    """Return the line (from 1) that sets a key; 1 where it cannot be found."""
-    match = re.search(rf'^[ \t]*\[*["\']?{re.escape(key)}\b', text, flags=re.MULTILINE)
-    return text.count("\n", 0, match.start()) + 1 if match else 1
 
 
 def parse_unit(unit: str, where: str) -> tuple[str, float]:
@@ -197,7 +187,7 @@ def parse_unit(unit: str, where: str) -> tuple[str, float]:
     quantity = _OTHER_QUANTITIES.get(spelling)
     problem = f"belongs to {quantity}" if quantity else "is unknown"
     raise InputError(
-        f'{where}: unit "{unit}" {problem}, but an impedance F/v is expected; '
+        f"{where}: unit {shown(unit)} {problem}, but an impedance F/v is expected; "
         f"convert the values and give one of {accepted}"
     )
 

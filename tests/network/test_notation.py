@@ -264,3 +264,28 @@ def test_networks_cannot_be_changed(network):
 def test_leaf_arithmetic_of_the_tests_is_newton_hooke_and_a_damper():
     """The tests' own arithmetic, checked once against numbers."""
     assert [leaf_impedance(name, 2j, 4.0) for name in ("m1", "n1", "r1")] == [8j, -0.125j, 4.0]
+
+
+@pytest.mark.parametrize(
+    ("notation", "words"),
+    [
+        ("(" * 400 + "m1" + ")" * 400, "nested more than 50 levels"),
+        ("(r1|" * 400 + "m1" + ")" * 400, "nested more than 50 levels"),
+        ("a:" * 400 + "m1", "nested more than 50 levels"),
+        ("m1|" * 40_000 + "m1", "at most 10000 are read"),
+        ("m" + "1" * 5000, "is not an element"),
+        ("m1\n|\x1b[31m", "is not"),
+        (3, "must be text"),
+        (None, "must be text"),
+    ],
+)
+def test_what_is_too_deep_long_or_no_text_is_refused_in_one_short_line(notation, words):
+    with pytest.raises(InputError) as error:
+        parse(notation)
+    assert words in str(error.value)
+    assert str(error.value).isprintable()
+    assert len(str(error.value)) < 300
+
+
+def test_many_parts_are_read_at_once():
+    assert len(parse("|".join(f"m{i}" for i in range(1000))).elements) == 1000

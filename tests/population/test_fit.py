@@ -10,7 +10,8 @@ from conftest import SHORT, SMALL
 from bayes_impedance.errors import InputError
 from bayes_impedance.mcmc.ensemble import SamplerSettings
 from bayes_impedance.network.kernel import Kernel
-from bayes_impedance.population.fit import FitSettings, PopulationFit, fit_population, network_of
+from bayes_impedance.population.fit import FitSettings, PopulationFit, fit_population
+from bayes_impedance.population.requirements import network_of
 from bayes_impedance.population.simulate import Simulation, simulate_recordings
 from bayes_impedance.population.starting_fits import default_prior, first_fits, noise_of
 from bayes_impedance.recordings.files import Recordings, Subject
@@ -185,7 +186,7 @@ def _with(recordings: Recordings, **changes: object) -> Recordings:
         ("m2|", SHORT, "ends too early"),
         ("q1|r1", SHORT, "no known kind"),
         ("m1|m1", SHORT, "twice"),
-        ("m2|r1|n1", replace(SHORT, covariates=("age_y",)), "covariate 'age_y' is missing for subject V01"),
+        ("m2|r1|n1", replace(SHORT, covariates=("age_y",)), 'covariate "age_y" is not in the dataset'),
     ],
 )
 def test_what_cannot_be_fitted_is_said(

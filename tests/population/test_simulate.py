@@ -4,6 +4,7 @@ import gzip
 import json
 import runpy
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -57,7 +58,7 @@ def test_a_population_survives_its_description() -> None:
     again = population_from(truth, "truth.json")
     assert again.central == pytest.approx(FINGERTIP.central)
     assert again.noise == FINGERTIP.noise
-    with pytest.raises(InputError, match="describes no population"):
+    with pytest.raises(InputError, match=r"key .elements. is missing"):
         population_from({"network": "r1"}, "x.json")
     keys = ("central", "dispersion_between_persons", "dispersion_between_repetitions")
     unknown = {"r1": {key: {"median": None} for key in keys}}
@@ -106,3 +107,78 @@ def test_the_published_curves_are_passive_once_the_sign_is_turned() -> None:
     stiffness = -coefficients["sit"]["numerator"][-1] / coefficients["sit"]["denominator"][-2]
     assert stiffness == pytest.approx(964.2, rel=1e-3)  # N/m: SIT keeps a pole at zero, the spring of all springs
     assert coefficients["vf_median"]["denominator"][-1] != 0  # vector fitting does not
+
+
+GOOD_TRUTH = {
+    "network": "r1|m1",
+    "elements": {
+        "r1": {"central": 1.0, "dispersion_between_persons": 0.2, "dispersion_between_repetitions": 0.0},
+        "m1": {"central": 1e-3, "dispersion_between_persons": 0.2, "dispersion_between_repetitions": 0.0},
+    },
+    "correlation": [["r1", "m1", 0.2]],
+    "noise": {"relative_sd": 0.01, "corner_hz": 8.0},
+}
+
+
+def _changed(path: tuple[str | int, ...], value: object) -> dict[str, object]:
+    changed: Any = json.loads(json.dumps(GOOD_TRUTH))
+    place = changed
+    for key in path[:-1]:
+        place = place[key]
+    if isinstance(place, dict) or path[-1] < len(place):
+        place[path[-1]] = value
+    else:
+        place.append(value)
+    return changed
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "words"),
+    [
+        (("nois",), {}, 'key "nois" is not used; did you mean "noise"'),
+        (("network",), 3, "network is 3, but must be text"),
+        (("network",), "r1|", "ends too early"),
+        (("network",), "r1|m2", "no such element"),
+        (("elements",), [], "elements is a list"),
+        (("elements",), {}, "must be a table"),
+        (("elements", "r1"), 3, "is 3, but must be a table"),
+        (("elements", "r1", "centre"), 3, 'did you mean "central"'),
+        (("elements", "r1", "central"), True, "central is true"),
+        (("elements", "r1", "central"), -1.0, "must be a finite number above 0"),
+        (("elements", "r1", "central"), float("nan"), "is nan"),
+        (("elements", "r1", "central"), 10**400, "integer of"),
+        (("elements", "r1", "central"), {"q05": 1.0}, 'key "median" is missing'),
+        (("elements", "r1", "dispersion_between_persons"), -0.1, "at least 0"),
+        (("elements", "r1", "dispersion_between_persons"), 1e3, "at most 10"),
+        (("elements", "r9"), GOOD_TRUTH["elements"]["r1"], "no such element"),  # type: ignore[index]
+        (("correlation",), {}, "correlation is a table"),
+        (("correlation", 0), ["r1", "m1"], "entry 1 of correlation"),
+        (("correlation", 0), ["r1", "r1", 0.1], "two different elements"),
+        (("correlation", 0), ["r1", "q1", 0.1], "two different elements"),
+        (("correlation", 0), ["r1", "m1", 1.5], "at most 1"),
+        (("noise", "relative"), 0.1, 'did you mean "relative_sd"'),
+        (("noise", "relative_sd"), -0.1, "at least 0"),
+        (("noise", "relative_sd"), False, "is false"),
+        (("noise", "corner_hz"), float("inf"), "is inf"),
+    ],
+)
+def test_descriptions_that_make_no_population_are_refused(path: tuple[str, ...], value: object, words: str) -> None:
+    assert population_from(GOOD_TRUTH, "x.json").central == {"r1": 1.0, "m1": 1e-3}
+    with pytest.raises(InputError) as told:
+        population_from(_changed(path, value), "x.json")
+    assert str(told.value).startswith("x.json")
+    assert words in str(told.value)
+
+
+@pytest.mark.parametrize(
+    ("frequency", "words"),
+    [([5.0, 5.0, 6.0], "must ascend"), ([1.0, 2.0, np.inf], "must ascend"), ([0.0, 1.0, 2.0], "must ascend")],
+)
+def test_frequencies_that_do_not_ascend_are_refused(frequency: list[float], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        simulate_recordings(SMALL, 2, 1, np.array(frequency), seed=1)
+
+
+def test_more_numbers_than_memory_holds_are_refused() -> None:
+    with pytest.raises(InputError, match="simulate fewer"):
+        simulate_recordings(SMALL, 10**6, 10, np.linspace(1, 1000, 500), seed=1)

@@ -102,11 +102,11 @@ def test_many_outliers_of_a_recording_are_one_finding() -> None:
     assert finding.frequency_hz == (f[40], f[150])
 
 
-def test_zero_is_an_outlier() -> None:
+def test_zero_is_a_mark() -> None:
     def edit(z: Complex) -> None:
         z[2, 77] = 0
 
-    assert only(change(simulate(1), 0, edit), "outlier").repetition == "3"
+    assert only(change(simulate(1), 0, edit), "mark").repetition == "3"
 
 
 def test_hum_in_all_recordings_is_one_finding() -> None:

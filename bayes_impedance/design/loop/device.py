@@ -34,7 +34,6 @@ References
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -45,12 +44,26 @@ from bayes_impedance.design.circuits.state_space import Realisation, realise
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.elements import kind_of
 from bayes_impedance.network.notation import Parallel, parse
+from bayes_impedance.runtime.input_files import read_toml
+from bayes_impedance.runtime.user_table import UserTable, choice_in, hint, number_in, shown, text_in
+from bayes_impedance.units import unit_of
 
 LONGEST_DELAY = 40
 """Periods: each of them is a state."""
 
 ARRANGEMENTS = ("beside", "between", "lever")
 """How a section is connected: to ground beside the common velocity, between two velocities, or as a lever."""
+
+LONGEST_PERIOD_S = 0.1
+"""Seconds: a controller slower than 10 Hz renders nothing that is touched; a larger number is in ms or in Hz."""
+
+SMALLEST_VALUE, LARGEST_VALUE = 1e-12, 1e12
+"""Of elements and levers, in their units: an atomic force microscope and a mountain lie in between. Beyond, the states
+of the loop differ by more than double precision holds."""
+
+_DEVICE_KEYS = ("name", "source", "period_s", "delay_s", "section")
+_SECTION_KEYS = ("arrangement", "network", "values", "units")
+_UNIT = "N s/m"
 
 
 @dataclass(frozen=True)
@@ -72,14 +85,24 @@ class Section:
     values: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.arrangement not in ARRANGEMENTS:
-            raise InputError(f"a section is one of {', '.join(ARRANGEMENTS)}, not '{self.arrangement}'")
-        wanted = {"ratio"} if self.arrangement == "lever" else set(parse(self.network).elements)
-        if set(self.values) != wanted or any(not (np.isfinite(v) and v > 0) for v in self.values.values()):
+        choice_in(self.arrangement, "a section's arrangement", ARRANGEMENTS)
+        lever = self.arrangement == "lever"
+        text_in(self.network, "a section's network")
+        section = "section 'lever'" if lever else f"section '{self.arrangement} {self.network}'"
+        if lever and self.network:
+            raise InputError(f"{section}: a lever has a ratio and no network; make the network a section of its own")
+        wanted = ("ratio",) if lever else parse(self.network).elements
+        surplus = [name for name in self.values if name not in wanted]
+        missing = [name for name in wanted if name not in self.values]
+        if surplus or missing:
+            about = f"'{missing[0]}' has none" if missing else ""
+            about = f"{shown(surplus[0])} is not used ({hint(str(surplus[0]), wanted)})" if surplus else about
             raise InputError(
-                f"section '{self.arrangement} {self.network}': give a positive value for each of "
-                f"{', '.join(sorted(wanted))} and for nothing else"
+                f"{section}: {about}; give a positive value for each of {', '.join(wanted)} and for nothing else"
             )
+        for name in wanted:
+            number_in(self.values[name], f"{section}: {name}", at_least=SMALLEST_VALUE, at_most=LARGEST_VALUE)
+        object.__setattr__(self, "values", {name: float(self.values[name]) for name in wanted})
 
     def seen(self, load: Realisation) -> Realisation:
         """Impedance before the section, with `load` behind it."""
@@ -115,8 +138,8 @@ class Device:
     source: str = ""
 
     def __post_init__(self) -> None:
-        if not self.period_s > 0 or not self.delay_s >= 0:
-            raise InputError(f"device '{self.name}': the period must be positive and the delay not negative")
+        number_in(self.period_s, f"device '{self.name}': period_s", above=0, at_most=LONGEST_PERIOD_S)
+        number_in(self.delay_s, f"device '{self.name}': delay_s", at_least=0)
         if self.delay_s > LONGEST_DELAY * self.period_s:
             raise InputError(f"device '{self.name}': the delay is longer than {LONGEST_DELAY} periods; check its unit")
         first = self.sections[0] if self.sections else None
@@ -156,7 +179,7 @@ class Device:
                     "arrangement": s.arrangement,
                     "network": s.network,
                     "values": dict(s.values),
-                    "units": {e: kind_of(e).unit("N s/m") for e in s.values if s.arrangement != "lever"},
+                    "units": {} if s.arrangement == "lever" else {e: kind_of(e).unit(_UNIT) for e in s.values},
                 }
                 for s in self.sections
             ],
@@ -183,35 +206,48 @@ def read_device(file: Path) -> Device:
     """Read a device from a TOML file.
 
     The file has ``name``, ``period_s``, ``delay_s``, ``source`` and a list ``[[section]]`` of tables with
-    ``arrangement``, ``network`` and ``values``.
+    ``arrangement``, ``network``, ``values`` and, for a reader, their ``units``. Only the period and a section must be
+    there: a wall is not safe with a period or a delay that the package has invented.
 
     Raises
     ------
     InputError
-        If it cannot be read or is no device.
+        If it cannot be read or is no device; a key that is not known is refused.
     """
+    table = UserTable(read_toml(file, "a device"), str(file), _DEVICE_KEYS)
+    sections = table["section"]
+    if not isinstance(sections, list) or not sections:
+        raise InputError(f"{file}: section is {shown(sections)}, but must be a list of tables; write [[section]]")
     try:
-        with file.open("rb") as stream:
-            table = tomllib.load(stream)
-    except FileNotFoundError:
-        raise InputError(f"{file}: there is no such file; give a device as TOML") from None
-    except (tomllib.TOMLDecodeError, OSError) as error:
-        raise InputError(f"{file}: cannot be read as TOML ({error})") from None
-    try:
-        sections = tuple(
-            Section(str(s["arrangement"]), str(s.get("network", "")), {k: float(v) for k, v in s["values"].items()})
-            for s in table["section"]
-        )
         return Device(
-            str(table.get("name", file.stem)),
-            sections,
-            float(table.get("period_s", 1e-3)),
-            float(table.get("delay_s", 0.0)),
-            str(table.get("source", "")),
+            table.text("name", file.stem),
+            tuple(_section(s, f"{file}, section {i}") for i, s in enumerate(sections, 1)),
+            table.number("period_s"),
+            table.number("delay_s", 0.0),
+            table.text("source", ""),
         )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(
-            f"{file}: is no device ({error}); see bayes_impedance.design.loop.device for an example"
-        ) from None
     except InputError as error:
-        raise InputError(f"{file}: {error}") from None
+        told = str(error)
+        raise InputError(told if told.startswith(str(file)) else f"{file}: {told}") from None
+
+
+def _section(content: object, where: str) -> Section:
+    table = UserTable(content, where, _SECTION_KEYS)
+    values = table["values"]
+    if not isinstance(values, Mapping):
+        raise InputError(f"{where}: values is {shown(values)}, but must be a table such as {{m1 = 0.05, r1 = 0.01}}")
+    units = table.get("units", {})
+    if not isinstance(units, Mapping):
+        raise InputError(f'{where}: units is {shown(units)}, but must be a table such as {{m1 = "kg"}}')
+    for name, unit in units.items():
+        wanted = unit_of(str(name)[:1], _UNIT) if name in values else ""
+        if unit != wanted:
+            remedy = f'convert its value to "{wanted}"' if wanted else "it has no value; take it out"
+            raise InputError(f"{where}: the unit of {shown(name)} is {shown(unit)}; {remedy}")
+    try:
+        return Section(
+            table.choice("arrangement", ARRANGEMENTS), table.text("network", ""), {str(k): v for k, v in values.items()}
+        )
+    except InputError as error:
+        told = str(error)
+        raise InputError(told if told.startswith(where) else f"{where}: {told}") from None

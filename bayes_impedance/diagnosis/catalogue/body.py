@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from bayes_impedance.diagnosis.catalogue.effect import Coefficient, Effect, register
+from bayes_impedance.diagnosis.catalogue.coefficient import Coefficient
+from bayes_impedance.diagnosis.catalogue.effect import Effect, register
 from bayes_impedance.diagnosis.catalogue.rig import RESONATOR
 
 _FRACTIONAL = "Fractional Kelvin-Voigt and Zener models of soft tissue; constant phase elements in electrochemistry"

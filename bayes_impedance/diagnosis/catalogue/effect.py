@@ -28,106 +28,18 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-import numpy.typing as npt
 
+from bayes_impedance.diagnosis.catalogue.coefficient import Coefficient, Scales
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.elements import kind_of
 from bayes_impedance.network.notation import Element, Network, Parallel, Place, Series, parse
 from bayes_impedance.network.operations import N_PARAMETERS, NAMES, PLACES, TRAITS, Setting, Traits
 from bayes_impedance.network.transform import transform_many
+from bayes_impedance.runtime.user_table import choice_in, shown, text_in
 
 SIDES, POOLINGS, CONNECTIONS = ("rig", "body"), ("shared", "varying", "some"), ("beside", "series")
 _BRANCH_FREQUENCIES = 5
 _DAMPER_LEVELS = (0.1, 0.5)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Scales:
-    """Typical sizes in a dataset: they make coefficients dimensionless.
-
-    Attributes
-    ----------
-    low, middle, high : float
-        Angular frequencies of the band in rad/s; the middle one is the geometric mean.
-    z_low, z_middle, z_high : float
-        Magnitude of the population's curve there.
-    unit : str
-        Of the impedance.
-    """
-
-    low: float
-    middle: float
-    high: float
-    z_low: float
-    z_middle: float
-    z_high: float
-    unit: str
-
-
-@dataclass(frozen=True)
-class Coefficient:
-    """One parameter of an operation.
-
-    Attributes
-    ----------
-    name : str
-        As in ``verdict.json``.
-    unit : str
-        ``s``, ``Hz`` (the operation takes rad/s) or nothing; ``m``, ``n``, ``r``, ``k``, ``c`` stand for the unit of a
-        mass, a compliance, a damper, a stiffness and a power law in the dataset's unit.
-    link : str
-        ``linear`` (x = scale u), ``log`` (positive: exp u) or ``logit`` (between 0 and 1).
-    grid : tuple of float, or float
-        Values of a shape that are scanned, or how many per decade of the band.
-    prior_sd : float
-        Of a shape's u, around the place in the grid where the score is highest.
-    """
-
-    name: str
-    unit: str
-    link: str = "linear"
-    grid: tuple[float, ...] | float = ()
-    prior_sd: float = 1.0
-
-    def value(self, u: npt.ArrayLike, scales: Scales) -> np.ndarray:
-        """Value in the unit of the operation from the unbounded parameter."""
-        u = np.asarray(u, dtype=float)
-        match self.link:
-            case "log":
-                return np.asarray(np.exp(u))
-            case "logit":
-                return np.asarray(1 / (1 + np.exp(-u)))
-        return self.scale(scales) * u
-
-    def unbounded(self, value: float, scales: Scales) -> float:
-        """Inverse of :meth:`value`."""
-        match self.link:
-            case "log":
-                return float(np.log(value))
-            case "logit":
-                return float(np.log(value / (1 - value)))
-        return value / self.scale(scales)
-
-    def scale(self, scales: Scales) -> float:
-        """Value of a linear coefficient that changes the impedance by about as much as there is, where it acts most."""
-        s = scales
-        return {
-            "m": s.z_high / s.high,
-            "r": s.z_middle,
-            "c": s.z_middle,
-            "k": s.z_low * s.low,
-            "n": 1 / (s.z_high * s.high),
-            "s": 1 / s.high,
-            "Hz": s.low,
-        }.get(self.unit, 1.0)
-
-    def values(self, scales: Scales) -> tuple[float, ...]:
-        """The shape's values that are scanned, in the unit of the operation."""
-        if isinstance(self.grid, tuple):
-            return tuple(2 * np.pi * g for g in self.grid) if self.unit == "Hz" else self.grid
-        n = max(4, round(self.grid * np.log10(scales.high / scales.low)) + 1)
-        omega = np.geomspace(scales.low, scales.high, n)
-        return tuple((1 / omega if self.unit == "s" else omega).tolist())
 
 
 @dataclass(frozen=True)
@@ -174,27 +86,51 @@ class Effect:
     signed: bool = False
 
     def __post_init__(self) -> None:
-        if self.side not in SIDES or self.pooling not in POOLINGS or self.connection not in CONNECTIONS:
-            raise InputError(
-                f"effect '{self.id}': side is one of {SIDES}, pooling of {POOLINGS}, connection of {CONNECTIONS}"
-            )
-        if not set(self.places) <= set(PLACES):
-            raise InputError(f"effect '{self.id}': places are {PLACES}, not {self.places}")
+        what = f"effect '{text_in(self.id, 'the id of an effect')}'"
+        if not self.id:
+            raise InputError("an effect has no id; give it one, such as body.nail")
+        for name in ("name", "formula", "story", "look_for", "separates", "source", "operation", "branch"):
+            text_in(getattr(self, name), f"{what}: {name}")
+        choice_in(self.side, f"{what}: side", SIDES)
+        choice_in(self.pooling, f"{what}: pooling", POOLINGS)
+        choice_in(self.connection, f"{what}: connection", CONNECTIONS)
+        if not isinstance(self.signed, bool):
+            raise InputError(f"{what}: signed is {shown(self.signed)}, but must be True or False")
+        if not isinstance(self.places, tuple) or not self.places:
+            raise InputError(f'{what}: places is {shown(self.places)}, but must be a tuple such as ("port",)')
+        for place in self.places:
+            choice_in(place, f"{what}: a place", PLACES)
         if not self.branch and not self.operation:
-            raise InputError(f"effect '{self.id}': give an operation or a branch")
-        if self.operation and (self.operation not in NAMES or not self.coefficients):
-            raise InputError(f"effect '{self.id}': operation is one of {', '.join(NAMES)}, with its coefficients")
+            raise InputError(f"{what}: give an operation or a branch")
+        if not isinstance(self.coefficients, tuple) or not all(isinstance(c, Coefficient) for c in self.coefficients):
+            raise InputError(f"{what}: coefficients must be a tuple of Coefficient, not {shown(self.coefficients)}")
         if self.operation:
-            links = tuple(c.link for c in self.coefficients)
-            if links != self.traits.links:
-                wanted = ", ".join(f"{p} ({k})" for p, k in zip(self.traits.parameters, self.traits.links, strict=True))
-                raise InputError(
-                    f"effect '{self.id}': the coefficients of '{self.operation}' are {wanted}, in this order"
-                )
-            if not set(self.places) <= set(self.traits.places):
-                raise InputError(f"effect '{self.id}': '{self.operation}' acts on {', '.join(self.traits.places)} only")
+            choice_in(self.operation, f"{what}: operation", NAMES)
+            self._check_coefficients(what)
+        elif self.coefficients:
+            raise InputError(f"{what}: a branch has no coefficients but its elements; leave coefficients out")
         if self.branch:
             parse(self.branch)
+
+    def _check_coefficients(self, what: str) -> None:
+        """Of an operation: as many as it has, each of a unit and a link that mean something there."""
+        traits = self.traits
+        if tuple(c.link for c in self.coefficients) != traits.links:
+            wanted = ", ".join(f"{p} ({k})" for p, k in zip(traits.parameters, traits.links, strict=True))
+            raise InputError(f"{what}: the coefficients of '{self.operation}' are {wanted}, in this order")
+        names = [c.name for c in self.coefficients]
+        if len(set(names)) < len(names):
+            raise InputError(f"{what}: two coefficients have the same name; give each its own")
+        for coefficient, parameter, units in zip(self.coefficients, traits.parameters, traits.units, strict=True):
+            choice_in(coefficient.unit, f"{what}: unit of coefficient '{coefficient.name}' ({parameter})", units)
+        for coefficient in self.coefficients[1:]:
+            if traits.scanned is None and coefficient.grid == ():
+                raise InputError(
+                    f"{what}: coefficient '{coefficient.name}' has no grid, so that it would never be looked for; "
+                    "give values, or how many for each decade"
+                )
+        if not set(self.places) <= set(traits.places):
+            raise InputError(f"{what}: '{self.operation}' acts on {', '.join(traits.places)} only")
 
     @property
     def traits(self) -> Traits:
@@ -254,7 +190,15 @@ _CATALOGUE: dict[tuple[str, str], Effect] = {}
 
 
 def register(effect: Effect) -> Effect:
-    """Add an effect to the catalogue, or replace the one with the same id and form."""
+    """Add an effect to the catalogue, or replace the one with the same id and form.
+
+    Raises
+    ------
+    InputError
+        If it is no effect; an effect's own contents are checked when it is made.
+    """
+    if not isinstance(effect, Effect):
+        raise InputError(f"what is registered is {shown(effect)}, but must be an Effect")
     _CATALOGUE[effect.id, effect.form] = effect
     return effect
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from bayes_impedance.diagnosis.catalogue.effect import Coefficient, Effect, register
+from bayes_impedance.diagnosis.catalogue.coefficient import Coefficient
+from bayes_impedance.diagnosis.catalogue.effect import Effect, register
 
 _PAPER = "Paper, section 3: the unloaded contactor is measured and subtracted"
 

@@ -13,11 +13,10 @@ from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.model import build, scales_of
 from bayes_impedance.diagnosis.fit.normal_equations import Population
 from bayes_impedance.diagnosis.fit.refit import Refit
-from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Network
-from bayes_impedance.network.redundancy import merged
 from bayes_impedance.population.em import Estimate, estimate
-from bayes_impedance.population.fit import initial_likelihoods, network_of, require_enough_points
+from bayes_impedance.population.fit import initial_likelihoods
+from bayes_impedance.population.requirements import checked_model
 from bayes_impedance.population.starting_fits import default_prior, first_fits
 from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.runtime.checkpoint import claim
@@ -72,9 +71,8 @@ def fit_network(
 
     With a folder for it, first fits and point estimate are kept there as they come and taken up again.
     """
-    tree = merged(network_of(recordings, network))[0]
-    kernel = Kernel(tree)
-    require_enough_points(recordings, kernel)
+    kernel = checked_model(recordings, network).kernel
+    tree = kernel.network
     prior = default_prior(kernel.elements, recordings)
     seeds = np.random.SeedSequence(seed).spawn(2)
     one = len(recordings.subjects) == 1

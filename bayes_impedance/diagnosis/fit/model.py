@@ -9,7 +9,8 @@ from functools import cached_property, reduce
 
 import numpy as np
 
-from bayes_impedance.diagnosis.catalogue.effect import Effect, Scales, operation_constants
+from bayes_impedance.diagnosis.catalogue.coefficient import Scales
+from bayes_impedance.diagnosis.catalogue.effect import Effect, operation_constants
 from bayes_impedance.network.elements import band_scale, kind_of
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Element, Network, Parallel, Place, parse

@@ -79,9 +79,10 @@ def badly_described(names: Sequence[str], noise_scale: np.ndarray) -> list[str]:
     poor = np.flatnonzero((noise_scale > GROSS_NOISE * np.median(noise_scale)) & (noise_scale > GROSS_NOISE))
     if not poor.size or poor.size > 0.5 * noise_scale.size:
         return []
+    who = _some([names[int(i)] for i in poor])
     return [
         f"The network does not describe {poor.size} of {noise_scale.size} subjects "
-        f"({_some([names[int(i)] for i in poor])}; residuals up to {float(noise_scale[poor].max()):.2g} times the noise): "
+        f"({who}; residuals up to {float(noise_scale[poor].max()):.2g} times the noise): "
         "check their recordings, or leave them out."
     ]
 

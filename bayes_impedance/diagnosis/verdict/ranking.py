@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayes_impedance.diagnosis.catalogue.effect import Candidate, Coefficient, Effect
+from bayes_impedance.diagnosis.catalogue.coefficient import Coefficient
+from bayes_impedance.diagnosis.catalogue.effect import Candidate, Effect
 from bayes_impedance.diagnosis.fit.model import Model
 from bayes_impedance.diagnosis.selection.score_scan import Screening
 from bayes_impedance.diagnosis.selection.shortlist import ALPHA, best_shapes

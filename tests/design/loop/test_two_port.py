@@ -77,12 +77,12 @@ values = {ratio = 2.0}
     assert device.classical_stiffness(0.05) == pytest.approx(2 * 0.15 / 5e-4)
     assert device.classical_stiffness(0.3) == 0
     for old, new, message in (
-        ("m1 = 0.03", "m1 = -1", "positive value"),
+        ("m1 = 0.03", "m1 = -1", "m1 is -1, but must be a finite number at least"),
         ("m1 = 0.03, ", "", "positive value"),
         ('"m1|r1"', '"r1"', "positive value"),
         ('"lever"', '"gear"', "beside, between, lever"),
-        ("period_s = 5e-4", "period_s = 0", "period must be positive"),
-        ("network =", "net =", "."),
+        ("period_s = 5e-4", "period_s = 0", "period_s is 0.0, but must be a finite number above 0"),
+        ("network =", "net =", 'section 1: key "net" is not used; did you mean "network"'),
         ('name = "coil"', "name = ", "TOML"),
     ):
         file.write_text(good.replace(old, new), encoding="utf-8")

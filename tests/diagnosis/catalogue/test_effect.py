@@ -131,13 +131,43 @@ def test_registering_and_taking_out(added: Callable[[Effect], Effect]) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"side": "left"}, "side is one of"),
-        ({"pooling": "sometimes"}, "pooling of"),
-        ({"connection": "across"}, "connection of"),
-        ({"places": ("elbow",)}, "places are"),
+        ({"id": ""}, "no id"),
+        ({"id": 3}, "must be text"),
+        ({"story": None}, "story is None"),
+        ({"side": "bod"}, 'side is "bod" .did you mean "body"'),
+        ({"side": ["body"]}, "side is a list"),
+        ({"pooling": "sometimes"}, "pooling is"),
+        ({"connection": "across"}, "connection is"),
+        ({"places": ("elbow",)}, 'a place is "elbow"'),
+        ({"places": ["port"]}, "places is a list, but must be a tuple"),
+        ({"places": "port"}, "must be a tuple"),
+        ({"places": ()}, "must be a tuple"),
+        ({"signed": 1}, "signed is 1"),
         ({"branch": ""}, "give an operation or a branch"),
-        ({"branch": "", "operation": "wobble", "coefficients": (Coefficient("x", "m"),)}, "operation is one of add, "),
-        ({"branch": "", "operation": "add"}, "with its coefficients"),
+        ({"coefficients": (Coefficient("x", "m"),)}, "a branch has no coefficients"),
+        ({"branch": "", "operation": "wobble", "coefficients": (Coefficient("x", "m"),)}, "must be one of add, "),
+        ({"branch": "", "operation": "delai"}, 'did you mean "delay"'),
+        ({"branch": "", "operation": "add"}, "the coefficients of 'add' are coefficient .linear."),
+        ({"branch": "", "operation": "add", "coefficients": [Coefficient("x", "m")]}, "must be a tuple of Coefficient"),
+        ({"branch": "", "operation": "add", "coefficients": (3,)}, "must be a tuple of Coefficient"),
+        ({"branch": "", "operation": "delay", "coefficients": (Coefficient("x", "m"),)}, "unit of coefficient 'x'"),
+        ({"branch": "", "operation": "relaxation", "coefficients": (Coefficient("x", "r"),)}, "time_constant"),
+        (
+            {
+                "branch": "",
+                "operation": "relaxation",
+                "coefficients": (Coefficient("x", "r"), Coefficient("t", "s", "log")),
+            },
+            "'t' has no grid",
+        ),
+        (
+            {
+                "branch": "",
+                "operation": "relaxation",
+                "coefficients": (Coefficient("x", "r"), Coefficient("x", "s", "log", 3.0)),
+            },
+            "the same name",
+        ),
         ({"branch": "m-"}, "ends too early"),
         ({"branch": "k1"}, "no known kind"),
     ],
@@ -146,6 +176,38 @@ def test_effects_that_make_no_sense_are_refused(change: Mapping[str, object], me
     with pytest.raises(InputError, match=message) as caught:
         replace(NAIL, **change)  # type: ignore[arg-type]
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        (("", "m"), "no name"),
+        ((3, "m"), "must be text"),
+        (("x", "kg"), 'unit is "kg"'),
+        (("x", "m", "exp"), "link is"),
+        (("x", "m", "lin"), 'did you mean "linear"'),
+        (("x", "m", "linear", (1.0, float("nan"))), "a value of the grid is nan"),
+        (("x", "m", "linear", float("nan")), "grid .* is nan"),
+        (("x", "m", "linear", [1.0, 2.0]), "grid .* is a list"),
+        (("x", "m", "linear", 0), "grid .* is 0"),
+        (("x", "s", "log", (0.0, 1.0)), "a value of the grid is 0.0, but must be a finite number above 0"),
+        (("x", "", "logit", (0.5, 1.0)), "below 1"),
+        (("x", "m", "linear", (), -1.0), "prior_sd is -1.0"),
+        (("x", "m", "linear", (), True), "prior_sd is true"),
+        (("x", "m", "linear", (), float("inf")), "prior_sd is inf"),
+    ],
+)
+def test_coefficients_that_make_no_sense_are_refused(fields: tuple[object, ...], message: str) -> None:
+    with pytest.raises(InputError, match=message) as caught:
+        Coefficient(*fields)  # type: ignore[arg-type]
+    assert "\n" not in str(caught.value)
+
+
+def test_only_effects_are_registered() -> None:
+    before = registered()
+    with pytest.raises(InputError, match="must be an Effect"):
+        register({"id": "body.nail"})  # type: ignore[arg-type]
+    assert registered() == before
 
 
 # Coefficients and shapes

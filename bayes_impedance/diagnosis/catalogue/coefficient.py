@@ -1,0 +1,121 @@
+"""Coefficients of effects: their units, how they follow from unbounded parameters, and the shapes that are scanned."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from bayes_impedance.errors import InputError
+from bayes_impedance.runtime.user_table import choice_in, number_in, text_in
+
+LINKS = ("linear", "log", "logit")
+UNITS = ("m", "n", "r", "k", "c", "s", "Hz", "")
+"""Of coefficients, see :class:`Coefficient`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scales:
+    """Typical sizes in a dataset: they make coefficients dimensionless.
+
+    Attributes
+    ----------
+    low, middle, high : float
+        Angular frequencies of the band in rad/s; the middle one is the geometric mean.
+    z_low, z_middle, z_high : float
+        Magnitude of the population's curve there.
+    unit : str
+        Of the impedance.
+    """
+
+    low: float
+    middle: float
+    high: float
+    z_low: float
+    z_middle: float
+    z_high: float
+    unit: str
+
+
+_RANGES: dict[str, dict[str, float]] = {"linear": {}, "log": {"above": 0.0}, "logit": {"above": 0.0, "below": 1.0}}
+"""Of the values that a link can give."""
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """One parameter of an operation.
+
+    Attributes
+    ----------
+    name : str
+        As in ``verdict.json``.
+    unit : str
+        ``s``, ``Hz`` (the operation takes rad/s) or nothing; ``m``, ``n``, ``r``, ``k``, ``c`` stand for the unit of a
+        mass, a compliance, a damper, a stiffness and a power law in the dataset's unit.
+    link : str
+        ``linear`` (x = scale u), ``log`` (positive: exp u) or ``logit`` (between 0 and 1).
+    grid : tuple of float, or float
+        Values of a shape that are scanned, or how many per decade of the band.
+    prior_sd : float
+        Of a shape's u, around the place in the grid where the score is highest.
+    """
+
+    name: str
+    unit: str
+    link: str = "linear"
+    grid: tuple[float, ...] | float = ()
+    prior_sd: float = 1.0
+
+    def __post_init__(self) -> None:
+        what = f"coefficient '{text_in(self.name, 'the name of a coefficient')}'"
+        if not self.name:
+            raise InputError("a coefficient has no name; give it one, as it is to stand in the verdict")
+        choice_in(self.unit, f"{what}: unit", UNITS)
+        choice_in(self.link, f"{what}: link", LINKS)
+        number_in(self.prior_sd, f"{what}: prior_sd", above=0)
+        if not isinstance(self.grid, tuple):
+            number_in(self.grid, f"{what}: grid (values a decade, or a tuple of values)", above=0)
+            return
+        for value in self.grid:
+            number_in(value, f"{what}: a value of the grid", **_RANGES[self.link])
+
+    def value(self, u: npt.ArrayLike, scales: Scales) -> np.ndarray:
+        """Value in the unit of the operation from the unbounded parameter."""
+        u = np.asarray(u, dtype=float)
+        match self.link:
+            case "log":
+                return np.asarray(np.exp(u))
+            case "logit":
+                return np.asarray(1 / (1 + np.exp(-u)))
+        return self.scale(scales) * u
+
+    def unbounded(self, value: float, scales: Scales) -> float:
+        """Inverse of :meth:`value`."""
+        match self.link:
+            case "log":
+                return float(np.log(value))
+            case "logit":
+                return float(np.log(value / (1 - value)))
+        return value / self.scale(scales)
+
+    def scale(self, scales: Scales) -> float:
+        """Value of a linear coefficient that changes the impedance by about as much as there is, where it acts most."""
+        s = scales
+        return {
+            "m": s.z_high / s.high,
+            "r": s.z_middle,
+            "c": s.z_middle,
+            "k": s.z_low * s.low,
+            "n": 1 / (s.z_high * s.high),
+            "s": 1 / s.high,
+            "Hz": s.low,
+        }.get(self.unit, 1.0)
+
+    def values(self, scales: Scales) -> tuple[float, ...]:
+        """The shape's values that are scanned, in the unit of the operation."""
+        if isinstance(self.grid, tuple):
+            return tuple(2 * np.pi * g for g in self.grid) if self.unit == "Hz" else self.grid
+        n = max(4, round(self.grid * np.log10(scales.high / scales.low)) + 1)
+        omega = np.geomspace(scales.low, scales.high, n)
+        return tuple((1 / omega if self.unit == "s" else omega).tolist())

@@ -1,0 +1,103 @@
+r"""Covariates of a fit: standardised, and refused where they cannot be told apart.
+
+Slopes B of :math:`\theta_i = \mu + B x_i` are determined by the columns of the standardised design matrix X (N, Q). Its
+condition number, largest over smallest singular value, is the factor by which a combination of slopes is known worse
+than the best known one. Where it is large, only a combination of covariates is seen, and slopes of single ones would be
+the prior's.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bayes_impedance.errors import InputError
+from bayes_impedance.recordings.files import Recordings
+from bayes_impedance.runtime.user_table import hint, shown
+
+LARGEST_CONDITION = 30.0
+"""Of the standardised design matrix: from 30 on a dependency is strong and damages estimates, by Belsley, Kuh and
+Welsch, Regression Diagnostics, Wiley 1980, section 3.2. Two covariates reach it with a correlation of 0.998."""
+
+SHARE_OF_DEPENDENCY = 0.1
+"""A covariate belongs to a dependency if its weight in it is at least this part of the largest weight: columns are
+standardised, so that a smaller weight is a tenth of a standard deviation against one."""
+
+
+def standardised_covariates(recordings: Recordings, names: tuple[str, ...]) -> np.ndarray:
+    """Covariates with mean 0 and standard deviation 1.
+
+    Parameters
+    ----------
+    recordings : Recordings
+        N people.
+    names : tuple of str
+        Q covariates.
+
+    Returns
+    -------
+    ndarray, shape (N, Q)
+
+    Raises
+    ------
+    InputError
+        If a covariate is unknown, named twice, missing for somebody, the same for everybody, of such a size that people
+        cannot be told apart, or if covariates depend on each other.
+    """
+    subjects = recordings.subjects
+    known = list(dict.fromkeys(name for subject in subjects for name in subject.covariates))
+    columns = []
+    for i, name in enumerate(names):
+        what = f"covariate {shown(name)}"
+        if name in names[:i]:
+            raise InputError(f"{what} is named twice: name it once")
+        if name not in known:
+            meant = hint(name, known) if known else "there are none"
+            raise InputError(f"{what} is not in the dataset ({meant}): add it to subjects.csv or leave it out")
+        values = np.array([s.covariates.get(name, np.nan) for s in subjects], dtype=float)
+        if not np.all(np.isfinite(values)):
+            who = subjects[int(np.argmin(np.isfinite(values)))].name
+            raise InputError(f"{what} is missing for subject {who}: add it to subjects.csv or leave it out")
+        columns.append(_standardised(values, what, recordings.names))
+    if names and len(subjects) < len(names) + 2:
+        raise InputError(
+            f"{len(names)} covariates are too many for {len(subjects)} people: with fewer than {len(names) + 2}, "
+            "nothing is left to tell how people differ besides; leave some out"
+        )
+    design = np.array(columns).T if columns else np.zeros((len(subjects), 0))
+    _require_independent(design, names)
+    return design
+
+
+def _standardised(values: np.ndarray, what: str, people: tuple[str, ...]) -> np.ndarray:
+    """One column; the largest number is divided out first, because squares of very large numbers are infinite."""
+    largest = int(np.argmax(np.abs(values)))
+    size = np.abs(values[largest])
+    # What differs by less than this part of the largest number differs by rounding.
+    resolution = len(values) * np.finfo(float).eps
+    if size == 0 or np.ptp(values / size) <= resolution:
+        raise InputError(f"{what} is the same for everybody: leave it out")
+    others = values[values != values[largest]]
+    usual = np.abs(others).max()
+    if usual > 0 and np.ptp(others / usual) > resolution and np.ptp(others / size) <= resolution:
+        raise InputError(
+            f"{what} is {values[largest]:g} for subject {people[largest]}, beside which the others' values cannot be "
+            "told apart: correct it in subjects.csv"
+        )
+    centred = values / size - np.mean(values / size)
+    return np.asarray(centred / centred.std())
+
+
+def _require_independent(design: np.ndarray, names: tuple[str, ...]) -> None:
+    """Refuse columns of which one follows from others."""
+    if design.shape[1] < 2:
+        return
+    _, singular, rows = np.linalg.svd(design, full_matrices=design.shape[0] < design.shape[1])
+    missing = design.shape[1] > singular.size
+    if not missing and singular[-1] * LARGEST_CONDITION > singular[0]:
+        return
+    weights = np.abs(rows[-1])
+    involved = [shown(n) for n, w in zip(names, weights, strict=True) if w >= SHARE_OF_DEPENDENCY * weights.max()]
+    raise InputError(
+        f"covariates {', '.join(involved)} say the same of these {design.shape[0]} people (one follows from the "
+        "others), so that no fit can tell them apart: leave one out"
+    )
