@@ -239,8 +239,14 @@ def _finish(result: Result, last: str) -> int:
     summary = result.summary
     for problem in summary["problems"]:
         tell(f"NOT RELIABLE: {problem}")
+    misfit = summary["adequacy"]["misfit"]
+    for sentence in misfit:
+        tell(f"MISFIT: {sentence}")
+    for finding in summary["findings"]:
+        tell(f"warning: {finding}")
     for remark in summary["remarks"]:
-        tell(f"note: {remark}")
+        if remark not in misfit:
+            tell(f"note: {remark}")
     tell()
     tell(f"{summary['subjects']} subject(s), network {summary['network']}")
     tell()
@@ -251,8 +257,11 @@ def _finish(result: Result, last: str) -> int:
             continue
         cells = [_interval(element["central"], ".3g")]
         cells += [_interval(element[f"dispersion_between_{level}"], ".2f") for level in ("persons", "repetitions")]
-        tell(f"{name:6}{element['unit']:9}{cells[0]:32}{cells[1]:24}{cells[2]}".rstrip())
+        marked = name + ("*" if element["marked"] else "")
+        tell(f"{marked:6}{element['unit']:9}{cells[0]:32}{cells[1]:24}{cells[2]}".rstrip())
     tell()
+    if any(element["marked"] for element in summary["elements"].values()):
+        tell("* depends on the misfit by more than its interval")
     tell("dispersions are standard deviations of the natural logarithm")
     tell()
     tell(f"{'error of one curve for all (eq. 5)':36}{'|z|, ' + summary['unit']:>16}{'phase, deg':>14}")

@@ -43,6 +43,9 @@ if TYPE_CHECKING:
     from bayes_impedance.results.result import Result
     from bayes_impedance.runtime.progress import Progress
 
+_MOST_CHECKED = 1000
+"""Subjects up to whom a fit checks its recordings, which takes them all into memory; of more, ``check`` tells."""
+
 _THREADS = 2
 """Of this process, if nothing is said: two cores are what a machine has at least, and the shipped dataset is done
 sooner than processes have started."""
@@ -120,7 +123,7 @@ def fit_dataset(dataset: Path, out: Path, options: FitOptions, resume: bool, pro
     recordings, clock = _read(dataset, options)
     pages = page_files() if (out / PICTURE_FOLDER).exists() or (out / REPORT_FILE).exists() else []
     with fit_folder(out, [*FIT_FILES, *pages], recordings, options, resume):
-        return _fit(recordings, out, options, clock, progress, pages)
+        return _fit(recordings, out, options, clock, progress, pages, _findings(recordings))
 
 
 def run_dataset(
@@ -140,14 +143,13 @@ def run_dataset(
     helper : Executor, optional
         Another process, which draws some of the pictures.
     """
-    from bayes_impedance.quality.checks import check_recordings
-
     recordings, clock = _read(dataset, options)
     pages = page_files()
     with fit_folder(out, [*FIT_FILES, *pages], recordings, options, resume):
-        result = _fit(recordings, out, options, clock, progress, pages, helper)
+        findings = _findings(recordings)
+        result = _fit(recordings, out, options, clock, progress, pages, findings, helper)
         with interrupted(f"the fit is finished: 'bayes-impedance report {shlex.quote(str(out))}' draws the pictures"):
-            _write_pages(result, out, check_recordings(recordings.in_memory()), progress, helper)
+            _write_pages(result, out, findings, progress, helper)
     return result
 
 
@@ -298,9 +300,11 @@ def _fit(
     clock: Clock,
     progress: Progress,
     stale: Sequence[str],
+    findings: Sequence[Finding],
     helper: Executor | None = None,
 ) -> Result:
     """Fit, predict, save; pages of an earlier fit are removed before the new numbers are there."""
+    from bayes_impedance.diagnosis.examine import examine
     from bayes_impedance.population.fit import fit_population
     from bayes_impedance.results.predictive import predict
     from bayes_impedance.results.result import make_result, save_result
@@ -321,6 +325,10 @@ def _fit(
                 checkpoint=checkpoint,
                 executor=executor,
             )
+            with clock.measure("examine"):
+                progress("examining the fit", 0, 1)
+                adequacy = examine(fit, executor=executor)
+                progress("examining the fit", 1, 1)
         if helper is not None:
             from bayes_impedance.plots import prepare
 
@@ -330,11 +338,19 @@ def _fit(
             progress("predictions", 0, 1)
             predictive = predict(fit, seed=options.seed)
             progress("predictions", 1, 1)
-        result = make_result(fit, predictive, clock.seconds, options.subjects)
+        told = [f.message for f in findings if f.severity == "warning"]
+        result = make_result(fit, predictive, clock.seconds, options.subjects, adequacy, told)
         remove(out, (*stale, *FIT_FILES))
         save_result(result, out)
     discard(checkpoint)
     return result
+
+
+def _findings(recordings: Recordings) -> tuple[Finding, ...]:
+    """What is odd about recordings, unless they are so many that they had to be read one after the other."""
+    from bayes_impedance.quality.checks import check_recordings
+
+    return check_recordings(recordings.in_memory()) if len(recordings.subjects) <= _MOST_CHECKED else ()
 
 
 def selected(recordings: Recordings, options: FitOptions) -> Recordings:

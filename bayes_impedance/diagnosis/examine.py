@@ -9,7 +9,7 @@ population refitted for a few rounds. An element whose centre moves by more than
 depends on whether that effect is there, and carries a mark. Where structure is significant and no effect explains it,
 or people are not of one normal population, all elements carry one.
 
-**Outliers.** With :math:`\hat\theta_i` everybody's mode, m their mean and S their covariance,
+**Outliers.** With :math:`\hat\theta_i` everybody's posterior mean, m their mean and S their covariance,
 
 .. math:: \frac{N}{(N-1)^2}\,(\hat\theta_i - m)^T S^{-1} (\hat\theta_i - m)
           \sim \operatorname{Beta}\left(\tfrac{P}{2}, \tfrac{N - P - 1}{2}\right)
@@ -51,6 +51,10 @@ from bayes_impedance.runtime.executors import executor_of
 _OUTLIER_ALPHA = 0.002
 """Corrected level of the test of each person: it is one of five, and good populations may be marked in 2 % of cases."""
 
+_MOST_EXAMINED = 200
+"""People, evenly spread over all, in whose residuals structure is looked for: they show whatever spoils the numbers of
+thousands, and the screening's time does not grow without end."""
+
 _TRIED = 3
 """Significant effects whose consequences for the elements are computed, each at its best place."""
 
@@ -86,8 +90,8 @@ def _examine(fit: PopulationFit, effects: tuple[Effect, ...], executor: Executor
     gross = [*copies(recordings), *far_off(_error(fit), fit.noise_scale)]
     if gross:
         return Adequacy(gross=tuple(gross))
-    refitter, base = _refitted(fit, executor)
-    residuals = tuple(person_residuals(base, recordings.names, executor))
+    refitter, base, names_of = _refitted(fit, executor)
+    residuals = tuple(person_residuals(base, names_of, executor))
     location = locate(residuals, fit.seed)
     step = Step(base, residuals, screen(base, residuals, effects, fit.seed, executor), (), None)
     misfit, bent, names = list[str](), dict[str, float](), list[str]()
@@ -101,9 +105,9 @@ def _examine(fit: PopulationFit, effects: tuple[Effect, ...], executor: Executor
         misfit.append(_missing(fit, min(location.p_value, float(np.exp(step.log_p))), bent))
     shape = badly_described(recordings.names, fit.noise_scale)
     if n > 1:
-        structures, _ = find_structures(base, recordings, False, fit.seed)
+        structures, _ = find_structures(base, recordings.select(names_of), False, fit.seed)
         shape += [_two_groups(s) for s in structures if isinstance(s, Subgroup)]
-        shape += _outliers(fit, base)
+        shape += _outliers(fit)
     if shape:
         bent = _all(fit) | bent
     misfit += shape
@@ -115,19 +119,19 @@ def _all(fit: PopulationFit) -> dict[str, float]:
     return {name: np.inf for name, seen in zip(fit.kernel.elements, fit.identified, strict=True) if seen}
 
 
-def _refitted(fit: PopulationFit, executor: Executor) -> tuple[Refitter, Refit]:
-    """The fit as the diagnosis has it: at rest, everybody at a mode, begun at the posterior's centre."""
-    data = [
-        Likelihood.make(s.frequency_hz, s.z, noise / scale, deviations)
-        for s, noise, scale, deviations in zip(
-            fit.recordings.subjects, fit.noise, fit.noise_scale, fit.deviations, strict=True
-        )
-    ]
+def _refitted(fit: PopulationFit, executor: Executor) -> tuple[Refitter, Refit, tuple[str, ...]]:
+    """The fit as the diagnosis has it, at rest, begun at the posterior's centre; of how many people, and of whom."""
+    n = len(fit.recordings.subjects)
+    some = np.unique(np.linspace(0, n - 1, min(n, _MOST_EXAMINED)).round().astype(int)).tolist()
+    data = []
+    for i in some:
+        s = fit.recordings.subjects[i]
+        data.append(Likelihood.make(s.frequency_hz, s.z, fit.noise[i] / fit.noise_scale[i], fit.deviations[i]))
     refitter = Refitter(data, executor, fit.one_person)
     tree = fit.kernel.network
     model = build(tree, (), scales_of(fit.recordings), ())
     persons = fit.person_draws.mean(axis=(0, 1))
-    u = np.concatenate([persons[i] + own for i, own in enumerate(fit.deviations)])
+    u = np.concatenate([persons[i] + fit.deviations[i] for i in some])
     p = persons.shape[1]
     if fit.one_person:
         population = Population(fit.prior.centre, np.eye(p) * fit.prior.centre_sd**2, np.full(p, 0.1))
@@ -135,7 +139,7 @@ def _refitted(fit: PopulationFit, executor: Executor) -> tuple[Refitter, Refit]:
         rho = fit.parameters.between_repetitions.mean(axis=0)
         population = Population(fit.parameters.mu.mean(axis=0), fit.parameters.covariance.mean(axis=0), rho)
     base = refitter.settle(refitter.fit(model, u, population, 60), fit.seed, rounds=1)
-    return refitter, base
+    return refitter, base, tuple(fit.recordings.names[i] for i in some)
 
 
 def _consequences(
@@ -193,9 +197,10 @@ def _two_groups(group: Subgroup) -> str:
     )
 
 
-def _outliers(fit: PopulationFit, base: Refit) -> list[str]:
+def _outliers(fit: PopulationFit) -> list[str]:
     seen = np.flatnonzero(fit.identified)
-    persons, n = base.persons[:, seen], len(base.persons)
+    persons = fit.person_draws.mean(axis=(0, 1))[:, seen]
+    n = len(persons)
     if n < seen.size + 3 or not seen.size:
         return []
     offset = persons - persons.mean(axis=0)

@@ -61,6 +61,7 @@ class ElementRow:
     title: str
     story: str
     identified: bool
+    marked: bool
     value: str
     interval: str
     unit: str
@@ -120,6 +121,7 @@ def element_rows(result: Result) -> list[ElementRow]:
                 title=title,
                 story=story,
                 identified=entry["identified"],
+                marked=entry["marked"],
                 value=value,
                 interval=interval,
                 unit=unit,

@@ -18,19 +18,16 @@ import numpy as np
 
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.elements import kind_of
-from bayes_impedance.population.fit import PopulationFit, too_few_for_correlations
-from bayes_impedance.results.misfit import coverage_by_frequency, misfit_words, network_misfits, noise_scale_summary
+from bayes_impedance.population.fit import PopulationFit
+from bayes_impedance.results.adequacy import Adequacy
 from bayes_impedance.results.predictive import PROBABILITIES, Predictive
+from bayes_impedance.results.summary import summary_of
 from bayes_impedance.runtime.atomic_files import read_json, write_json
 
 if TYPE_CHECKING:
     import pandas as pd
 
-SCHEMA = 1
 RESULT_FILE, SUMMARY_FILE = "result.nc", "summary.json"
-FEW_PERSONS = 10
-"""With fewer persons, dispersions rest on the prior as much as on the data: a standard deviation of nine values is
-known to a quarter at best."""
 
 _PACKAGES = ("bayes_impedance", "numpy", "scipy", "numba", "emcee", "arviz", "xarray", "pandas")
 
@@ -123,7 +120,12 @@ DIMS: dict[str, list[str]] = {
 
 
 def make_result(
-    fit: PopulationFit, predictive: Predictive, seconds: Mapping[str, float], selected: Sequence[str] = ()
+    fit: PopulationFit,
+    predictive: Predictive,
+    seconds: Mapping[str, float],
+    selected: Sequence[str] = (),
+    adequacy: Adequacy | None = None,
+    findings: Sequence[str] = (),
 ) -> Result:
     """Collect a fit and its predictions.
 
@@ -135,6 +137,10 @@ def make_result(
         Time of each step; part of the summary only, so that equal runs give equal netCDF files.
     selected : sequence of str
         The subjects that were asked for by name; empty if all were taken.
+    adequacy : Adequacy, optional
+        What is wrong with the model itself (:func:`bayes_impedance.diagnosis.examine.examine`).
+    findings : sequence of str
+        What is odd about the recordings, in sentences.
     """
     recordings, elements = fit.recordings, list(fit.kernel.elements)
     attributes = {
@@ -163,7 +169,7 @@ def make_result(
     if not fit.settings.covariates:
         del coords["covariate"]
     result = Result({}, _groups(fit, predictive), coords, attributes)
-    result.summary.update(_summary(fit, predictive, seconds, result))
+    result.summary.update(summary_of(fit, predictive, seconds, adequacy or Adequacy(), findings, _versions()))
     attributes["summary"] = without_seconds(result.summary)
     return result
 
@@ -233,119 +239,6 @@ def _groups(fit: PopulationFit, predictive: Predictive) -> dict[str, dict[str, n
 
 def _both(magnitude: np.ndarray, phase: np.ndarray) -> np.ndarray:
     return np.stack([magnitude, phase])
-
-
-def _interval(values: np.ndarray, known: bool = True) -> dict[str, float | None]:
-    """Median and 90 % interval, or nulls."""
-    if not known or not np.all(np.isfinite(values)):
-        return {"median": None, "q05": None, "q95": None}
-    low, middle, high = np.quantile(values, (0.05, 0.5, 0.95))
-    return {"median": float(middle), "q05": float(low), "q95": float(high)}
-
-
-def _summary(
-    fit: PopulationFit, predictive: Predictive, seconds: Mapping[str, float], result: Result
-) -> dict[str, Any]:
-    p, d = fit.parameters, fit.diagnostics
-    problems = list(d.problems)
-    elements = {}
-    for i, name in enumerate(fit.kernel.elements):
-        known = bool(fit.identified[i]) and not problems
-        elements[name] = {
-            "unit": result.element_unit(name),
-            "identified": bool(fit.identified[i]),
-            "central": _interval(np.exp(p.mu[:, i]), known),
-            "dispersion_between_persons": _interval(p.between_persons[:, i], known and not fit.one_person),
-            "dispersion_between_repetitions": _interval(
-                p.between_repetitions[:, i], known and fit.repeated and not fit.one_person
-            ),
-        }
-    correlation = []
-    if fit.settings.covariance == "full" and not fit.one_person and not problems:
-        for i, a in enumerate(fit.kernel.elements):
-            for j in range(i):
-                if fit.identified[i] and fit.identified[j]:
-                    low, middle, high = np.quantile(p.correlation[:, i, j], (0.05, 0.5, 0.95))
-                    correlation.append([fit.kernel.elements[j], a, float(middle), float(low), float(high)])
-    errors: dict[str, Any] = {name: curve.summary() for name, curve in predictive.errors.items()}
-    r = predictive.replication
-    errors["population_network"]["replicated_rank_magnitude"] = r.mean_magnitude_rank
-    errors["population_network"]["replicated_rank_phase"] = r.mean_phase_rank
-    errors["subjects"] = {
-        "relative_rms_median": float(np.median(predictive.person_relative_rms)),
-        "relative_rms_max": float(np.max(predictive.person_relative_rms)),
-        "delta_magnitude": float(np.mean(predictive.person_delta_magnitude)),
-        "delta_phase_deg": float(np.mean(predictive.person_delta_phase_deg)),
-    }
-    return {
-        "schema": SCHEMA,
-        "reliable": not problems,
-        "problems": problems,
-        "remarks": [*_remarks(fit, predictive), *d.remarks],
-        "title": fit.recordings.title,
-        "network": str(fit.kernel.network),
-        "unit": fit.recordings.unit,
-        "subjects": len(fit.recordings.subjects),
-        "repetitions": max(len(s.repetitions) for s in fit.recordings.subjects),
-        "seed": fit.seed,
-        "data_sha256": fit.recordings.sha256,
-        "covariance": fit.settings.covariance,
-        "elements": elements,
-        "correlation": correlation,
-        "errors": errors,
-        "coverage": {
-            "50": float(np.mean(predictive.coverage50)),
-            "90": float(np.mean(predictive.coverage90)),
-        },
-        "coverage_by_frequency": coverage_by_frequency({"50": predictive.coverage50, "90": predictive.coverage90}),
-        "noise_scale": noise_scale_summary(fit.noise_scale),
-        "sampler": {
-            "ensembles": d.ensembles,
-            "steps": d.steps,
-            "walkers": d.walkers,
-            "rhat_max": d.rhat_max,
-            "ess_min": d.effective_min,
-            "tau_max": d.autocorrelation_max,
-            "acceptance": d.acceptance,
-            "log_likelihood_variance": d.log_likelihood_variance,
-            "pareto_k_max": float(np.max(d.pareto_k)),
-            "effective_draws_min": float(np.min(d.effective_draws)),
-            "reference_moved": d.redrawn,
-        },
-        "versions": _versions(),
-        "seconds": {k: round(v, 3) for k, v in seconds.items()},
-    }
-
-
-def _remarks(fit: PopulationFit, predictive: Predictive) -> list[str]:
-    """What a person should be told about the fit, in full sentences, the most important first."""
-    remarks = []
-    n, scale = len(fit.recordings.subjects), noise_scale_summary(fit.noise_scale)
-    if network_misfits({"subjects": n, "noise_scale": scale}):
-        remarks.append(
-            f"The network does not describe these recordings: what remains is {misfit_words(scale, n, 'subjects')}, "
-            f"and each subject's own best network is {100 * np.median(predictive.person_relative_rms):.1f} % off. The "
-            "values below are those of the network that comes closest, and their intervals hold only if one accepts it."
-        )
-    if fit.one_person:
-        remarks.append("There is one subject: the values are this subject's, and no dispersion can be estimated.")
-    elif n < FEW_PERSONS:
-        remarks.append(f"There are only {n} subjects: dispersions rest on the prior as much as on the data.")
-    if not fit.one_person and too_few_for_correlations(n, len(fit.kernel.elements)):
-        remarks.append(
-            f"{n} subjects cannot tell how {len(fit.kernel.elements)} elements vary together: they are taken to vary "
-            "independently."
-        )
-    if not fit.repeated:
-        mixed = "" if fit.one_person else "the dispersion between persons contains that between repetitions, and "
-        remarks.append(f"There is one repetition: {mixed}the noise was estimated from the roughness of the curves.")
-    unseen = [e for e, seen in zip(fit.kernel.elements, fit.identified, strict=True) if not seen]
-    if unseen:
-        remarks.append(
-            f"The recordings do not determine {', '.join(unseen)}: any value within a wide range gives the same "
-            "impedance in the measured band, so no number is reported."
-        )
-    return remarks
 
 
 def _versions() -> dict[str, str]:

@@ -1,0 +1,189 @@
+"""The summary of a run: what ``summary.json`` holds, what is wrong first.
+
+Numbers that must not be used are null: those of elements that the recordings do not determine, and all of them where
+the sampler has not converged or the network does not describe the recordings at all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from bayes_impedance.network.elements import kind_of
+from bayes_impedance.network.redundancy import inseparable
+from bayes_impedance.population.fit import PopulationFit, too_few_for_correlations
+from bayes_impedance.results.adequacy import Adequacy
+from bayes_impedance.results.misfit import coverage_by_frequency, misfit_words, network_misfits, noise_scale_summary
+from bayes_impedance.results.predictive import Predictive
+
+SCHEMA = 1
+
+FEW_PERSONS = 10
+"""With fewer persons, dispersions rest on the prior as much as on the data: a standard deviation of nine values is
+known to a quarter at best."""
+
+
+def _interval(values: np.ndarray, known: bool = True) -> dict[str, float | None]:
+    """Median and 90 % interval, or nulls."""
+    if not known or not np.all(np.isfinite(values)):
+        return {"median": None, "q05": None, "q95": None}
+    low, middle, high = np.quantile(values, (0.05, 0.5, 0.95))
+    return {"median": float(middle), "q05": float(low), "q95": float(high)}
+
+
+def _not_separable(unit: str, stands_for_it: str) -> dict[str, Any]:
+    """Entry of an element for which, with others, one element stands."""
+    nothing = _interval(np.array([np.nan]))
+    levels = ("central", "dispersion_between_persons", "dispersion_between_repetitions")
+    return {"unit": unit, "identified": False, "marked": False, "combined_in": stands_for_it} | dict.fromkeys(
+        levels, nothing
+    )
+
+
+def summary_of(
+    fit: PopulationFit,
+    predictive: Predictive,
+    seconds: Mapping[str, float],
+    adequacy: Adequacy,
+    findings: Sequence[str],
+    versions: Mapping[str, str],
+) -> dict[str, Any]:
+    """Everything that ``summary.json`` holds.
+
+    Parameters
+    ----------
+    fit : PopulationFit
+    predictive : Predictive
+    seconds : mapping
+        Time of each step.
+    adequacy : Adequacy
+        What is wrong with the model itself.
+    findings : sequence of str
+        What is odd about the recordings.
+    versions : mapping of str to str
+        Of packages.
+    """
+    p, d = fit.parameters, fit.diagnostics
+    problems = [*adequacy.gross, *d.problems]
+    elements = {}
+    for i, name in enumerate(fit.kernel.elements):
+        known = bool(fit.identified[i]) and not problems
+        elements[name] = {
+            "unit": kind_of(name).unit(fit.recordings.unit),
+            "identified": bool(fit.identified[i]),
+            "marked": name in adequacy.bent,
+            "central": _interval(np.exp(p.mu[:, i]), known),
+            "dispersion_between_persons": _interval(p.between_persons[:, i], known and not fit.one_person),
+            "dispersion_between_repetitions": _interval(
+                p.between_repetitions[:, i], known and fit.repeated and not fit.one_person
+            ),
+        }
+    for combination in fit.combinations:
+        for name in combination.elements:
+            elements[name] = _not_separable(kind_of(name).unit(fit.recordings.unit), combination.name)
+    correlation = []
+    if fit.settings.covariance == "full" and not fit.one_person and not problems:
+        for i, a in enumerate(fit.kernel.elements):
+            for j in range(i):
+                if fit.identified[i] and fit.identified[j]:
+                    low, middle, high = np.quantile(p.correlation[:, i, j], (0.05, 0.5, 0.95))
+                    correlation.append([fit.kernel.elements[j], a, float(middle), float(low), float(high)])
+    errors: dict[str, Any] = {name: curve.summary() for name, curve in predictive.errors.items()}
+    r = predictive.replication
+    errors["population_network"]["replicated_rank_magnitude"] = r.mean_magnitude_rank
+    errors["population_network"]["replicated_rank_phase"] = r.mean_phase_rank
+    errors["subjects"] = {
+        "relative_rms_median": float(np.median(predictive.person_relative_rms)),
+        "relative_rms_max": float(np.max(predictive.person_relative_rms)),
+        "delta_magnitude": float(np.mean(predictive.person_delta_magnitude)),
+        "delta_phase_deg": float(np.mean(predictive.person_delta_phase_deg)),
+    }
+    return {
+        "schema": SCHEMA,
+        "reliable": not problems,
+        "problems": problems,
+        "remarks": [*adequacy.misfit, *_remarks(fit, predictive, bool(adequacy.gross)), *d.remarks],
+        "findings": list(findings),
+        "adequacy": adequacy.summary(),
+        "title": fit.recordings.title,
+        "network": str(fit.kernel.network),
+        "network_as_written": str(fit.written),
+        "combinations": [
+            {"name": c.name, "elements": list(c.elements), "expression": c.expression} for c in fit.combinations
+        ],
+        "unit": fit.recordings.unit,
+        "subjects": len(fit.recordings.subjects),
+        "repetitions": max(len(s.repetitions) for s in fit.recordings.subjects),
+        "seed": fit.seed,
+        "data_sha256": fit.recordings.sha256,
+        "covariance": fit.settings.covariance,
+        "elements": elements,
+        "correlation": correlation,
+        "errors": errors,
+        "coverage": {
+            "50": float(np.mean(predictive.coverage50)),
+            "90": float(np.mean(predictive.coverage90)),
+        },
+        "coverage_by_frequency": coverage_by_frequency({"50": predictive.coverage50, "90": predictive.coverage90}),
+        "noise_scale": noise_scale_summary(fit.noise_scale),
+        "sampler": {
+            "ensembles": d.ensembles,
+            "steps": d.steps,
+            "walkers": d.walkers,
+            "rhat_max": d.rhat_max,
+            "ess_min": d.effective_min,
+            "tau_max": d.autocorrelation_max,
+            "acceptance": d.acceptance,
+            "log_likelihood_variance": d.log_likelihood_variance,
+            "pareto_k_max": float(np.max(d.pareto_k)),
+            "effective_draws_min": float(np.min(d.effective_draws)),
+            "reference_moved": d.redrawn,
+        },
+        "versions": dict(versions),
+        "seconds": {k: round(v, 3) for k, v in seconds.items()},
+    }
+
+
+def _remarks(fit: PopulationFit, predictive: Predictive, gross: bool) -> list[str]:
+    """What a person should be told about the fit, in full sentences, the most important first."""
+    remarks = []
+    n, scale = len(fit.recordings.subjects), noise_scale_summary(fit.noise_scale)
+    if not gross and network_misfits({"subjects": n, "noise_scale": scale}):
+        remarks.append(
+            f"The network does not describe these recordings: what remains is {misfit_words(scale, n, 'subjects')}, "
+            f"and each subject's own best network is {100 * np.median(predictive.person_relative_rms):.1f} % off. The "
+            "values below are those of the network that comes closest, and their intervals hold only if one accepts it."
+        )
+    if fit.one_person:
+        remarks.append("There is one subject: the values are this subject's, and no dispersion can be estimated.")
+    elif n < FEW_PERSONS:
+        remarks.append(f"There are only {n} subjects: dispersions rest on the prior as much as on the data.")
+    if not fit.one_person and too_few_for_correlations(n, len(fit.kernel.elements)):
+        remarks.append(
+            f"{n} subjects cannot tell how {len(fit.kernel.elements)} elements vary together: they are taken to vary "
+            "independently."
+        )
+    if not fit.repeated:
+        mixed = "" if fit.one_person else "the dispersion between persons contains that between repetitions, and "
+        remarks.append(f"There is one repetition: {mixed}the noise was estimated from the roughness of the curves.")
+    for c in fit.combinations:
+        remarks.append(
+            f"Only {c.expression} is determined, by no recording {' or '.join(c.elements)} alone: one element {c.name} "
+            "stands for them."
+        )
+    lost = inseparable(fit.kernel.network)
+    if lost:
+        remarks.append(
+            f"No recording can tell {', '.join(lost[:-1])} and {lost[-1]} apart, because the others can take over what "
+            "each of them does: the network has more elements than its impedance has coefficients, and no number is "
+            "reported for them."
+        )
+    unseen = [e for e, seen in zip(fit.kernel.elements, fit.identified, strict=True) if not seen and e not in lost]
+    if unseen:
+        remarks.append(
+            f"The recordings do not determine {', '.join(unseen)}: any value within a wide range gives the same "
+            "impedance in the measured band, so no number is reported."
+        )
+    return remarks
