@@ -37,7 +37,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _tell(f"error: {error}", sys.stderr)
         return FAILED
     except KeyboardInterrupt:
-        _tell("\ninterrupted; the same command with --resume continues a fit where it was", sys.stderr)
+        kept = "; the same command with --resume continues a fit where it was" if hasattr(options, "resume") else ""
+        _tell(f"\ninterrupted{kept}", sys.stderr)
         return FAILED
     except OSError as error:
         _tell(
