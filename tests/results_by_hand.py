@@ -7,6 +7,7 @@ import json
 import numpy as np
 
 from bayes_impedance.network.notation import parse
+from bayes_impedance.results.adequacy import Adequacy
 from bayes_impedance.results.misfit import noise_scale_summary
 from bayes_impedance.results.result import Result
 
@@ -131,7 +132,11 @@ def make_result(
         "problems": list(problems),
         "remarks": list(remarks),
         "title": "ten <fingers> & a thumb",
+        "findings": [],
+        "adequacy": Adequacy().summary(),
         "network": text,
+        "network_as_written": text,
+        "combinations": [],
         "unit": unit,
         "subjects": n,
         "repetitions": repetitions,
@@ -142,6 +147,7 @@ def make_result(
             e: {
                 "unit": "",
                 "identified": bool(known[i]),
+                "marked": False,
                 "central": summary_of(np.exp(mu[..., i]), known[i]),
                 "dispersion_between_persons": summary_of(persons[..., i], known[i] and not one),
                 "dispersion_between_repetitions": summary_of(between[..., i], known[i] and not one and repetitions > 1),

@@ -25,7 +25,7 @@ from bayes_impedance.plots.style import (
     phase_axis,
     row_median,
 )
-from bayes_impedance.results.misfit import MISFIT_SCALE
+from bayes_impedance.results.misfit import MISFIT_SCALE, range_by_chance
 from bayes_impedance.results.result import Result
 from bayes_impedance.units import scale_for
 
@@ -166,9 +166,8 @@ def coverage(figure: Figure, result: Result) -> Figure:
     panels = figure.subplots(2, 1, sharex=True, sharey=True)
     for part, (axes, title) in enumerate(zip(panels, ("magnitude", "phase"), strict=True)):
         for nominal, colour in ((0.9, BLUE), (0.5, ORANGE)):
-            chance = 1.645 * np.sqrt(nominal * (1 - nominal) / np.maximum(present, 1))
-            low, high = 100 * np.maximum(nominal - chance, 0), 100 * np.minimum(nominal + chance, 1)
-            axes.fill_between(f, low, high, color=colour, alpha=0.15, lw=0)
+            low, high = range_by_chance(nominal, present)
+            axes.fill_between(f, 100 * low, 100 * high, color=colour, alpha=0.15, lw=0)
             axes.axhline(100 * nominal, color=colour, lw=1.0, ls=(0, (4, 3)))
             share = 100 * needed(result, f"coverage_{100 * nominal:.0f}")[part]
             axes.plot(f, share, color=colour, lw=1.5, label=f"inside the {100 * nominal:.0f} % band")

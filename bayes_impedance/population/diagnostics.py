@@ -101,8 +101,8 @@ class Diagnostics:
         poor = int(np.sum(self.effective_draws < FEWEST_DRAWS_BELIEVED))
         if poor:
             found.append(
-                f"the likelihood of {poor} subject(s) rests on {self.effective_draws.min():.1f} draws or little more: the "
-                "recordings leave elements undetermined along more than one direction, or a subject is far from the "
+                f"the likelihood of {poor} subject(s) rests on {self.effective_draws.min():.1f} draws or little more: "
+                "the recordings leave elements undetermined along more than one direction, or a subject is far from the "
                 "others; use a smaller network, a wider band, or leave the subject out"
             )
         if self.unconverged:

@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from bayes_impedance.plots.access import frequency, needed, subjects, who
 from bayes_impedance.report.fit_tables import element_rows, population_name
-from bayes_impedance.results.misfit import misfit_words, network_misfits
+from bayes_impedance.results.misfit import misfit_words, network_misfits, range_by_chance
 from bayes_impedance.results.result import Result
 from bayes_impedance.units import hertz, scale_for, significant
 
@@ -95,6 +97,16 @@ def coverage_in_words(result: Result, level: str) -> str:
     least, most = (f"{100 * share:.0f} %" for share in result.summary["coverage_by_frequency"][level])
     mean = f"{100 * result.summary['coverage'][level]:.0f} %"
     return f"{mean} on average ({least} to {most} at single frequencies)"
+
+
+def chance_in_words(result: Result) -> str:
+    """Between which shares chance alone leaves single frequencies, where bands are right."""
+    n = len(subjects(result))
+    ranges = []
+    for level in result.summary["coverage"]:
+        low, high = range_by_chance(int(level) / 100, np.array(n))
+        ranges.append(f"between {100 * low:.0f} % and {100 * high:.0f} % for the {level} % band")
+    return f"With {n} {who(result, n)}, chance alone leaves nine of ten frequencies {' and '.join(ranges)}."
 
 
 def replication_sentence(result: Result) -> str:

@@ -72,3 +72,21 @@ def coverage_by_frequency(coverage: Mapping[str, np.ndarray]) -> dict[str, list[
         By the nominal share in per cent; NaN where nobody was measured.
     """
     return {level: [float(np.nanmin(share)), float(np.nanmax(share))] for level, share in coverage.items()}
+
+
+def range_by_chance(nominal: float, people: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Between which shares of people a band that is right contains nine times out of ten (normal approximation).
+
+    Parameters
+    ----------
+    nominal : float
+        Share that the band is made for, between 0 and 1.
+    people : ndarray
+        How many there are.
+
+    Returns
+    -------
+    low, high : ndarray, shape of `people`
+    """
+    chance = 1.645 * np.sqrt(nominal * (1 - nominal) / np.maximum(people, 1))
+    return np.maximum(nominal - chance, 0.0), np.minimum(nominal + chance, 1.0)

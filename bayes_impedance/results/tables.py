@@ -45,7 +45,7 @@ def elements_table(result: Result) -> pd.DataFrame:
     }
     rows = []
     for entry in result.summary["elements"].values():
-        row: dict[str, Any] = {"unit": entry["unit"], "identified": entry["identified"]}
+        row: dict[str, Any] = {"unit": entry["unit"], "identified": entry["identified"], "marked": entry["marked"]}
         for name, key in quantities.items():
             for quantile, ending in (("median", ""), ("q05", "_q05"), ("q95", "_q95")):
                 value = entry[key][quantile]

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import bayes_impedance
+from bayes_impedance.commands import cli
 from bayes_impedance.commands.arguments import parser_of_commands
 
 PACKAGE = Path(bayes_impedance.__file__).parent
@@ -68,3 +69,18 @@ def test_no_message_asks_for_what_no_option_does() -> None:
     for file in PACKAGE.rglob("*.py"):
         for sentence in sentences_of(file):
             assert not re.search(r"sample longer|with more draws|use more draws", sentence), (file, sentence)
+
+
+@pytest.mark.parametrize("command", options())
+def test_an_interrupted_command_promises_only_what_it_has(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(_: argparse.Namespace) -> int:
+        raise KeyboardInterrupt
+
+    monkeypatch.setitem(cli._JOBS, command, interrupted)
+    place = ["-o"] if command == "simulate" else []
+    assert cli.main([command, *place, str(tmp_path / "place")]) == cli.FAILED
+    said = capsys.readouterr().err
+    assert "interrupted" in said
+    assert set(OPTION.findall(said)) == {"--resume"} & options()[command]

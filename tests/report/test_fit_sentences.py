@@ -15,7 +15,7 @@ from said_and_recorded import FITS, NUMBER, contradictions, is_rounded, numbers,
 
 from bayes_impedance.commands.cli import main
 from bayes_impedance.report import write_report
-from bayes_impedance.report.fit_sentences import answer, replication_sentence
+from bayes_impedance.report.fit_sentences import answer, chance_in_words, replication_sentence
 from bayes_impedance.report.fit_tables import correlation_rows, element_rows, slope_rows
 from bayes_impedance.results.misfit import MISFIT_SCALE, network_misfits, noise_scale_summary
 from bayes_impedance.results.result import Result
@@ -136,6 +136,14 @@ def test_an_interval_that_is_said_to_exclude_zero_does_so_as_written(low: float,
         assert 0 < ends[0] <= ends[1] or ends[0] <= ends[1] < 0
         assert ends[0] <= value_of(value) <= ends[1]
     assert signed(-0.004) == "0.00"
+
+
+def test_what_chance_leaves_is_said_for_the_number_of_people() -> None:
+    said = chance_in_words(make_result(subjects=71))  # 0.9 -+ 1.645 sqrt(0.09 / 71), 0.5 -+ 1.645 sqrt(0.25 / 71)
+    assert said == (
+        "With 71 people, chance alone leaves nine of ten frequencies between 40 % and 60 % for the 50 % band and "
+        "between 84 % and 96 % for the 90 % band."
+    )
 
 
 def test_an_element_that_is_not_determined_has_no_number_even_if_the_record_has(

@@ -19,9 +19,9 @@ def test_elements_are_those_of_the_summary() -> None:
     ]
     assert table.loc["r3", "between_repetitions"] == told["dispersion_between_repetitions"]["median"]
     assert not table.loc["n1", "identified"]
-    assert table.drop(columns=["unit", "identified"]).loc["n1"].isna().all()
+    assert table.drop(columns=["unit", "identified", "marked"]).loc["n1"].isna().all()
     assert table.attrs["units"]["between_persons_q95"] == "ln"
-    assert table.attrs["units"].keys() == set(table.columns) - {"unit", "identified"}
+    assert table.attrs["units"].keys() == set(table.columns) - {"unit", "identified", "marked"}
 
 
 def test_persons_have_their_own_medians() -> None:
