@@ -27,7 +27,10 @@ LARGEST_DAMPING = 1e6
 
 
 def parser_of_commands() -> argparse.ArgumentParser:
-    """Parser of all commands; the name of the one given is `command` of what it returns."""
+    """Parser of all commands; the name of the one given is `command` of what it returns.
+
+    It raises :class:`InputError` where arguments cannot be used.
+    """
     parser = _Parser(
         prog="bayes-impedance",
         description="Population parameters of mechanical impedance networks, with honest uncertainty.",
@@ -218,11 +221,10 @@ def _number(**bounds: float) -> Callable[[str], float]:
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser that tells what is wrong in one line, as all other errors are told."""
+    """A parser whose errors are told in one line, as those of all other input are."""
 
     def error(self, message: str) -> NoReturn:
-        told = " ".join(message.split())
-        self.exit(2, f"error: {told}; see {self.prog} --help\n")
+        raise InputError(f"{message}; see {self.prog} --help")
 
 
 class _Version(argparse.Action):

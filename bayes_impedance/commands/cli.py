@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from bayes_impedance.results.result import Result
 
 DONE, FAILED, BAD_INPUT = 0, 1, 2
-"""Exit status; argparse leaves with 2 as well if the arguments are wrong."""
+"""Exit status; arguments that are wrong are bad input."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -28,8 +28,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         0 done, 1 failed (or a result that must not be used), 2 bad input.
     """
-    options = parser_of_commands().parse_args(arguments)
     try:
+        options = parser_of_commands().parse_args(arguments)
         return _JOBS[options.command](options)
     except InputError as error:
         _tell(f"error: {in_one_line(str(error))}", sys.stderr)

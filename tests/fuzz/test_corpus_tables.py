@@ -28,13 +28,6 @@ TIME_LIMIT_S = 60
 """Of a process; only one that hangs reaches it."""
 
 
-def run(arguments: list[str]) -> int:
-    try:
-        return main(arguments)
-    except SystemExit as exit_of_parser:
-        return int(exit_of_parser.code or 0)
-
-
 def assert_told(status: int, error: str, name: str) -> None:
     lines = error.splitlines()
     told = [line for line in lines if line.startswith("error: ")]
@@ -56,7 +49,7 @@ def test_the_corpus_is_large_and_its_names_differ() -> None:
 def test_every_case(name: str, builder: Builder, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = builder(tmp_path)
     before = sorted(tmp_path.rglob("*"))
-    status = run(arguments)
+    status = main(arguments)
     assert_told(status, capsys.readouterr().err, name)
     if status == 2:
         assert sorted(tmp_path.rglob("*")) == before
