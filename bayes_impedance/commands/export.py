@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING
 
 from bayes_impedance.errors import InputError
 from bayes_impedance.runtime.user_table import number_in, shown
+from bayes_impedance.units import LARGEST_ELEMENT
 
 if TYPE_CHECKING:
     from bayes_impedance.runtime.progress import Progress
 
 PRODUCTS = ("users", "transfer", "spice", "stability")
-LARGEST_ASSUMED = 1e15
-"""Of an element's assumed value in its unit, and of its reciprocal: no element of any kind is larger or smaller."""
 _POINTS = 201
 """Logarithmic grid of exported curves: 67 to a decade of the paper's band."""
 
@@ -170,5 +169,5 @@ def assumed(texts: Sequence[str]) -> dict[str, float]:
             raise InputError(f"{what}: give an element and its value, such as n3=6.8e-7")
         if name in found:
             raise InputError(f"{what}: {shown(name)} has a value already; give one")
-        found[name] = number_in(value, f"{what}: the value", at_least=1 / LARGEST_ASSUMED, at_most=LARGEST_ASSUMED)
+        found[name] = number_in(value, f"{what}: the value", at_least=1 / LARGEST_ELEMENT, at_most=LARGEST_ELEMENT)
     return found

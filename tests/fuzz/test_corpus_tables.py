@@ -24,6 +24,14 @@ IN_A_PROCESS = (
     "option: seed of 38 digits",
 )
 """What could depend on how the interpreter was started: encodings, depth of recursion."""
+FILE_AT_FAULT = {
+    "table": "recordings.csv",
+    "cell": "recordings.csv",
+    "dataset.toml": "dataset.toml",
+    "device": "d.toml",
+    "population": "truth.json",
+}
+"""By the kind of case: what the message must name, so that nothing is refused for another reason."""
 TIME_LIMIT_S = 60
 """Of a process; only one that hangs reaches it."""
 
@@ -38,6 +46,7 @@ def assert_told(status: int, error: str, name: str) -> None:
         assert line.isprintable()
         assert 20 < len(line) < LONGEST_LINE
         assert ": : " not in line
+        assert FILE_AT_FAULT.get(name.partition(":")[0], "") in line
 
 
 def test_the_corpus_is_large_and_its_names_differ() -> None:
