@@ -14,6 +14,8 @@ from dataclasses import dataclass
 SMALLEST_IMPEDANCE, LARGEST_IMPEDANCE = 1e-25, 1e25
 """Of |z| and of noise, in the dataset's unit: results keep curves in single precision, which ends at 1e-38 and 3e38,
 and predicted curves need room on either side. What programs fill gaps with (1e30 to 1e38) lies outside."""
+LARGEST_ELEMENT = 1e15
+"""Of an element's value in its unit, and of its reciprocal: none of any kind is larger or smaller."""
 LOWEST_HZ, HIGHEST_HZ = 1e-12, 1e15
 """Frequencies: a period of thirty thousand years, and light. Powers of s as high as networks have stay finite."""
 

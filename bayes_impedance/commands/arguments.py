@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
-from bayes_impedance.commands.terminal import complain, tell
+from bayes_impedance.commands.terminal import tell
 from bayes_impedance.errors import InputError
 from bayes_impedance.runtime.user_table import number_in, shown
 from bayes_impedance.units import HIGHEST_HZ, LOWEST_HZ
@@ -27,7 +27,10 @@ LARGEST_DAMPING = 1e6
 
 
 def parser_of_commands() -> argparse.ArgumentParser:
-    """Parser of all commands; the name of the one given is `command` of what it returns."""
+    """Parser of all commands; the name of the one given is `command` of what it returns.
+
+    It raises :class:`InputError` where arguments cannot be used.
+    """
     parser = _Parser(
         prog="bayes-impedance",
         description="Population parameters of mechanical impedance networks, with honest uncertainty.",
@@ -230,12 +233,10 @@ def _number(**bounds: float) -> Callable[[str], float]:
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser, and those of its commands, that says what is wrong in one line."""
+    """A parser whose errors are told in one line, as those of all other input are."""
 
     def error(self, message: str) -> NoReturn:
-        """Say it and leave with status 2."""
-        complain(f"error: {' '.join(message.split())}; '{self.prog} --help' says what may be given")
-        self.exit(2)
+        raise InputError(f"{message}; see {self.prog} --help")
 
 
 class _Version(argparse.Action):

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from bayes_impedance.results.result import Result
 
 DONE, FAILED, BAD_INPUT = 0, 1, 2
-"""Exit status; argparse leaves with 2 as well if the arguments are wrong."""
+"""Exit status; arguments that are wrong are bad input."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -27,9 +27,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         0 done, 1 failed (or a result that must not be used), 2 bad input.
     """
-    options = parser_of_commands().parse_args(arguments)
     prepare_streams()
     try:
+        options = parser_of_commands().parse_args(arguments)
         return _JOBS[options.command](options)
     except InputError as error:
         complain(f"error: {error}")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from bayes_impedance.errors import InputError
 from bayes_impedance.runtime.output_folder import output_folder
 from bayes_impedance.runtime.user_table import number_in, shown
+from bayes_impedance.units import LARGEST_ELEMENT
 
 if TYPE_CHECKING:
     from bayes_impedance.design.loop.device import Device
@@ -25,8 +26,6 @@ FILES = {
 PICTURES = {"users": ("users",), "stability": ("stability", "worst_user", "transparency")}
 """What each product consists of: files, and names of pictures."""
 PRODUCTS = tuple(FILES)
-LARGEST_ASSUMED = 1e15
-"""Of an element's assumed value in its unit, and of its reciprocal: no element of any kind is larger or smaller."""
 _POINTS = 201
 """Logarithmic grid of exported curves: 67 to a decade of the paper's band."""
 
@@ -198,5 +197,5 @@ def assumed(texts: Sequence[str]) -> dict[str, float]:
             raise InputError(f"{what}: give an element and its value, such as n3=6.8e-7")
         if name in found:
             raise InputError(f"{what}: {shown(name)} has a value already; give one")
-        found[name] = number_in(value, f"{what}: the value", at_least=1 / LARGEST_ASSUMED, at_most=LARGEST_ASSUMED)
+        found[name] = number_in(value, f"{what}: the value", at_least=1 / LARGEST_ELEMENT, at_most=LARGEST_ELEMENT)
     return found

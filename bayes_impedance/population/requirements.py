@@ -75,7 +75,10 @@ def network_of(recordings: Recordings, network: Network | str | None) -> Network
     given = network if network is not None else recordings.network
     if given is None:
         raise InputError('no network: name one with --network, or write network = "..." into dataset.toml')
-    tree = parse(given) if isinstance(given, str) else given
+    try:
+        tree = parse(given) if isinstance(given, str) else given
+    except InputError as error:
+        raise InputError(f"dataset.toml of {recordings.title}: {error}" if network is None else str(error)) from None
     if len(tree.elements) > MOST_ELEMENTS:
         raise InputError(
             f"the network has {len(tree.elements)} elements, of which no recordings determine more than "

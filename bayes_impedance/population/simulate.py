@@ -26,7 +26,7 @@ from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import PAPER_NETWORK, parse
 from bayes_impedance.recordings.files import Recordings, Subject
 from bayes_impedance.runtime.user_table import UserTable, hint, number_in, shown, text_in
-from bayes_impedance.units import HIGHEST_HZ, LARGEST_IMPEDANCE, LOWEST_HZ, SMALLEST_IMPEDANCE
+from bayes_impedance.units import HIGHEST_HZ, LARGEST_ELEMENT, LARGEST_IMPEDANCE, LOWEST_HZ, SMALLEST_IMPEDANCE
 
 _PERSON_FORCE = 0.07
 _REPETITION_FORCE = 0.03
@@ -214,7 +214,7 @@ def _require_usable(population: VirtualPopulation) -> None:
     """Refuse a population of which no people can be drawn: element by element, in one sentence."""
     elements = parse(text_in(population.network, "a population's network")).elements
     for what, values, bounds in (
-        ("central value", population.central, {"above": 0.0}),
+        ("central value", population.central, {"at_least": 1 / LARGEST_ELEMENT, "at_most": LARGEST_ELEMENT}),
         ("dispersion between persons", population.between_persons, _DISPERSION),
         ("dispersion between repetitions", population.between_repetitions, _DISPERSION),
         ("force exponent", population.force_exponent, {"at_least": -LARGEST_DISPERSION, "at_most": LARGEST_DISPERSION}),

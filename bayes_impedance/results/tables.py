@@ -31,7 +31,7 @@ def elements_table(result: Result) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        One row for each element, whose name is the index. Columns unit and identified; then central,
+        One row for each element, whose name is the index. Columns unit, identified and marked; then central,
         between_persons and between_repetitions, each a posterior median followed by the ends of its 90 % interval
         (``_q05``, ``_q95``), NaN where there is no number. The central value is in the row's unit;
         ``attrs["units"]`` says so, and that dispersions are standard deviations of the natural logarithm.

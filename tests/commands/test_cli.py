@@ -280,7 +280,7 @@ def test_bad_input_gives_one_sentence_and_status_2(
         (["report", "{tmp}"], "result.nc: not found"),
         (["simulate", "-o", "{tmp}/s", "--population", "{tmp}/none.json"], "there is no such file"),
         (["simulate", "-o", "{tmp}/s", "--population", "{tmp}/text.json"], "cannot be read as JSON"),
-        (["simulate", "-o", "{tmp}/s", "--population", "{tmp}/empty.json"], "describes no population"),
+        (["simulate", "-o", "{tmp}/s", "--population", "{tmp}/empty.json"], 'key "elements" is missing'),
         (["simulate", "-o", "{tmp}/s", "--band", "10", "5"], "0 < low < high"),
     ],
 )

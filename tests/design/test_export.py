@@ -124,8 +124,8 @@ def test_a_device_of_ones_own(finished: Path, tmp_path: Path, capsys: pytest.Cap
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--share", "1.5"], "between 0 and 1"),
-        (["--damping", "-1"], "zero or more"),
+        (["--share", "1.5"], "above 0 and below 1"),
+        (["--damping", "-1"], "at least 0"),
         (["--assume", "n3"], "such as n3="),
         (["--assume", "n9=1"], "elements among n3"),
         (["--device", "none.toml"], "there is no such file"),

@@ -144,7 +144,7 @@ def _changed(path: tuple[str | int, ...], value: object) -> dict[str, object]:
         (("elements", "r1"), 3, "is 3, but must be a table"),
         (("elements", "r1", "centre"), 3, 'did you mean "central"'),
         (("elements", "r1", "central"), True, "central is true"),
-        (("elements", "r1", "central"), -1.0, "must be a finite number above 0"),
+        (("elements", "r1", "central"), -1.0, "must be a finite number at least"),
         (("elements", "r1", "central"), float("nan"), "is nan"),
         (("elements", "r1", "central"), 10**400, "integer of"),
         (("elements", "r1", "central"), {"q05": 1.0}, 'key "median" is missing'),

@@ -64,6 +64,8 @@ repetition for a drift): an error by a factor e says that the element is not det
 
 _SPARE_PERSONS = 3
 """Persons who must be left when each covariate has taken one: mean, and two degrees of freedom for the variance."""
+LARGEST_COVARIATE = 1e150
+"""Of a covariate that is not taken as its logarithm: squares must be finite, and so must be sums of them."""
 
 _COLLINEAR = 0.1
 """Smallest singular value of the standardised covariates, per root of the persons: below, a covariate is the others'
@@ -309,6 +311,8 @@ def regressors_of(covariates: Mapping[str, np.ndarray], remarks: list[str]) -> d
             remarks.append(f"covariate '{name}' is the same for everybody")
         elif known.min() > 0 and np.unique(known).size > 2 and not name.lower().endswith(_CELSIUS):
             found[name] = np.log(values), "log"
+        elif np.abs(known).max() > LARGEST_COVARIATE:
+            remarks.append(f"covariate '{name}' has a value of {known[np.argmax(np.abs(known))]:g}: correct it")
         else:
             found[name] = values, "linear"
         if name in found and known.size < values.size:
