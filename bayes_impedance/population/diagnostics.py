@@ -101,7 +101,7 @@ class Diagnostics:
         poor = int(np.sum(self.effective_draws < FEWEST_DRAWS_BELIEVED))
         if poor:
             found.append(
-                f"the likelihood of {poor} subject(s) rests on {self.effective_draws.min():.1f} draws or little more: "
+                f"the likelihood of {poor} subject(s) rests on {self.effective_draws.min():.1f} draws or so: "
                 "the recordings leave elements undetermined along more than one direction, or a subject is far from the "
                 "others; use a smaller network, a wider band, or leave the subject out"
             )
