@@ -62,8 +62,7 @@ _HALVINGS = 16
 """Of the interval in which a limit lies, a fifth wide in ln K: 3e-6 remains."""
 
 _DECIDED_POPULATIONS, _DECIDED_USERS = 100, 256
-"""Where all are decided one by one. By choice: it takes half a minute for a stiff device, minutes for one with a delay of
-many periods."""
+"""Where all are decided one by one. By choice: it takes half a minute, with a delay of many periods some minutes."""
 
 _ROUGHLY = 4
 """Halvings there: 1 % remains, less than so few users tell."""
