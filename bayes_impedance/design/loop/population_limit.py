@@ -62,7 +62,7 @@ _HALVINGS = 16
 """Of the interval in which a limit lies, a fifth wide in ln K: 3e-6 remains."""
 
 _DECIDED_POPULATIONS, _DECIDED_USERS = 100, 256
-"""Where all are decided one by one. By choice: it takes half a minute."""
+"""Where all are decided one by one. By choice: it takes half a minute, with a delay of many periods some minutes."""
 
 _ROUGHLY = 4
 """Halvings there: 1 % remains, less than so few users tell."""
@@ -120,6 +120,8 @@ def limits_of_populations(
     learnt = population.mu[rows] + np.einsum("spq,sq->sp", population.factor[rows], normals)
     known = limits(learnt)
     p = 1 - share
+    if not known.any():  # nobody is stable at any stiffness
+        return np.zeros(populations)
     if not np.all((known > 0) & (known < highest)):
         return decided()
 
