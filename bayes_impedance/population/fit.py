@@ -11,8 +11,8 @@ The route, each step of which is a module:
 5. :mod:`~bayes_impedance.mcmc.ensemble`: emcee over :mod:`~bayes_impedance.population.parameters`;
 6. everybody's own posterior, by resampling the draws with the weights that each sampled population gives them.
 
-First fits, every round of the point estimate and the chains are kept as they come, if there is a folder for them; when
-a killed run is resumed, draws are made anew from them, the same ones.
+First fits, every round of the point estimate and the chains are kept as they come, if there is a folder for them; a
+run that is resumed makes the same draws from them.
 """
 
 from __future__ import annotations
@@ -351,7 +351,9 @@ def network_of(recordings: Recordings, network: Network | str | None) -> Network
     return parse(given) if isinstance(given, str) else given
 
 
-def checked_model(recordings: Recordings, network: Network | str | None, settings: FitSettings) -> tuple[Kernel, np.ndarray]:
+def checked_model(
+    recordings: Recordings, network: Network | str | None, settings: FitSettings
+) -> tuple[Kernel, np.ndarray]:
     """The network's kernel and standardised covariates (N, Q); `InputError` if they do not fit the recordings."""
     kernel = Kernel(network_of(recordings, network))
     covariates = _standardised(recordings, settings.covariates)
