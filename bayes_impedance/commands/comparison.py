@@ -40,7 +40,7 @@ def compare_dataset(
     InputError
         If the input cannot be used, or the finished fit is of other recordings or another network.
     """
-    from bayes_impedance.plots import COMPARISON_PICTURES
+    from bayes_impedance.plots.comparison import COMPARISON_PICTURES
     from bayes_impedance.recordings.files import read_recordings
 
     recordings = selected(read_recordings(dataset), options).in_memory()

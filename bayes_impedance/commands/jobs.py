@@ -232,7 +232,7 @@ def diagnose_dataset(
 
     from bayes_impedance.diagnosis import diagnose
     from bayes_impedance.diagnosis.verdict_file import to_json
-    from bayes_impedance.plots import DIAGNOSIS_PICTURES
+    from bayes_impedance.plots.missing_physics import DIAGNOSIS_PICTURES
     from bayes_impedance.population.fit import checked_model
     from bayes_impedance.report.diagnosis_page import write_diagnosis_report
     from bayes_impedance.runtime.checkpoint import discard, require_own
