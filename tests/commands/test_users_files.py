@@ -15,7 +15,6 @@ from bayes_impedance.commands.arguments import parser_of_commands
 from bayes_impedance.commands.cli import main
 from bayes_impedance.commands.export import FILES, PICTURES
 from bayes_impedance.report.fit_tables import command
-from bayes_impedance.results.result import save_result
 from bayes_impedance.runtime.output_folder import MARK, made_by_us
 
 SIMULATE = ["--subjects", "2", "--points", "5"]
@@ -160,9 +159,8 @@ def test_a_selection_of_subjects_is_in_the_result(tiny: Path, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("product", FILES)
-def test_everything_that_export_writes_is_known_beforehand(product: str, tmp_path: Path) -> None:
-    save_result(make_result(subjects=12), tmp_path / "fit")
-    arguments = ["export", str(tmp_path / "fit"), "-o", str(tmp_path / "out"), "--what", product]
+def test_everything_that_export_writes_is_known_beforehand(product: str, tiny: Path, tmp_path: Path) -> None:
+    arguments = ["export", str(tiny / "out"), "-o", str(tmp_path / "out"), "--what", product]
     assert main([*arguments, "--users", "40", "--grid", "4"]) == 0
     pictures = {f"{name}.{kind}" for name in PICTURES.get(product, ()) for kind in ("svg", "png")}
     written = set(contents(tmp_path / "out")) - {MARK}
