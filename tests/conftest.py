@@ -62,3 +62,15 @@ def real_data() -> Path:
     if not folder:
         pytest.skip("BAYES_IMPEDANCE_REAL_DATA is not set: no real recordings here")
     return Path(folder)
+
+
+@pytest.fixture(scope="session")
+def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with a dataset, ``data``, and its finished fit, ``out``."""
+    from tiny_fits import fit_arguments, tiny_dataset
+
+    from bayes_impedance.commands.cli import main
+
+    folder = tmp_path_factory.mktemp("tiny")
+    assert main(fit_arguments(tiny_dataset(folder / "data"), folder / "out")) == 0
+    return folder

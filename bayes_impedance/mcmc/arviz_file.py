@@ -26,6 +26,8 @@ from bayes_impedance.runtime.atomic_files import write_bytes
 
 _SEAL = "content_sha256"
 """Attribute that tells a damaged file from a whole one."""
+_NETCDF_ATTRIBUTES = frozenset({"_NCProperties", "_nc3_strict", "_Netcdf4Dimid", "_Netcdf4Coordinates"})
+"""What netCDF adds to HDF5 for itself."""
 
 
 def _modern() -> bool:
@@ -144,19 +146,21 @@ def load_groups(file: Path) -> tuple[dict[str, dict[str, np.ndarray]], dict[str,
     InputError
         If the file is damaged, or was not written by :func:`save`.
     """
-    import h5netcdf
+    import h5py  # h5netcdf complains once more when it lets go of a damaged file
 
     groups: dict[str, dict[str, np.ndarray]] = {}
     coords: dict[str, Any] = {}
     content = io.BytesIO(file.read_bytes())
     try:
-        with h5netcdf.File(content, "r") as data:
-            attributes = {name: _plain(value) for name, value in data["posterior"].attrs.items()}
-            for group in data.groups:
+        with h5py.File(content, "r") as data:
+            attributes = {
+                name: _plain(value) for name, value in data["posterior"].attrs.items() if name not in _NETCDF_ATTRIBUTES
+            }
+            for group, variables in data.items():
                 groups[group] = {}
-                for name, variable in data[group].variables.items():
+                for name, variable in variables.items():
                     values = np.asarray(variable[...])
-                    if name in data[group].dimensions:
+                    if variable.is_scale:
                         coords[name] = [_plain(v) for v in values] if values.dtype.kind in "OSU" else values
                     else:
                         groups[group][name] = values
@@ -180,8 +184,10 @@ def _seal(
     for name in sorted(arrays):
         values = np.asarray(arrays[name], dtype=float)
         digest.update(f"{name} {values.shape}".encode() + values.tobytes())
-    for name in sorted(set(coords) - {"chain", "draw"}):
+    for name in sorted(coords):
         labels = [_plain(label) for label in np.asarray(coords[name]).tolist()]
+        if labels == list(range(len(labels))):  # ArviZ numbers an axis that was given no labels
+            continue
         digest.update(json.dumps([name, labels]).encode())
     return digest.hexdigest()
 
@@ -190,4 +196,8 @@ def _plain(value: Any) -> Any:
     """Text as str, numbers as Python's."""
     if isinstance(value, bytes):
         return value.decode()
+    if type(value).__name__ == "Empty":  # how HDF5 has a text without letters
+        return ""
+    if isinstance(value, np.ndarray) and value.size == 1:
+        return _plain(value.reshape(-1)[0])
     return value.item() if isinstance(value, np.generic) else value

@@ -11,8 +11,7 @@ The route, each step of which is a module:
 5. :mod:`~bayes_impedance.mcmc.ensemble`: emcee over :mod:`~bayes_impedance.population.parameters`;
 6. everybody's own posterior, by resampling the draws with the weights that each sampled population gives them.
 
-First fits, every round of the point estimate and the chains are kept as they come, if there is a folder for them; when
-a killed run is resumed, draws are made anew from them, the same ones.
+First fits, rounds of the point estimate and chains are kept as they come, if there is a folder for them.
 """
 
 from __future__ import annotations
@@ -51,7 +50,6 @@ IDENTIFIED_SD = 1.0
 """A central value is reported if its logarithm is known better than this in the end: within a factor e."""
 
 _POINT_ESTIMATE = "point_estimate.npz"
-
 _MOST_NUMBERS, _FEWEST_SETS = 30_000_000, 100
 """Numbers that describe persons in a result, a quarter of a gigabyte; sets of each ensemble that are kept at least."""
 

@@ -127,7 +127,8 @@ def save_arrays(file: Path, arrays: Mapping[str, Any]) -> None:
     """Write named arrays with their seal; what is there is replaced."""
     content = {name: np.asarray(values) for name, values in arrays.items()}
     buffer = io.BytesIO()  # a full disk must not meet a half-written archive
-    np.savez(buffer, **content, **{_SEAL: np.array(seal_of(file.parent, content))})
+    sealed: dict[str, Any] = {**content, _SEAL: np.array(seal_of(file.parent, content))}
+    np.savez(buffer, **sealed)
     write_bytes(file, buffer.getvalue())
 
 

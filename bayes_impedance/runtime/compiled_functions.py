@@ -22,9 +22,10 @@ from functools import cache
 from typing import Any
 
 import numba
-from numba.core.caching import IndexDataCacheFile
+from numba.core import caching, config
 
 _DIGEST_BYTES = hashlib.sha256().digest_size
+_CacheFile: Any = caching.IndexDataCacheFile  # numba's types are not annotated
 _FOLDER = "NUMBA_CACHE_DIR"
 
 
@@ -45,7 +46,7 @@ def kept_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
                 return numba.njit(**options)(function)
             dispatcher = numba.njit(cache=True, **options)(function)
         files = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
-        if isinstance(files, IndexDataCacheFile):
+        if isinstance(files, _CacheFile):
             files.__class__ = _Sealed
         return dispatcher
 
@@ -71,11 +72,12 @@ def _temporary_cache() -> str | None:
         "folder with %s",
         _FOLDER,
     )
-    os.environ[_FOLDER] = numba.config.CACHE_DIR = folder
+    os.environ[_FOLDER] = folder
+    setattr(config, "CACHE_DIR", folder)  # noqa: B010  (made at import)
     return folder
 
 
-class _Sealed(IndexDataCacheFile):  # type: ignore[misc]
+class _Sealed(_CacheFile):  # type: ignore[misc]
     """Files of numba's cache that end with a digest of what stands before it."""
 
     def save(self, key: Any, data: Any) -> None:

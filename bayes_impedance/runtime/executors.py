@@ -101,11 +101,13 @@ def executor_of(threads: int = 2, processes: int | None = None, scheduler: str |
 
 async def _require_scheduler(address: str) -> None:
     """Ask who is there: a client of Dask waits much longer than it is told for a program that is no scheduler."""
-    from distributed.comm import connect
+    from distributed.comm.core import connect
     from distributed.security import Security
 
     arguments = Security().get_connection_args("client")  # type: ignore[no-untyped-call]
-    comm: Any = await connect(address, timeout=_SCHEDULER_SECONDS, **arguments)
+    comm: Any = await connect(  # type: ignore[no-untyped-call]
+        address, timeout=_SCHEDULER_SECONDS, **arguments
+    )
     try:
         await comm.write({"op": "identity", "reply": True})
         answer = await comm.read()
