@@ -1,4 +1,4 @@
-"""What is printed of populations in which something is wrong: does it cover, or does it carry a mark?
+"""Whether what is printed of populations in which something is wrong covers, or carries a mark.
 
 Run from the repository's root::
 

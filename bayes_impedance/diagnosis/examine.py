@@ -6,16 +6,19 @@ is found, the sentence says so and points to ``diagnose``.
 
 **Which numbers it spoils.** Every effect that the screening holds for significant is added to the network and the
 population refitted for a few rounds. An element whose centre moves by more than the half width of its own 90 % interval
-depends on whether that effect is there, and carries a mark. Where structure is significant and no effect explains it,
-or people are not of one normal population, all elements carry one.
+depends on whether that effect is there, and carries a mark. Where structure is significant and no effect explains it
+down to the noise, or people are not of one normal population, all elements carry one.
 
-**Outliers.** With :math:`\hat\theta_i` everybody's posterior mean, m their mean and S their covariance,
+**Outliers.** Under one normal population a person's posterior mean strays from the population's by
+:math:`T - C_i`, with T the covariance between people and :math:`C_i` that of the person's posterior: little in
+directions that the person's recordings do not determine. With :math:`\lambda` and w the eigenvalues and eigenvectors of
+:math:`T^{-1/2}(T - C_i)T^{-1/2}`, of the k directions that are determined by more than half,
 
-.. math:: \frac{N}{(N-1)^2}\,(\hat\theta_i - m)^T S^{-1} (\hat\theta_i - m)
-          \sim \operatorname{Beta}\left(\tfrac{P}{2}, \tfrac{N - P - 1}{2}\right)
+.. math:: d_i^2 = \sum_k \frac{\left(w_k^T\,T^{-1/2}(\hat\theta_i - \mu)\right)^2}{\lambda_k}, \qquad
+          \frac{N}{(N-1)^2}\,d_i^2 \sim \operatorname{Beta}\left(\tfrac{k}{2}, \tfrac{N - k - 1}{2}\right),
 
-for people from one normal population (Gnanadesikan and Kettenring, Biometrics 28, 81-124, 1972), so that one person far
-away does not hide behind the spread that this person makes.
+so that one person far away does not hide behind the spread that this person makes (Gnanadesikan and Kettenring,
+Biometrics 28, 81-124, 1972).
 """
 
 from __future__ import annotations
@@ -46,10 +49,14 @@ from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.population.fit import PopulationFit
 from bayes_impedance.results.adequacy import Adequacy
 from bayes_impedance.results.curve_errors import relative_rms
+from bayes_impedance.results.misfit import MISFIT_SCALE, MISFIT_SHARE
 from bayes_impedance.runtime.executors import executor_of
 
 _OUTLIER_ALPHA = 0.002
 """Corrected level of the test of each person: it is one of five, and good populations may be marked in 2 % of cases."""
+
+_DETERMINED = 0.5
+"""Part of the spread between people that a person's recordings resolve in a direction that is tested."""
 
 _MOST_EXAMINED = 200
 """People, evenly spread over all, in whose residuals structure is looked for: they show whatever spoils the numbers of
@@ -149,7 +156,7 @@ def _consequences(
     screening, bent, gains = step.screening, dict[str, float](), dict[str, float]()
     order = [*best_shapes(screening), *best_shapes(screening, by_spread=True)]
     p_size = screening.log_p(np.nan_to_num(screening.z))
-    tried = set[str]()
+    tried, explained = set[str](), False
     known = {name for name, seen in zip(fit.kernel.elements, fit.identified, strict=True) if seen}
     half = 0.5 * np.subtract(*np.quantile(fit.parameters.mu, (0.95, 0.05), axis=0))
     for k in order:
@@ -163,12 +170,13 @@ def _consequences(
         if not (trial.physical and trial.gain > LEAST_GAIN):
             continue
         gains[candidate.effect.id] = trial.gain
+        explained = explained or float(np.mean(trial.fit.weight**-0.5 > MISFIT_SCALE)) <= MISFIT_SHARE
         e = base.model.n_elements
         change = trial.fit.persons[:, :e].mean(axis=0) - base.persons[:, :e].mean(axis=0)
         for name, moved, width in zip(base.model.network.elements, change, half, strict=True):
             if not abs(moved) <= width and name in known:
                 bent[name] = max(abs(float(moved)), bent.get(name, 0.0))
-    return bent, sorted(gains, key=lambda name: -gains[name])
+    return bent if explained else _all(fit) | bent, sorted(gains, key=lambda name: -gains[name])
 
 
 def _missing(fit: PopulationFit, p: float, bent: dict[str, float]) -> str:
@@ -199,13 +207,22 @@ def _two_groups(group: Subgroup) -> str:
 
 def _outliers(fit: PopulationFit) -> list[str]:
     seen = np.flatnonzero(fit.identified)
-    persons = fit.person_draws.mean(axis=(0, 1))[:, seen]
-    n = len(persons)
+    n = len(fit.recordings.subjects)
     if n < seen.size + 3 or not seen.size:
         return []
-    offset = persons - persons.mean(axis=0)
-    distance = np.einsum("np,np->n", offset, np.linalg.lstsq(offset.T @ offset / (n - 1), offset.T, rcond=None)[0].T)
-    p = n * beta.sf(np.minimum(distance * n / (n - 1) ** 2, 1.0), seen.size / 2, (n - seen.size - 1) / 2)
+    draws = fit.person_draws.reshape(-1, n, fit.person_draws.shape[-1])[:, :, seen]
+    between = fit.parameters.covariance.mean(axis=0)[np.ix_(seen, seen)]
+    values, vectors = np.linalg.eigh(between)
+    root = (vectors / np.sqrt(values)) @ vectors.T
+    scaled = (draws - fit.parameters.mu.mean(axis=0)[seen]) @ root
+    p = np.ones(n)
+    for i in range(n):
+        share, direction = np.linalg.eigh(np.eye(seen.size) - np.cov(scaled[:, i].T).reshape(2 * (seen.size,)))
+        known = share > _DETERMINED
+        k = int(known.sum())
+        if k:
+            square = float(np.sum((scaled[:, i].mean(axis=0) @ direction[:, known]) ** 2 / share[known]))
+            p[i] = n * beta.sf(min(square * n / (n - 1) ** 2, 1.0), k / 2, (n - k - 1) / 2)
     far = np.flatnonzero(p < _OUTLIER_ALPHA)
     if not far.size:
         return []

@@ -102,8 +102,8 @@ class Diagnostics:
         if poor:
             found.append(
                 f"the likelihood of {poor} subject(s) rests on {self.effective_draws.min():.1f} draws or so: "
-                "the recordings leave elements undetermined along more than one direction, or a subject is far from the "
-                "others; use a smaller network, a wider band, or leave the subject out"
+                "the recordings leave elements undetermined along more than one direction, or a subject is far from "
+                "the others; use a smaller network, a wider band, or leave the subject out"
             )
         if self.unconverged:
             some = ", ".join(self.unconverged[:5])

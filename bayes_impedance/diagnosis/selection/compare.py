@@ -57,8 +57,9 @@ _GRID = np.linspace(-4.0, 4.0, 65)
 """Of the logarithm of a dispersion, in standard deviations of its prior. Steps of 9 % resolve what 100 people say of a
 dispersion, about 7 %; beyond four standard deviations lies 6e-5 of the prior."""
 
-_SWEEPS = 2
-"""Over the dispersions, each with the others at their maxima: a third changes the integral by less than 0.1."""
+_SWEEPS = 3
+"""Over the dispersions, each with the others at their maxima. In 248 integrals of 46 concealed populations the third
+sweep changed 2 % by more than 0.1 (at most by 1.2), a fourth none by more than 0.06."""
 
 
 _known: WeakKeyDictionary[Refit, float] = WeakKeyDictionary()

@@ -22,10 +22,11 @@ from bayes_impedance.diagnosis.selection.compare import FEWEST_TO_VARY, LEAST_GA
 from bayes_impedance.diagnosis.selection.shortlist import Trial
 
 MOST = 4
-"""Explanations that are brought to rest: each costs as much as all first refits together."""
+"""Explanations that are brought to rest: each costs as much as all first refits together. In 31 steps with concealed
+effects the best at rest was among the first three of the first refits, and the first in 25."""
 
 _SHARE = 0.6
-"""An explanation with less of the best one's gain has never overtaken it in the concealed cases."""
+"""Of the best one's gain that an explanation must have. In those 31 steps none overtook it from below 0.92."""
 
 _EQUAL = 1.0
 """Differences of log evidence that rounding and the end of an iteration make; the catalogue's order decides then."""
@@ -34,7 +35,7 @@ _RIVAL = 10.0
 """A rival that is further behind the leader before both are at rest is not worth more refits."""
 
 _ROUNDS = 40
-"""Of a refit that begins where another place has ended: enough to rest in all but one in a hundred."""
+"""Of a refit that begins where another place has ended: 11 of 12 came to rest."""
 
 
 def finalists(

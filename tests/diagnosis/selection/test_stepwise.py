@@ -116,11 +116,6 @@ def test_the_coefficient_is_what_was_concealed(concealed: str, seed: int, truth:
     assert mass.std() < 0.15 * truth
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="The spread of coefficients over people is not corrected for what was added before, though the common "
-    "coefficient is: a candidate that is nearly collinear with an addition seems to vary (log p of -25000).",
-)
 def test_with_the_right_addition_no_other_coefficient_seems_to_vary() -> None:
     result = found(("shared mass",), 1, 24, ("rig.mass", "body.line"))
     assert named(result) == {("rig.mass", "port", "shared")}
