@@ -120,7 +120,7 @@ def _diagnose(options: argparse.Namespace) -> int:
     for remark in verdict.remarks:
         tell(f"note: {remark}")
     if not verdict.reliable:
-        tell("NOT RELIABLE: the fit did not come to rest")
+        tell(f"NOT RELIABLE: {verdict.shortcomings[0] if verdict.shortcomings else 'the fit did not come to rest'}")
     tell()
     tell(f"{verdict.summary}")
     tell()

@@ -18,7 +18,7 @@ CHECKPOINT_FOLDER, PICTURE_FOLDER = "checkpoint", "pictures"
 DIAGNOSIS_CHECKPOINT_FOLDER = "diagnosis_checkpoint"
 REPORT_FILE, DIAGNOSIS_FILE, VERDICT_FILE = "report.html", "diagnosis.html", "verdict.json"
 PICTURE_KINDS = ("svg", "png")
-FIT_FILES = ("result.nc", "summary.json")
+FIT_FILES = ("result.nc", "summary.json", "seconds.json")
 
 
 @contextmanager

@@ -148,6 +148,7 @@ def _verdict(record: Mapping[str, Any]) -> Verdict:
         version=record["version"],
         joint=None if joint is None else Joint(tuple(joint["parameters"]), tuple(map(tuple, joint["correlation"]))),
         parameters_differ=None if differ is None else tuple(ParameterDifference(**row) for row in differ),
+        shortcomings=tuple(record.get("shortcomings", ())),
     )
 
 

@@ -342,7 +342,7 @@ class Verdict:
     title, unit : str
         Of the recordings.
     reliable : bool
-        Whether the network's fit came to rest.
+        Whether the network's fit came to rest, and what was found describes recordings of different people at all.
     remarks : tuple of str
     version : str
         Of this package.
@@ -350,6 +350,8 @@ class Verdict:
         None unless several effects of the catalogue were found.
     parameters_differ : tuple of ParameterDifference or None
         What differs significantly from a claimed simulation; None without one.
+    shortcomings : tuple of str
+        What is left that is large in absolute terms, whatever explanations were compared; the gravest first.
     """
 
     summary: str
@@ -370,6 +372,7 @@ class Verdict:
     version: str
     joint: Joint | None = None
     parameters_differ: tuple[ParameterDifference, ...] | None = None
+    shortcomings: tuple[str, ...] = ()
 
     @property
     def mismatch(self) -> bool:

@@ -27,7 +27,8 @@ from bayes_impedance.runtime.atomic_files import read_json, write_json
 if TYPE_CHECKING:
     import pandas as pd
 
-RESULT_FILE, SUMMARY_FILE = "result.nc", "summary.json"
+RESULT_FILE, SUMMARY_FILE, SECONDS_FILE = "result.nc", "summary.json", "seconds.json"
+"""Times stand in a file of their own, so that the same seed and data give the same bytes in the others."""
 
 _PACKAGES = ("bayes_impedance", "numpy", "scipy", "numba", "emcee", "arviz", "xarray", "pandas")
 
@@ -134,7 +135,7 @@ def make_result(
     fit : PopulationFit
     predictive : Predictive
     seconds : mapping
-        Time of each step; part of the summary only, so that equal runs give equal netCDF files.
+        Time of each step; in a file of its own, so that equal runs give equal bytes in the others.
     selected : sequence of str
         The subjects that were asked for by name; empty if all were taken.
     adequacy : Adequacy, optional
@@ -246,7 +247,7 @@ def _versions() -> dict[str, str]:
 
 
 def save_result(result: Result, folder: Path) -> None:
-    """Write ``result.nc`` and ``summary.json`` into a folder, each complete or not at all."""
+    """Write ``result.nc``, ``summary.json`` and ``seconds.json`` into a folder, each complete or not at all."""
     from bayes_impedance.mcmc.arviz_file import save
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -254,7 +255,8 @@ def save_result(result: Result, folder: Path) -> None:
     dims = {name: axes for name, axes in DIMS.items() if name in present}
     attributes = result.attributes | {"summary": without_seconds(result.summary)}
     save(folder / RESULT_FILE, result.groups, dims, result.coords, attributes)
-    write_json(folder / SUMMARY_FILE, result.summary)
+    write_json(folder / SECONDS_FILE, result.summary.get("seconds", {}))
+    write_json(folder / SUMMARY_FILE, {name: value for name, value in result.summary.items() if name != "seconds"})
 
 
 def load_result(folder: Path) -> Result:
@@ -276,7 +278,9 @@ def load_result(folder: Path) -> Result:
     if without_seconds(summary) != attributes.get("summary"):
         fits = "are of different fits" if _is_of_other_fit(summary, attributes) else "do not agree: one was changed"
         raise InputError(f"{folder}: {RESULT_FILE} and {SUMMARY_FILE} {fits}; fit the recordings again, or take a copy")
-    return Result(summary, groups, coords, attributes)
+    times = folder / SECONDS_FILE
+    seconds = read_json(times, "delete it, or fit the recordings again") if times.is_file() else {}
+    return Result(summary | {"seconds": seconds}, groups, coords, attributes)
 
 
 def _is_of_other_fit(summary: Mapping[str, Any], attributes: Mapping[str, Any]) -> bool:

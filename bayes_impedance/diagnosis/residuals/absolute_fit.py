@@ -76,7 +76,8 @@ def badly_described(names: Sequence[str], noise_scale: np.ndarray) -> list[str]:
     noise_scale : ndarray, shape (N,)
         Ratio of everybody's residuals to the estimated noise.
     """
-    poor = np.flatnonzero((noise_scale > GROSS_NOISE * np.median(noise_scale)) & (noise_scale > GROSS_NOISE))
+    usual = np.sort(noise_scale)[(noise_scale.size - 1) // 2]  # of two people, that of the better one
+    poor = np.flatnonzero((noise_scale > GROSS_NOISE * usual) & (noise_scale > GROSS_NOISE))
     if not poor.size or poor.size > 0.5 * noise_scale.size:
         return []
     who = _some([names[int(i)] for i in poor])

@@ -18,8 +18,15 @@ def sentence(verdict: Verdict, people: int) -> str:
     people : int
         Number of those who were measured.
     """
+    if not verdict.reliable and verdict.shortcomings:
+        return f"Nothing can be concluded: {_clause_of(verdict.shortcomings[0])}"
     if not verdict.mismatch and not verdict.reliable:
         return "Whether anything is missing cannot be said: the fit of the network did not come to rest."
+    if not verdict.mismatch and verdict.shortcomings:
+        return (
+            "Nothing was found that all people have and the network lacks, but it does not describe everybody: "
+            f"{_clause_of(verdict.shortcomings[0])}"
+        )
     if not verdict.mismatch:
         return (
             f"Nothing is missing: the network describes the recordings of {_people(people)} to within their noise, "
@@ -35,7 +42,14 @@ def sentence(verdict: Verdict, people: int) -> str:
     if undecided:
         names = list(dict.fromkeys(f"{alias.name} at {alias.place}" for alias in undecided))
         text += f". These recordings cannot tell it from {_listed(names[:3], 'or')}"
+    if verdict.shortcomings:
+        text += f". Even so, {_clause_of(verdict.shortcomings[0])[:-1]}"
     return text + "."
+
+
+def _clause_of(sentence: str) -> str:
+    """A sentence as the end of another."""
+    return sentence[0].lower() + sentence[1:].rstrip(".") + "."
 
 
 def _clause(entry: Physics) -> str:

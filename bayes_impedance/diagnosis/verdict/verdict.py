@@ -15,6 +15,7 @@ from bayes_impedance.diagnosis.folds import FOLDS
 from bayes_impedance.diagnosis.heterogeneity.gain import HELD_OUT
 from bayes_impedance.diagnosis.heterogeneity.tests import Structure
 from bayes_impedance.diagnosis.hum.line import Hum
+from bayes_impedance.diagnosis.residuals.absolute_fit import badly_described, copies, far_off
 from bayes_impedance.diagnosis.residuals.locate import Location
 from bayes_impedance.diagnosis.selection.cross_validation import HeldOut
 from bayes_impedance.diagnosis.selection.identifiability import felt
@@ -36,6 +37,7 @@ from bayes_impedance.diagnosis.verdict_types import (
     Where,
 )
 from bayes_impedance.recordings.files import Recordings
+from bayes_impedance.results.curve_errors import relative_rms
 
 _LINE_WIDTH = 0.01
 """A band of hum reaches at least so far around its point, relative: on a dense grid it would have no width."""
@@ -191,6 +193,7 @@ def make_verdict(recordings: Recordings, fitted: Fitted, evidence: Evidence, see
     limits, hidden = detection_limits(found.base.model, found.steps[0].screening)
     effects = [entry for entry in physics if entry.kind == "effect"]
     differences = evidence.differences
+    gross, partial = _shortcomings(recordings, evidence.final)
     verdict = Verdict(
         summary="",
         where=_where(evidence, physics),
@@ -207,15 +210,27 @@ def make_verdict(recordings: Recordings, fitted: Fitted, evidence: Evidence, see
         data_sha256=recordings.sha256,
         title=recordings.title,
         unit=recordings.unit,
-        reliable=bool(found.base.settled),
-        remarks=(*fitted.remarks, *evidence.remarks, *_limits_of_few(recordings)),
+        reliable=bool(found.base.settled) and not gross,
+        remarks=(*gross, *partial, *fitted.remarks, *evidence.remarks, *_limits_of_few(recordings)),
         version=version("bayes_impedance"),
         joint=joint_of(found) if len(effects) > 1 else None,
         parameters_differ=None
         if differences is None
         else tuple(d for d in differences if d.p_value < _SIGNIFICANT_DIFFERENCE),
+        shortcomings=(*gross, *partial),
     )
     return replace(verdict, summary=sentence(verdict, len(recordings.subjects)))
+
+
+def _shortcomings(recordings: Recordings, final: Refit) -> tuple[list[str], list[str]]:
+    """What is wrong in absolute terms with the model that was found: for all people, and for some."""
+    scale = final.weight**-0.5
+    error = []
+    for i, s in enumerate(recordings.subjects):
+        model = final.model.kernel.impedance(final.u[final.owner == i], s.frequency_hz)
+        error.append(float(relative_rms(model.mean(axis=0), s.mean)))
+    gross = [*copies(recordings), *far_off(np.array(error), scale)]
+    return gross, badly_described(recordings.names, scale)
 
 
 def _physics(recordings: Recordings, evidence: Evidence) -> tuple[Physics, ...]:
