@@ -189,6 +189,9 @@ def _export_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--grid", type=_whole(MOST_GAINS, at_least=2), default=40, metavar="N", help="gains on each axis (default: 40)"
     )
+    parser.add_argument(
+        "--unreliable", action="store_true", help="export a fit that must not be used; every file carries the warning"
+    )
     parser.add_argument("--no-pictures", dest="pictures", action="store_false", help="tables only")
     parser.add_argument(
         "--seed",

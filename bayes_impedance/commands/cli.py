@@ -160,6 +160,7 @@ def _export(options: argparse.Namespace) -> int:
         pictures=options.pictures,
         workers=options.workers,
         overwrite=options.overwrite,
+        unreliable=options.unreliable,
     )
     with Bars() as bars:
         files, answer = export_result(options.result, options.out, chosen, bars)

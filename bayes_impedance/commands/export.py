@@ -58,6 +58,8 @@ class ExportOptions:
         Threads.
     overwrite : bool
         Replace files of these names that this package has not made.
+    unreliable : bool
+        Export a fit that must not be used; every file says so.
     """
 
     what: tuple[str, ...] = PRODUCTS
@@ -73,6 +75,7 @@ class ExportOptions:
     pictures: bool = True
     workers: int = 2
     overwrite: bool = False
+    unreliable: bool = False
 
 
 def export_result(result: Path, out: Path, options: ExportOptions, progress: Progress) -> tuple[list[Path], str | None]:
@@ -128,11 +131,11 @@ def _written(
     import numpy as np
 
     from bayes_impedance.design.answer import design_answer
-    from bayes_impedance.design.files import write_spice, write_stability, write_transfer, write_users
+    from bayes_impedance.design.files import warned, write_spice, write_stability, write_transfer, write_users
     from bayes_impedance.design.representatives import representatives
     from bayes_impedance.design.users import population_of
 
-    population = population_of(fit, options.assume)
+    population = population_of(fit, options.assume, options.unreliable)
     if "stability" in options.what and population.unit != "N s/m":
         raise InputError(f"{result}: the impedance is in {population.unit}; a device needs one in N s/m")
     frequency = np.asarray(fit.coords["frequency_hz"], dtype=float)
@@ -163,6 +166,9 @@ def _written(
             progress=progress,
         )
         files += write_stability(out, answer)
+    warnings = [*fit.problems, *fit.summary["adequacy"]["misfit"]]
+    if warnings:
+        files = [warned(file, warnings) for file in files]
     if options.pictures:
         from bayes_impedance.plots import save_figure, style
         from bayes_impedance.plots.design import felt, stability, users_band, worst_user

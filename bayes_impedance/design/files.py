@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -166,6 +168,34 @@ def write_stability(folder: Path, answer: DesignAnswer) -> list[Path]:
         felt_by = _over_frequency(felt.frequency_hz, np.column_stack([ratio.T, error.T]), names)
         files.append(write_text(folder / "transparency.csv", _csv(felt_by)))
     return files
+
+
+_COMMENT = {".lib": "* ", ".cir": "* ", ".csv": "# "}
+"""How a line of such a file is marked as a comment; other text files have none."""
+
+
+def warned(file: Path, warnings: Sequence[str]) -> Path:
+    """Write warnings into a file of design inputs, where its readers and people see them.
+
+    Parameters
+    ----------
+    file : Path
+        Complete.
+    warnings : sequence of str
+        Why its numbers must be used with care or not at all.
+
+    Returns
+    -------
+    Path
+        The file.
+    """
+    text = file.read_text(encoding="utf-8")
+    if file.suffix == ".json":
+        return write_json(file, {"warnings": list(warnings)} | json.loads(text), indent=1)
+    told = "".join(f"{_COMMENT.get(file.suffix, '')}WARNING: {warning}\n" for warning in warnings)
+    # The first line of a deck is its title, whatever stands there.
+    title, rest = text.split("\n", 1) if file.suffix == ".cir" else ("", text)
+    return write_text(file, f"{title}\n{told}{rest}" if title else told + rest)
 
 
 def _over_frequency(frequency_hz: np.ndarray, values: np.ndarray, names: list[str]) -> pd.DataFrame:

@@ -206,7 +206,9 @@ class UserPopulation:
         return np.asarray(-0.5 * np.sum(white**2, axis=0) - np.sum(np.log(np.diag(factor))))
 
 
-def population_of(result: Result, assume: Mapping[str, float] | None = None) -> UserPopulation:
+def population_of(
+    result: Result, assume: Mapping[str, float] | None = None, unreliable: bool = False
+) -> UserPopulation:
     """The population that a finished fit describes.
 
     Parameters
@@ -214,14 +216,19 @@ def population_of(result: Result, assume: Mapping[str, float] | None = None) -> 
     result : Result
     assume : mapping of str to float, optional
         Values for elements that the recordings do not determine, in their units.
+    unreliable : bool
+        Take a fit that must not be used; what is made of it must say so.
 
     Raises
     ------
     InputError
         If the fit must not be used, is of one person, or leaves an element without a value.
     """
-    if result.problems:
-        raise InputError(f"the fit is not reliable ({result.problems[0]}); design with a fit that is")
+    if result.problems and not unreliable:
+        raise InputError(
+            f"the fit is not reliable ({result.problems[0]}); design with a fit that is, or say --unreliable: every "
+            "file then carries the warning"
+        )
     posterior = result.groups["posterior"]
     if "dispersion_between_persons" not in posterior:
         raise InputError("the fit is of one subject: there is no population to draw users from; fit more recordings")
@@ -249,7 +256,10 @@ def population_of(result: Result, assume: Mapping[str, float] | None = None) -> 
         mu[:, i], rho[:, i] = np.log(value), 0.0
         covariance[:, i, :] = covariance[:, :, i] = 0.0
         covariance[:, i, i] = 1.0  # for the factorisation only
-    factor = np.linalg.cholesky(covariance)
+    try:
+        factor = np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError:
+        raise InputError("the fit's elements have a covariance that is not positive definite: fit again") from None
     for name in assume:
         factor[:, network.elements.index(name), :] = 0.0
     return UserPopulation(

@@ -40,7 +40,7 @@ def far_off(error: np.ndarray, noise_scale: np.ndarray) -> list[str]:
     noise_scale : ndarray, shape (N,)
         Ratio of everybody's residuals to the estimated noise.
     """
-    middle, factor = float(np.median(error)), float(np.median(noise_scale))
+    middle, factor = _usual(error), _usual(noise_scale)
     if middle < GROSS_ERROR or factor < GROSS_NOISE:
         return []
     return [
@@ -76,8 +76,7 @@ def badly_described(names: Sequence[str], noise_scale: np.ndarray) -> list[str]:
     noise_scale : ndarray, shape (N,)
         Ratio of everybody's residuals to the estimated noise.
     """
-    usual = np.sort(noise_scale)[(noise_scale.size - 1) // 2]  # of two people, that of the better one
-    poor = np.flatnonzero((noise_scale > GROSS_NOISE * usual) & (noise_scale > GROSS_NOISE))
+    poor = np.flatnonzero((noise_scale > GROSS_NOISE * _usual(noise_scale)) & (noise_scale > GROSS_NOISE))
     if not poor.size or poor.size > 0.5 * noise_scale.size:
         return []
     who = _some([names[int(i)] for i in poor])
@@ -86,6 +85,11 @@ def badly_described(names: Sequence[str], noise_scale: np.ndarray) -> list[str]:
         f"({who}; residuals up to {float(noise_scale[poor].max()):.2g} times the noise): "
         "check their recordings, or leave them out."
     ]
+
+
+def _usual(values: np.ndarray) -> float:
+    """The median; of two people, that of the better one."""
+    return float(np.sort(values)[(values.size - 1) // 2])
 
 
 def _some(names: Sequence[str]) -> str:
