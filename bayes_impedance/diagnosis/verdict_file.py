@@ -70,7 +70,7 @@ def to_json(verdict: Verdict) -> dict[str, Any]:
     named = {field.name: getattr(verdict, field.name) for field in fields(verdict)}
     record: dict[str, Any] = {"schema": SCHEMA, "mismatch": verdict.mismatch}
     for name, value in named.items():
-        if name in ("joint", "parameters_differ") and value is None:
+        if (name in ("joint", "parameters_differ") and value is None) or (name == "shortcomings" and not value):
             continue
         record[name] = _plain(value)
         if name == "network":

@@ -9,7 +9,7 @@ from results_by_hand import make_result
 def test_elements_are_those_of_the_summary() -> None:
     result = make_result(subjects=6, unidentified=("n1",))
     table = result.elements_table()
-    assert table.shape == (5, 11)
+    assert table.shape == (5, 12)
     assert table.index.name == "element"
     assert list(table.index) == result.elements
     told = result.summary["elements"]["r3"]
