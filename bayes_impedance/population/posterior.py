@@ -24,9 +24,11 @@ from bayes_impedance.runtime.progress import Progress
 VARIANCE_WANTED = 0.25
 """Monte-Carlo variance of the log likelihood (a noise of half a unit) below which draws are enough; a quarter of what
 is refused (:data:`bayes_impedance.population.diagnostics.VARIANCE_LIMIT`)."""
-FEWEST_DRAWS = 30.0
-"""Effective draws of each person that a likelihood must rest on: with them its Monte-Carlo error is 18 %, and the
-estimate of that error can be believed. With one or two, a population is preferred for where draws happen to lie."""
+FEWEST_DRAWS, RARELY = 50.0, 0.05
+"""Effective draws that a person's likelihood must rest on in all but one of twenty cases, of the persons and of the
+populations near the posterior. With 50 its Monte-Carlo error is 14 %, and the estimate of that error can be believed.
+Measured: where draws missed parts of curved posteriors, and central values were up to 4 standard deviations off an
+independent integration, the number was 2 to 46; where they held, 119 and more."""
 _MORE_DRAWS = (1, 4, 8, 8)
 """How many times the draws of the settings are made, attempt by attempt: variance falls as one over the number, and the
 reference has moved to the posterior between attempts. Where draws hold, the first or the second attempt is the last."""
@@ -172,7 +174,7 @@ class Posterior:
             populations = self.coordinates.unpack(nearby)
             variance = float(np.mean(self.marginal.variance(populations)))
             calm = noise_within(variance, n_persons, mode.size) < VARIANCE_WANTED
-            holds = bool(self.marginal.effective(populations).min() >= FEWEST_DRAWS)
+            holds = bool(np.quantile(self.marginal.effective(populations), RARELY) >= FEWEST_DRAWS)
             if (calm and holds) or redrawn == len(rounds) - 1:
                 return
             if not holds:

@@ -142,8 +142,8 @@ class KeptDraws:
         return np.asarray(np.sum(self._kept.ask(_variance, parameters), axis=0))
 
     def effective(self, parameters: PopulationParameters) -> np.ndarray:
-        """Everybody's smallest effective number of draws under W sets, shape (N,)."""
-        return np.concatenate(self._kept.ask(_effective, parameters))
+        """Everybody's effective number of draws under W sets, shape (W, N)."""
+        return np.concatenate(self._kept.ask(_effective, parameters), axis=1)
 
     def pareto_k(self, parameters: PopulationParameters) -> np.ndarray:
         """Tail of everybody's weights under the first set, shape (N,)."""
@@ -237,7 +237,7 @@ def _variance(part: Part, parameters: PopulationParameters) -> np.ndarray:
 
 
 def _effective(part: Part, parameters: PopulationParameters) -> np.ndarray:
-    return np.asarray(part.marginal.terms(parameters, effective=True)[1].min(axis=0))
+    return np.asarray(part.marginal.terms(parameters, effective=True)[1])
 
 
 def _pareto_k(part: Part, parameters: PopulationParameters) -> np.ndarray:

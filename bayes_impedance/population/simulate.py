@@ -342,21 +342,15 @@ def population_from(described: Mapping[str, Any], where: str) -> VirtualPopulati
     }
     central = {name: _middle(row, "central") for name, row in rows.items()}
     unknown = [name for name, value in central.items() if value is None]
-    network, correlation = table.text("network"), _correlations(table["correlation"], where)
-    known = set(parse(network).elements)
-    if known != set(central) or any(not {a, b} <= known for a, b in correlation):
-        raise InputError(
-            f"{where}: its elements are not those of its network {network}; give a summary.json or truth.json"
-        )
     if unknown:
         raise InputError(f"{where}: element '{unknown[0]}' has no value there; fit recordings that determine it")
     noise = UserTable(table.get("noise", {}), f"{where}: noise", ("relative_sd", "corner_hz"))
     population = VirtualPopulation(
-        network=network,
+        network=table.text("network"),
         central={name: value for name, value in central.items() if value is not None},
         between_persons={name: _middle(row, "dispersion_between_persons") or 0.0 for name, row in rows.items()},
         between_repetitions={name: _middle(row, "dispersion_between_repetitions") or 0.0 for name, row in rows.items()},
-        correlation=correlation,
+        correlation=_correlations(table["correlation"], where),
         noise=noise.number("relative_sd", 0.01),
         noise_corner_hz=noise.number("corner_hz", 8.0),
     )
