@@ -61,6 +61,8 @@ class Kind:
     band_hz : tuple of float
     noise : float
         Relative, of each part.
+    larger : float
+        Factor by which the change makes the population's median impedance larger.
     """
 
     change: Change = lambda _i, _f, z: z
@@ -68,6 +70,7 @@ class Kind:
     fitted: str = ""
     band_hz: tuple[float, float] = (5.0, 1000.0)
     noise: float = 0.01
+    larger: float = 1.0
 
 
 def _some(i: int, every: int) -> bool:
@@ -85,8 +88,8 @@ KINDS: dict[str, Kind] = {
     "one conjugated": Kind(change=lambda i, _, z: z.conj() if i == 3 else z),
     "one a hundred times": Kind(change=lambda i, _, z: 100 * z if i == 3 else z),
     "one in other units": Kind(change=lambda i, _, z: 5 * z if i == 3 else z),
-    "two groups": Kind(change=lambda i, _, z: 2.5 * z if _some(i, 3) else z),
-    "two groups, near": Kind(change=lambda i, _, z: 1.6 * z if _some(i, 2) else z),
+    "two groups": Kind(change=lambda i, _, z: 2.5 * z if _some(i, 3) else z, larger=2.5 ** (1 / 3)),
+    "two groups, near": Kind(change=lambda i, _, z: 1.6 * z if _some(i, 2) else z, larger=1.6**0.5),
     "noise of 100 %": Kind(noise=1.0),
     "noise of 200 %": Kind(noise=2.0),
     "all conjugated": Kind(change=lambda _i, _f, z: z.conj()),
@@ -113,11 +116,13 @@ def recordings_of(kind: str, seed: int) -> tuple[Recordings, dict[str, float]]:
         noise=k.noise,
         noise_corner_hz=0.0,
     )
-    made = simulate_recordings(population, PEOPLE, 1, np.geomspace(*k.band_hz, 40), seed).recordings
+    own = 1000 * [*KINDS, "nothing"].index(kind) + seed  # noise and people of its own
+    made = simulate_recordings(population, PEOPLE, 1, np.geomspace(*k.band_hz, 40), own).recordings
     people = [replace(s, z=k.change(i, s.frequency_hz, s.z)) for i, s in enumerate(made.subjects)]
     if kind == "copies":
         people = [replace(people[i % 2], name=s.name) for i, s in enumerate(people)]
-    return replace(made, subjects=tuple(people), network=k.fitted or network), dict(population.central)
+    truth = {e: value * k.larger ** (-1 if e[0] == "n" else 1) for e, value in population.central.items()}
+    return replace(made, subjects=tuple(people), network=k.fitted or network), truth
 
 
 def median_of(expression: str, seed: int) -> float:
