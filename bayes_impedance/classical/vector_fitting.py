@@ -38,7 +38,7 @@ References
 ----------
 .. [1] B. Gustavsen, A. Semlyen, "Rational approximation of frequency domain responses by vector fitting", IEEE
    Transactions on Power Delivery 14(3), 1999.
-.. [2] B. Gustavsen, "Improving the pole relocating properties of vector fitting", IEEE Trans. Power Delivery 21(3), 2006.
+.. [2] B. Gustavsen, "Improving the pole relocating properties of vector fitting", IEEE Trans. Power Deliv. 21(3), 2006.
 .. [3] D. Deschrijver, M. Mrozowski, T. Dhaene, D. De Zutter, "Macromodeling of multiport systems using a fast
    implementation of the vector fitting method", IEEE Microwave and Wireless Components Letters 18(6), 2008.
 .. [4] G. H. Golub, V. Pereyra, "The differentiation of pseudo-inverses and nonlinear least squares problems whose
