@@ -3,7 +3,8 @@ r"""Levenberg-Marquardt on many small problems at once.
 From every start the damped Gauss-Newton step :math:`-(J^TJ + \lambda\,\mathrm{diag}\,J^TJ)^{-1} J^T r` is taken if it
 lowers the sum of squares; then the damping falls, otherwise it rises (Marquardt 1963). All starts are rows of one
 array, so that a search over hundreds of them costs few calls. It finds the basins of attraction;
-:func:`scipy.optimize.least_squares` then converges to the last digits. """
+:func:`scipy.optimize.least_squares` then converges to the last digits.
+"""
 
 from __future__ import annotations
 

@@ -125,9 +125,7 @@ def _as_netcdf(datasets: Mapping[str, Any], attributes: Mapping[str, Any]) -> by
         xr.Dataset(attrs=dict(attributes)).dump_to_store(H5NetCDFStore(opened, mode="w"))
         for name, dataset in datasets.items():
             labelled = dataset.copy()
-            labelled.attrs = dict(
-                attributes
-            )  # without ArviZ's time of creation: equal runs give equal files
+            labelled.attrs = dict(attributes)  # without ArviZ's time of creation: equal runs give equal files
             numbers = {key: {"zlib": True} for key, v in labelled.variables.items() if v.dtype.kind in "iufcb"}
             labelled.dump_to_store(H5NetCDFStore(opened, group=name, mode="a"), encoding=numbers)
     return content.getvalue()

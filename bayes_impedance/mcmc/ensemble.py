@@ -87,6 +87,7 @@ class SamplerSettings:
 
 
 QUICK = SamplerSettings(ensembles=2, burn_in=(80, 40), chunk=100, longest=1500, effective=600.0)
+"""Settings of a quick fit. By choice: fewer and shorter ensembles take less time, but give fewer effective draws."""
 
 
 @dataclass(frozen=True, kw_only=True)

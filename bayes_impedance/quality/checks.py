@@ -222,7 +222,7 @@ def _group(
     place : callable
         Key of an event's place; events with equal keys count as the same.
     message : callable
-        Makes the finding's text from the recording, the place and the events.
+        Makes the finding's text from the recordings concerned, the band, and the events.
     """
     by_place: dict[object, list[_Event]] = {}
     for event in events:

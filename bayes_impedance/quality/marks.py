@@ -26,8 +26,9 @@ from bayes_impedance.recordings.dataset import Subject
 
 KNOWN_MARKS = (0.0, 99.0, 999.0, 9999.0, 99999.0, 999999.0, 32767.0, 32768.0, 65535.0, 1e20, 1e30, 1e37, 1e38)
 """Absolute values that programs write for "no value", which need not occur twice: nines, ends of 16-bit converters, and
-the powers of ten that formats such as netCDF fill with. The largest single-precision number is one more."""
+the powers of ten that formats such as netCDF fill with."""
 FLOAT_MAXIMUM = float(np.finfo(np.float32).max)
+"""Largest single-precision number, another such mark."""
 MINIMUM_REST = 3
 """Fewest remaining points of a recording to define its curve: a line through two, and one to check it."""
 STEPS = 4.0

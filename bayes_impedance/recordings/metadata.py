@@ -28,6 +28,7 @@ _SPELLINGS = {
     "Pa s/m": ("Pas/m", "Pa/(m/s)", "Pasm-1", "rayl", "Rayl"),
 }
 _PREFIXES = {"n": 1e-9, "u": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
+"""SI prefixes and their factors; those that occur with units of impedance."""
 #: Scaled spellings that are no prefix before a spelling from above.
 _SCALED = {
     "g/s": ("N s/m", 1e-3),

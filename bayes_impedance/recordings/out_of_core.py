@@ -102,5 +102,5 @@ class StoredSubject(Subject):
 
     @property
     def digest(self) -> str:
-        """Digest of the files' content; computed without reading them."""
+        """Digest from the names and the files' stored digest, without reading the files."""
         return f"{self.name} {self.repetitions} {self.place.digest}"
