@@ -1,11 +1,11 @@
 """The paper's methods: fits of single curves, look-up tables, rational functions, and the mapping onto a network.
 
 ==========================  =======================================================================================
-:mod:`.elementwise`         everybody's elements from magnitudes, phases or complex values, then mean or median
+:mod:`.elementwise`         each subject's elements from magnitudes, phases or complex values; their mean or median
 :mod:`.system_identification`  a rational function of given orders by complex least squares (SIT)
 :mod:`.vector_fitting`      poles and residues by relaxed vector fitting (VF); :mod:`.order` chooses how many
 :mod:`.passivity`           whether a rational function is a passive impedance, and the nearest one that is
-:mod:`.mapping`             a rational function seen as a network
+:mod:`.mapping`             a rational function mapped onto a network
 :mod:`.normality`           whether impedances are normally distributed over people
 :mod:`.methods`             all of them on one set of recordings
 ==========================  =======================================================================================

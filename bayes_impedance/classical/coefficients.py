@@ -1,21 +1,21 @@
-r"""Coefficient equations: what a network's elements make of the coefficients of its rational impedance.
+r"""Coefficient equations: the coefficients of a network's rational impedance as polynomials in its elements.
 
 Every coefficient of numerator and denominator of a series-parallel network is a sum of products of elements, each
 element at most to the first power once the denominators of 1/n are cleared. For eq. 4 for instance
 
 .. math:: b_5 = m_1 m_2 n_1 n_2 n_3 r_3, \quad \dots \quad b_0 = 1, \quad a_1 = n_1 + n_3, \quad a_0 = 0 .
 
-The network's own reduction to polynomials is run once on symbols in place of numbers; nothing about any network is
-written down here. A rational function fixes its coefficients up to one common factor. Mapping it onto the network
-therefore means :math:`c_k(x) = \lambda\,\hat c_k` for all k: for eq. 4 eleven equations, ten of them once the factor is
-gone, for eight elements. A rational function has an exact network only if it meets what is left over; that it has
-more unknowns than equations is not the reason why a mapping fails.
+The network's own reduction to polynomials is run once on symbols in place of numbers, so that the equations of any
+network follow without hand derivation. A rational function fixes its coefficients up to one common factor. Mapping it
+onto the network therefore means :math:`c_k(x) = \lambda\,\hat c_k` for all k: for eq. 4 eleven equations, ten of them
+once the factor is gone, for eight elements. The system is overdetermined: a rational function has an exact network only
+if it also satisfies the surplus equations. This is why mappings fail, not a surplus of unknowns.
 
-**All real solutions** are looked for, negative elements included, because they tell what an exact match would take.
+**All real solutions** are searched, negative elements included, because they show what an exact match would require.
 With :math:`x_p = \sigma_p e^{\theta_p}`, every pattern of signs gets Gauss-Newton searches from random starts in
-:math:`\theta`, many at once as one array. The residual of coefficient k is the logarithm of its ratio to the wanted one
-where signs are all positive; elsewhere a ratio may pass through zero, and :math:`\operatorname{arsinh}` takes the
-logarithm's place.
+:math:`\theta`, many at once as one array. The residual of coefficient k is the logarithm of its ratio to the target
+if all signs are positive; otherwise a ratio may pass through zero, and :math:`\operatorname{arsinh}` replaces the
+logarithm.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from bayes_impedance.network.notation import Network
 from bayes_impedance.network.rational import TransferFunction
 
 _MAX_SIGNED_ELEMENTS = 10
-"""Above this many elements only positive solutions are looked for: the sign patterns would be too many."""
+"""Above this many elements only positive solutions are searched. By choice: there are 2^n sign patterns."""
 
 _POSITIVE_STARTS, _SIGNED_STARTS, _ITERATIONS = 200, 8, 80
-"""Starts with positive elements, starts for each pattern of signs, and steps from each. By choice: positive solutions
-are what is wanted, and there are up to 2^10 patterns of signs."""
+"""Starts with positive elements, starts for each pattern of signs, and steps from each. By choice: positive
+solutions matter most, and there are up to 2^10 patterns of signs."""
 
 _EXACT, _SAME = 1e-7, 1e-4
 """Largest relative error of a coefficient in a solution, and relative difference of elements up to which two solutions
@@ -44,7 +44,7 @@ open in the elements."""
 
 
 class _Symbolic:
-    """A polynomial in the elements with whole coefficients, enough of a number for the network's own algebra.
+    """A polynomial in the elements with integer coefficients, with the arithmetic that the network's algebra needs.
 
     Terms are keyed by the sorted names of their factors; the constant term's key is empty.
     """
@@ -83,7 +83,7 @@ class CoefficientEquations:
     elements : tuple of str
         P of them.
     names : tuple of str
-        Of the C coefficients that are not zero by structure: ``b5`` ... of the numerator, ``a5`` ... of the
+        Names of the C coefficients that are not zero by structure: ``b5`` ... of the numerator, ``a5`` ... of the
         denominator.
     monomials : tuple of ndarray of int, shape (T, P)
         For each coefficient, the powers of the elements in each of its terms.
@@ -114,7 +114,7 @@ class CoefficientEquations:
         return cls(elements, tuple(names), tuple(monomials), tuple(counts))
 
     def text(self) -> tuple[str, ...]:
-        """The equations as a person writes them, one for each coefficient."""
+        """The equations in readable notation, one for each coefficient."""
         lines = []
         for name, powers, counts in zip(self.names, self.monomials, self.counts, strict=True):
             terms = []
@@ -146,9 +146,9 @@ class CoefficientEquations:
         return value, slope
 
     def wanted(self, transfer: TransferFunction) -> tuple[np.ndarray, tuple[str, ...]]:
-        """Coefficients of a rational function in this order, (C,), and those it has that the network cannot.
+        """Coefficients of a rational function in this order, (C,), and those that are zero in the network by structure.
 
-        The second are named with their values.
+        The latter are given as text, name and value.
         """
         given = {
             f"{letter}{power}": float(np.real(coefficient))
@@ -168,7 +168,7 @@ class ExactSolution:
     values : dict of str to float
         Signed.
     positive : bool
-        Whether all are, and the network can be built.
+        Whether all values are positive, so that the network can be built.
     isolated : bool
         False if elements can change without changing the impedance: the solution is one of a continuum.
     largest_error : float
@@ -219,7 +219,7 @@ def exact_solutions(
 
 
 def _same(a: ExactSolution, b: ExactSolution) -> bool:
-    """Whether two solutions are one, or of one continuum."""
+    """Whether two solutions are equal, or belong to one continuum."""
     if a.positive and b.positive and not (a.isolated or b.isolated):
         return True
     return np.allclose(list(a.values.values()), list(b.values.values()), rtol=_SAME, atol=0)
@@ -237,11 +237,11 @@ def _patterns(n: int) -> list[np.ndarray]:
 def _search(
     equations: CoefficientEquations, wanted: np.ndarray, start: np.ndarray, sign: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Levenberg-Marquardt on all starts at once, (S, P); those that ended near an exact solution, and their signs."""
+    """Levenberg-Marquardt on all starts at once, (S, P); returns end points near an exact solution, and their signs."""
     theta = np.hstack([start, np.zeros((start.shape[0], 1))])
     value, _ = equations.evaluate(start, sign)
     ratio = value / wanted
-    # The common factor begins where most coefficients agree, and keeps that sign.
+    # The common factor starts at the value on which most coefficients agree, and keeps that sign.
     factor_sign = np.where(np.median(np.sign(ratio), axis=1) < 0, -1.0, 1.0)
     theta[:, -1] = -np.mean(np.log(np.abs(ratio) + 1e-300), axis=1)
     all_positive = bool(np.all(sign > 0) and np.all(wanted > 0))
@@ -260,7 +260,7 @@ def _residual(
     factor_sign: np.ndarray,
     all_positive: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals (S, C) and their derivatives (S, C, P + 1), the factor's last."""
+    """Residuals (S, C) and their derivatives (S, C, P + 1); the last is with respect to the common factor."""
     value, slope = equations.evaluate(theta[:, :-1], sign)
     factor = factor_sign * np.exp(theta[:, -1])
     ratio = value * factor[:, None] / wanted
@@ -288,6 +288,6 @@ def _described(
 
 
 def log_sensitivity(value: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """Relative change of each coefficient with that of each element, (C, P), with the common factor taken out."""
+    """Relative sensitivity of each coefficient to each element, (C, P), with the common factor removed."""
     elasticity = slope / value[:, None]
     return np.asarray(elasticity - elasticity.mean(axis=0))

@@ -1,4 +1,4 @@
-r"""Element-wise fits: everybody's elements by Levenberg-Marquardt, then their mean or median.
+r"""Element-wise fits: each subject's elements by Levenberg-Marquardt, then their mean or median.
 
 This is the paper's first attempt: each person's curve is fitted with the network, "absolute amplitudes and phases ...
 separately", and the mean and the median of every element make the model. With :math:`Z(\theta)` in log elements the
@@ -16,8 +16,8 @@ contrast, determines the phase of any driving-point impedance (its logarithm is 
 magnitude fits can have large phase errors only where the network is wrong, the band ends, or elements are averaged one
 by one.
 
-A single curve has many local optima. Random starts are used for a few people, and the best end points are starts for
-everybody. An element that a curve does not determine diverges without changing Z. It is limited to a factor of a
+A single curve has many local optima. Random starts are used for a few subjects, and the best end points are starts for
+all subjects. An element that a curve does not determine diverges without changing Z. It is limited to a factor of a
 million from the value at which it matters in the band, so that a mean stays finite, and such elements are counted.
 """
 
@@ -40,25 +40,27 @@ from bayes_impedance.results.curve_errors import wrapped_deg
 PARTS = ("magnitude", "phase", "complex")
 
 _RANDOM_STARTS = 64
-"""For each of the few people who are searched. By choice, as are the next constants: the best ends of all of them are
-tried on everybody."""
+"""Random starts for each of the few subjects searched in full. By choice, as are the next constants: more starts cost
+time, and the best end points are tried on all subjects anyway."""
 
 RUNAWAY = float(np.log(1e6))
-"""Log elements are stopped this far from where the element would matter in the band."""
+"""Bound on the distance of a log element from the value at which it matters in the band. By choice: a factor of a
+million, so that means stay finite."""
 
 _SEARCHED = 6
-"""People on whom random starts are spent, evenly spread over the list."""
+"""Number of subjects fitted from random starts, evenly spread over the list. By choice: see above."""
 
 _KEPT = 3
-"""Different ends of each of them that everybody else begins from."""
+"""Distinct end points of each of these, used as starts for all other subjects. By choice: see above."""
 
 _STEPS = 40
-"""Of Levenberg-Marquardt in the search; the best are refined until they rest."""
+"""Levenberg-Marquardt steps in the search. By choice: enough to rank end points; the best are refined to
+convergence."""
 
 
 @dataclass(frozen=True)
 class ElementwiseFit:
-    """Everybody's elements, each from the own curve alone.
+    """Elements of all subjects, each fitted to that subject's curve alone.
 
     Attributes
     ----------
@@ -69,7 +71,7 @@ class ElementwiseFit:
     converged : ndarray of bool, shape (N,)
         Whether the search ended at a minimum.
     stopped : ndarray of bool, shape (N, P)
-        Elements that ran away, because the curve does not determine them.
+        Elements that diverged to the bound, because the curve does not determine them.
     """
 
     elements: tuple[str, ...]
@@ -89,7 +91,7 @@ class ElementwiseFit:
 def fit_elements(
     recordings: Recordings, network: Network, part: str, *, weighting: str = "none", seed: int = 1
 ) -> ElementwiseFit:
-    """Fit everybody's mean recording by Levenberg-Marquardt.
+    """Fit each subject's mean recording by Levenberg-Marquardt.
 
     Parameters
     ----------
@@ -110,7 +112,7 @@ def fit_elements(
     Raises
     ------
     InputError
-        If `part` or `weighting` is unknown, or somebody has fewer numbers than elements.
+        If `part` or `weighting` is unknown, or a subject has fewer data values than elements.
     """
     if part not in PARTS or weighting not in ("none", "relative"):
         raise InputError(f"part '{part}', weighting '{weighting}': choose {', '.join(PARTS)}, and none or relative")
@@ -140,14 +142,14 @@ def fit_elements(
 
 
 def with_magnitude_of(fit: ElementwiseFit, recordings: Recordings, network: Network) -> ElementwiseFit:
-    """The fit with each person's common scale such that the model and the recording have one geometric mean magnitude.
+    """The fit with each subject's common scale set so that model and recording have equal geometric mean magnitude.
 
     Parameters
     ----------
     fit : ElementwiseFit
-        Of phases.
+        A fit of phases.
     recordings : Recordings
-        Those it was made from.
+        The fitted recordings.
     network : Network
     """
     kernel = Kernel(network)
@@ -204,7 +206,7 @@ class Curve:
     def _residual(self, model: np.ndarray) -> np.ndarray:
         if self.part == "phase":
             difference = np.radians(wrapped_deg(np.angle(model, deg=True) - self.phase_deg))
-            # One more row holds the scale that phases leave open; it is zero at every optimum and so costs nothing.
+            # One more row fixes the scale that phases leave undetermined; it is zero at every optimum.
             scale = np.mean(np.log(np.abs(model)), axis=-1, keepdims=True) - self.log_scale
             return np.concatenate([difference, scale], axis=-1)
         if self.part == "magnitude":
@@ -230,7 +232,7 @@ class Curve:
         return self.linearised(theta)[1]
 
     def minimise(self, start: np.ndarray, evaluations: int = 200) -> tuple[np.ndarray, float, bool]:
-        """End point, half the squares, whether it is a minimum."""
+        """End point, half the sum of squares, and whether it is a minimum."""
         from scipy.optimize import least_squares
 
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # far away Z may not be finite
@@ -240,13 +242,13 @@ class Curve:
         return done.x, float(done.cost), bool(done.status > 0)
 
     def best(self, starts: np.ndarray, evaluations: int = 200) -> tuple[np.ndarray, bool]:
-        """Best end of several starts, (S, P) to (P,), and whether it is a minimum."""
+        """Best end point of several starts, (S, P) to (P,), and whether it is a minimum."""
         ends = [self.minimise(start, evaluations) for start in starts]
         theta, _, converged = min(ends, key=lambda end: end[1])
         return theta, converged
 
 
 def _search(curve: Curve, starts: np.ndarray, n: int) -> np.ndarray:
-    """The n best ends that differ, the best repeated if there are fewer."""
+    """The n best distinct end points; the best is repeated if there are fewer."""
     ends, costs = minimise_many(curve.linearised, starts, _STEPS)
     return best_distinct(ends, costs, n)

@@ -2,8 +2,8 @@ r"""Levenberg-Marquardt on many small problems at once.
 
 From every start the damped Gauss-Newton step :math:`-(J^TJ + \lambda\,\mathrm{diag}\,J^TJ)^{-1} J^T r` is taken if it
 lowers the sum of squares; then the damping falls, otherwise it rises (Marquardt 1963). All starts are rows of one
-array, so that a search over hundreds of them costs few calls. It finds basins; the last digits are left to
-:func:`scipy.optimize.least_squares`.
+array, so that a search over hundreds of them costs few calls. It finds the basins of attraction;
+:func:`scipy.optimize.least_squares` then converges to the last digits.
 """
 
 from __future__ import annotations
@@ -22,11 +22,10 @@ By choice: nine in ten starts lie within a factor of 27 of the scale at which an
 """
 
 _LONGEST_STEP = 2.0
-"""In any log element. By choice: a factor of seven at once, so that a step cannot leave the numbers that can be
-represented."""
+"""Largest step in any log element. By choice: a factor of seven, so that a step cannot overflow."""
 
 _UNUSABLE = 1e6
-"""Residual that stands for one that is not finite: far above those of usable points, so that the step is refused."""
+"""Residual used in place of one that is not finite. By choice: far above usable ones, so that the step is refused."""
 
 
 def minimise_many(problem: Problem, start: np.ndarray, iterations: int) -> tuple[np.ndarray, np.ndarray]:
@@ -35,16 +34,16 @@ def minimise_many(problem: Problem, start: np.ndarray, iterations: int) -> tuple
     Parameters
     ----------
     problem : callable
-        May return values that are not finite; such points are left as worse than any other.
+        May return values that are not finite; such points rank below all others.
     start : ndarray, shape (S, P)
-        Logarithms: no step changes any of them by more than 2.
+        Logarithms; no step changes any of them by more than 2.
     iterations : int
 
     Returns
     -------
     end : ndarray, shape (S, P)
     cost : ndarray, shape (S,)
-        Sums of squares there.
+        Sums of squares at the end points.
     """
     theta = np.array(start, dtype=float)
     identity = np.eye(theta.shape[1])
@@ -70,7 +69,7 @@ def minimise_many(problem: Problem, start: np.ndarray, iterations: int) -> tuple
 
 
 def _usable(problem: Problem, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a start too far away is worse, that is all
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a start too far away just ranks last
         residual, jacobian = problem(theta)
         bad = ~(np.isfinite(residual).all(axis=1) & np.isfinite(jacobian).all(axis=(1, 2)))
         residual[bad], jacobian[bad] = _UNUSABLE, 0.0

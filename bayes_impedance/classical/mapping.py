@@ -7,25 +7,25 @@ There are two separate questions.
 does not meet them in general: eq. 4 has ten coefficients for eight elements, and a pole at exactly 0.
 All solutions found are reported, with the signs of their elements.
 
-**Which elements come nearest?** Over the band, in the relative or whitened complex sense,
+**Which elements are nearest?** Over the band, in relative or whitened complex error,
 
 .. math:: \min_\theta\ \frac1F\sum_k \frac{|Z(j\omega_k;\theta) - \hat z(j\omega_k)|^2}{\sigma_k^2},
           \qquad \operatorname{cov}\hat\theta = s^2\,(J^TJ)^{-1},
 
 from many starts. The root of the minimum is the distance of the function from the network's set.
 
-With the noise of the recordings the function was fitted to, s = 1: the network's curves are a subset of the rational
-functions, and least squares through the larger set first is, to first order, least squares on the recordings
-themselves. Where the difference is larger than the C - P coefficients that the larger set has more can explain, s grows
-with it. Without a known noise the difference itself, :math:`s^2 = \chi^2/(2F - P)`, is all the scatter there is, and
-the intervals only say how sharply the elements are pinned down **if the network is accepted**. An element whose
-logarithm has a standard error above :data:`~bayes_impedance.population.em.DETERMINED_SD` is not determined by the
-curve in this band, and gets no number.
+If the noise of the fitted recordings is known, s = 1: the network's curves are a subset of the rational functions, and
+fitting the larger set first is, to first order, least squares on the recordings themselves. If the difference is larger
+than the C - P additional coefficients of the larger set can explain, s grows with it. Without a known noise the
+difference itself, :math:`s^2 = \chi^2/(2F - P)`, is the only measure of scatter, and the intervals only say how
+precisely the elements are determined **if the network is accepted**. An element whose logarithm has a standard error
+above :data:`~bayes_impedance.population.em.DETERMINED_SD` is not determined by the curve in this band, and gets no
+number.
 
 At the nearest elements the relative sensitivities :math:`G_{kp} = \partial\ln c_k/\partial\ln x_p` say which
-coefficients hold which element. Their pseudo-inverse is the first-order answer to "what does the element become when a
-coefficient changes by one per cent", and the norm of its rows the factor by which independent relative errors of the
-coefficients (those of rounding, say) are amplified.
+coefficients determine which element. Their pseudo-inverse is the first-order answer to "what does the element become
+when a coefficient changes by one per cent", and the norm of its rows the factor by which independent relative errors of
+the coefficients (those of rounding, say) are amplified.
 """
 
 from __future__ import annotations
@@ -54,19 +54,20 @@ from bayes_impedance.population.starting_fits import default_prior, search_modes
 from bayes_impedance.recordings.files import Recordings, Subject
 
 _NORMAL_95 = 1.6448536269514722
-"""The normal distribution's 95 % quantile: both limits together hold 90 %."""
+"""95 % quantile of the normal distribution: the limits of a central 90 % interval."""
 
 _HELD_BY = 4
-"""Coefficients that are named for each element: those with the largest sensitivities. By choice."""
+"""Number of coefficients reported for each element, those with the largest sensitivities. By choice."""
 
 _RANDOM_STARTS = 3072
-"""The best network of one published curve is reached by one start in 200."""
+"""Random starts of the search: the best network of one published curve is reached by one start in 200."""
 
 _THINNED_POINTS, _KEPT = 64, 6
-"""Frequencies for the search from all starts, and how many different ends are refined on all of them. By choice."""
+"""Frequencies used in the search from all starts, and number of distinct end points refined on all frequencies. By
+choice: more cost time."""
 
 _PROVISIONAL_NOISE = 0.05
-"""Relative noise in the search where none is known: about the distance of published curves from the network (4 to
+"""Relative noise assumed in the search if none is known: about the distance of published curves from the network (4 to
 5 %). The standard errors then come from the difference itself."""
 
 
@@ -82,9 +83,9 @@ class MappedElement:
     standard_error : float
         Of its natural logarithm.
     held_by : tuple of (str, float)
-        The coefficients it depends on most, and its relative change for a relative change of each.
+        The coefficients it depends on most, and its relative sensitivity to each.
     amplification : float
-        Relative error of the element for independent relative errors of one unit in all coefficients.
+        Relative error of the element per unit of independent relative errors of all coefficients.
     """
 
     unit: str
@@ -98,21 +99,21 @@ class MappedElement:
 
 @dataclass(frozen=True, kw_only=True)
 class NetworkMapping:
-    """A rational impedance seen as a network.
+    """The result of mapping a rational impedance onto a network.
 
     Attributes
     ----------
     network : str
     n_coefficients, n_elements : int
-        Free coefficients of the network's form (one common factor taken out), and elements they have to give.
+        Number of free coefficients of the network's form (without one common factor), and number of elements.
     obstacles : tuple of str
-        Coefficients that the function has and the network cannot have, or the reverse: no exact mapping exists.
+        Coefficients that are zero in the network but not in the function, or the reverse: no exact mapping exists.
     exact : tuple of ExactSolution
         All real solutions of the coefficient equations that were found.
     elements : dict of str to MappedElement
         The nearest network with positive elements.
     log_elements : ndarray, shape (P,)
-        The same, all of them, determined or not: for evaluating the curve.
+        Log elements of the nearest network, including undetermined ones, for evaluating its curve.
     distance : float
         Root mean square over frequency of the relative complex difference to the nearest network.
     worst_hz, worst_relative : float
@@ -181,12 +182,12 @@ def map_to_network(
     Parameters
     ----------
     transfer : TransferFunction
-        Real coefficients; counted so that a passive load has Re z >= 0.
+        Real coefficients; sign convention: a passive load has Re z >= 0.
     network : Network
     frequency_hz : ndarray, shape (F,)
-        The band in which the function was fitted, and means something.
+        Frequencies in Hz over the band in which the function was fitted.
     noise_sd : ndarray, shape (F,), optional
-        Standard deviation of each of the two parts of what the function was fitted to.
+        Standard deviation of each of real and imaginary part of the data to which the function was fitted.
     unit : str
         Of the impedance.
     seed : int
@@ -199,7 +200,7 @@ def map_to_network(
     Raises
     ------
     InputError
-        If coefficients are complex, or the function is that of an active load all over the band: its sign is turned.
+        If coefficients are complex, or Re z is negative in the whole band: its sign is inverted.
     """
     frequency = np.asarray(frequency_hz, dtype=float)
     if any(np.iscomplexobj(p) and np.any(np.imag(p) != 0) for p in (transfer.numerator, transfer.denominator)):
@@ -244,7 +245,7 @@ def map_to_network(
 def _nearest(
     kernel: Kernel, frequency: np.ndarray, target: np.ndarray, noise_sd: np.ndarray | None, seed: int
 ) -> np.ndarray:
-    """Log elements with the least weighted squares, from the starts that a person's curve would get."""
+    """Log elements with the least weighted sum of squares, from the same starts as for a subject's curve."""
     recordings = Recordings(
         title="curve",
         unit="",
@@ -266,16 +267,16 @@ def _nearest(
 def _standard_errors(
     target: np.ndarray, model: np.ndarray, derivative: np.ndarray, noise_sd: np.ndarray | None, n_surplus: int
 ) -> np.ndarray:
-    """Of the log elements, (P,); infinite for what the curve does not show at all."""
+    """Standard errors of the log elements, (P,); infinite for elements that do not affect the curve."""
     sigma = np.abs(target) if noise_sd is None else noise_sd
     whitened = derivative / sigma
     information = (whitened.real @ whitened.real.T) + (whitened.imag @ whitened.imag.T)
     chi_square = float(np.sum(np.abs((model - target) / sigma) ** 2))
-    # A fitted curve is smooth: beyond the network's own elements it has only so many coefficients to differ by.
+    # A fitted curve is smooth: it differs from the network's by no more degrees of freedom than extra coefficients.
     freedom = max(2 * target.size - len(derivative) if noise_sd is None else n_surplus, 1)
     variance = chi_square / freedom if noise_sd is None else max(chi_square / freedom, 1.0)
     inverse = np.linalg.pinv(information, rcond=1e-14, hermitian=True)
-    # What the pseudo-inverse leaves out is not known at all.
+    # Directions that the pseudo-inverse leaves out are undetermined.
     lost = np.diag(np.eye(len(derivative)) - inverse @ information) > 1e-3
     return np.where(lost, np.inf, np.sqrt(variance * np.diag(inverse)))
 
@@ -310,7 +311,7 @@ def _described(
 
 
 def _finite(value: float) -> float | None:
-    """JSON knows no infinity."""
+    """The value, or None if it is not finite, which JSON cannot represent."""
     return value if np.isfinite(value) else None
 
 

@@ -1,6 +1,6 @@
-"""Every method of the paper's section 4.2 on one set of recordings, and ours beside them.
+"""All methods of the paper's section 4.2 on one set of recordings, compared with this package's own.
 
-All of them end in one curve for the whole population, and eq. 5 measures each against everybody's curve.
+Each gives one curve for the whole population, and eq. 5 measures its error against each subject's curve.
 
 =======================  ==========================================================================================
 the paper's words        what is done here
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 MAGNITUDES, PHASES, TABLES = "fitted to magnitudes", "fitted to phases", "look-up table"
 RATIONAL, COMPLEX, OURS = "rational function", "fitted to complex values", "population posterior"
 FAMILIES = (MAGNITUDES, PHASES, TABLES, RATIONAL, COMPLEX, OURS)
-"""What a method looks at or is."""
+"""Families of methods, by the data they use or the kind of model."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +62,7 @@ class Method:
         Short and stable.
     label : str
     paper : str
-        What the paper calls it in fig. 4; empty if it is not there.
+        Its name in fig. 4 of the paper; empty if it is not in the figure.
     family : str
         One of :data:`FAMILIES`.
     curve : ndarray, complex, shape (F,)
@@ -70,9 +70,9 @@ class Method:
     errors : ErrorCurves
         Eq. 5.
     elements : dict of str to float, or None
-        Of the network, if the method gives any.
+        Elements of the network, if the method gives any.
     stopped : dict of str to int
-        For how many people an element ran away and was stopped, because the curve does not determine it.
+        Number of subjects for whom an element diverged to its bound, because the curve does not determine it.
     transfer : TransferFunction or None
     passivity : Passivity or None
         Of the rational function, over the whole frequency axis.
@@ -115,12 +115,12 @@ class MethodComparison:
     title, unit, network : str
     frequency_hz : ndarray, shape (F,)
     observed : ndarray, complex, shape (N, F)
-        Everybody's mean recording.
+        Mean recording of each subject.
     methods : tuple of Method
     normality : Normality or None
-        None with too few people for a test.
+        None with too few subjects for a test.
     mapping : NetworkMapping
-        Of the system identification's function onto the network.
+        Mapping of the system identification's rational function onto the network.
     problems : tuple of str
         Why the population posterior's rows must not be used.
     """
@@ -191,7 +191,7 @@ def compare_methods(
     seed: int = 1,
     progress: Progress = lambda *_: None,
 ) -> MethodComparison:
-    """Run the paper's methods on recordings, beside a finished population fit of the same.
+    """Run the paper's methods on recordings, and compare them with a finished population fit of the same.
 
     Parameters
     ----------
@@ -247,7 +247,7 @@ def compare_methods(
 
 @dataclass(frozen=True, kw_only=True)
 class _Bench:
-    """What all methods need."""
+    """Data and settings shared by all methods."""
 
     recordings: Recordings
     network: Network

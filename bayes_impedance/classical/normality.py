@@ -1,27 +1,27 @@
-r"""Are impedances normally distributed over people? The paper's test of every frequency, and better ones.
+r"""Tests of normality of impedances over subjects: the paper's test at every frequency, and more powerful ones.
 
 **The paper's claim.** "Over 75 % of the impedance values are normal distributed" counts frequencies at which a
-chi-square test at 5 % does not reject, magnitude and phase apart. Two things stand between that count and its
-conclusion.
+chi-square test at 5 % does not reject, magnitude and phase apart. The count does not support the conclusion,
+for two reasons.
 
-*No rejection is not normality.* :func:`chi_square_normality` cuts the values into ten bins of equal width and merges
-the thin ones from the ends inwards; of 71 people about seven bins remain, and with the mean and the standard deviation
-estimated four degrees of freedom, at most 10 - 3 = 7. Simulated with 71 people (20 000 samples, 5 % level), it finds a
-log-normal with standard deviation 0.3 of the logarithm in 28 % of samples; Shapiro and Wilk's test does in 74 %. If
-every magnitude were log-normal with that spread, 72 % of the frequencies would still pass. The test is also slightly
-liberal, rejecting 6 % of normal samples, because the moments come from the values and not from the counts (Chernoff and
-Lehmann 1954).
+*No rejection is not normality.* :func:`chi_square_normality` groups the values into ten bins of equal width and merges
+sparse ones from the ends inwards; with 71 subjects about seven bins remain, and as the mean and the standard deviation
+are estimated, four degrees of freedom (at most 10 - 3 = 7). Simulated with 71 subjects (20 000 samples, 5 % level), it
+rejects a log-normal with standard deviation 0.3 of the logarithm in 28 % of samples; Shapiro and Wilk's test does in
+74 %. If every magnitude were log-normal with that spread, 72 % of the frequencies would still pass. The test is also
+slightly liberal, rejecting 6 % of normal samples, because the moments come from the values and not from the counts
+(Chernoff and Lehmann 1954).
 
-*A share needs something to be compared with.* Where nothing is wrong, 1 - level pass: 95 %, not 75 %. That is an
-average over populations. In one of them neighbouring frequencies show the same people in the same order, so that 401
-tests are few independent ones: normal values with the correlations of this package's virtual fingertips pass at 82 % to
-99 % of the frequencies (chi-square, 90 % of populations). A count that survives looking many times is that of Benjamini
-and Yekutieli (2001): of the frequencies that it names, at most the share `level` is expected to be wrong, whatever the
-dependence. It is preferred to Holm's bound on naming any wrong one because the question is at how many frequencies
-normality fails, and because Holm needs p values of :math:`10^{-4}`, where the approximations behind all three tests are
-least certain.
+*A share needs a reference value.* Under normality a share of 1 - level passes: 95 %, not 75 %. That is an average over
+populations. Within one population, values at neighbouring frequencies are strongly correlated, so that 401 tests amount
+to few independent ones: normal values with the correlations of this package's virtual fingertips pass at 82 % to 99 %
+of the frequencies (chi-square, 90 % of populations). A count that is corrected for multiple testing is that of
+Benjamini and Yekutieli (2001): it bounds the false discovery rate by `level` under any dependence. It is preferred to
+Holm's control of the family-wise error rate because the question is at how many frequencies normality fails, and
+because Holm needs p values of :math:`10^{-4}`, where the approximations behind all three tests are least certain.
 
-**Elements or impedances.** Not both can be normal on a scale of their own. Where one element dominates,
+**Elements or impedances.** If elements are normal on one scale, impedances cannot be normal on another (log elements
+and |z|, say). Where one element dominates,
 :math:`|z| = \omega m`, :math:`r` or :math:`1/(\omega n)`, so that
 
 .. math:: \log|z| = \pm\log\theta + \text{const}.
@@ -29,9 +29,9 @@ least certain.
 If the logarithms of the elements are normal, |z| is log-normal there, with skewness about :math:`3\sigma` for a small
 standard deviation :math:`\sigma` of the logarithm; if |z| of a spring is normal, its compliance is the reciprocal of a
 normal variable, which has no mean. Between the asymptotes z is a nonlinear function of several elements and has neither
-form. A normal |z| moreover gives some people a negative one. Only as :math:`\sigma \to 0` do the two agree, and then
-nobody can tell them apart; that every frequency looked normal would not make the mean of the elements describe the mean
-of the curves. Hence the tests of :math:`\log|z|` beside those of |z|.
+form. A normal |z| moreover has negative values with positive probability. The two agree only as :math:`\sigma \to 0`,
+where no test can distinguish them. Even if every frequency looked normal, the mean of the elements would not describe
+the mean of the curves. Hence the tests of :math:`\log|z|` beside those of |z|.
 
 **Real and imaginary part together.** Henze and Zirkler (1990) compare the characteristic function of the whitened
 values y with that of a bivariate normal variable, in mean square with a normal weight of width :math:`\beta`:
@@ -61,7 +61,8 @@ from scipy.special import chdtrc, ndtr
 from bayes_impedance.errors import InputError
 
 MINIMUM_PEOPLE = 8
-"""With fewer values nothing is tested: below about 20, Henze and Zirkler's approximation already rejects too rarely."""
+"""Smallest sample that is tested. By choice: below about 20, Henze and Zirkler's approximation already rejects too
+rarely."""
 TESTS = (
     "chi_square_magnitude",
     "chi_square_phase",
@@ -80,7 +81,7 @@ _LEAST_EXPECTED = 5.0
 """Smallest expected count of a bin: the usual rule (Cochran 1954), and that of Matlab's chi2gof."""
 
 _ROUNDING = 1e-12
-"""Values that differ by less than this part of their size differ by rounding only."""
+"""Relative difference below which values count as equal. By choice: some thousand machine epsilons."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,9 +95,9 @@ class Normality:
     chi_square_log_magnitude : ndarray, shape (F,)
     shapiro_magnitude, shapiro_phase, shapiro_log_magnitude : ndarray, shape (F,)
     henze_zirkler_complex : ndarray, shape (F,)
-        Of real and imaginary part together.
+        Joint test of real and imaginary part.
     henze_zirkler_log_complex : ndarray, shape (F,)
-        Of log magnitude and phase together.
+        Joint test of log magnitude and phase.
     level : float
         Probability of rejecting a normal sample.
     """
@@ -112,14 +113,14 @@ class Normality:
     level: float
 
     def summary(self) -> dict[str, float]:
-        """Count over frequency.
+        """Shares and numbers of frequencies that pass or fail each test.
 
         Returns
         -------
         dict of str to float
             For each name in :data:`TESTS`: under the name the share of the tested frequencies that pass, NaN if none
             was tested; under ``<name>_rejected`` the number rejected after Benjamini and Yekutieli's correction for
-            looking many times; under ``<name>_tested`` how many frequencies could be tested. ``expected_share`` is the
+            multiple testing; under ``<name>_tested`` how many frequencies could be tested. ``expected_share`` is the
             share that passes on average where everything is normal.
         """
         result = {"expected_share": 1.0 - self.level}
@@ -134,14 +135,14 @@ class Normality:
 
 
 def normality(z: np.ndarray, level: float = 0.05) -> Normality:
-    """Test people's impedances for normality at every frequency.
+    """Test impedances for normality over subjects at every frequency.
 
     Parameters
     ----------
     z : ndarray, complex, shape (N, F)
-        Any unit; NaN where somebody has no data. A frequency with fewer than :data:`MINIMUM_PEOPLE` values gets NaN.
+        Any unit; NaN where data are missing. A frequency with fewer than :data:`MINIMUM_PEOPLE` values gets NaN.
     level : float
-        Of every single test.
+        Significance level of each single test.
 
     Returns
     -------
@@ -183,7 +184,7 @@ def chi_square_normality(values: np.ndarray) -> np.ndarray:
     """Pearson's chi-square test of normality with the defaults of MATLAB's ``chi2gof``.
 
     Ten bins of equal width lie between the smallest and the largest value, the outer two open. While one of the two
-    outermost bins at either end expects fewer than five people, the end that expects less is merged into its
+    outermost bins at either end expects fewer than five values, the end that expects less is merged into its
     neighbour. Mean and standard deviation are those of the values, and cost two of the bins - 1 degrees of freedom.
 
     Parameters
@@ -256,7 +257,7 @@ def _check_people(values: np.ndarray) -> None:
 
 
 def _phase(z: np.ndarray) -> np.ndarray:
-    """Phase in radians, counted from people's mean direction so that the cut at 180 degrees splits no sample."""
+    """Phase in radians relative to the circular mean, so that the cut at 180 degrees splits no sample."""
     phase = np.angle(z)
     mean = np.arctan2(np.nansum(np.sin(phase), axis=0), np.nansum(np.cos(phase), axis=0))
     return np.asarray(mean + (phase - mean + np.pi) % (2 * np.pi) - np.pi)
@@ -304,7 +305,7 @@ def _henze_zirkler(x: np.ndarray) -> float:
     centred = np.column_stack([x.real, x.imag])
     size = float(np.sqrt(np.mean(centred**2)))
     centred = centred - centred.mean(axis=0)
-    # Singular vectors are whitened values, and more precise for nearly equal ones than the covariance's eigenvectors.
+    # Singular vectors are the whitened values; for nearly equal values they are more accurate than eigenvectors.
     whitened, lengths, _ = np.linalg.svd(centred, full_matrices=False)
     if lengths[1] <= _ROUNDING * math.sqrt(n) * size:
         return math.nan

@@ -1,27 +1,27 @@
-r"""How many poles recordings support: the order of a rational function, chosen by data that the fit has not seen.
+r"""Order selection by cross-validation: how many poles of a rational function the recordings support.
 
-The error on its own data falls with every pole that a model is given. The error on other data stops falling where poles
-begin to follow the noise, or the persons at hand. For order n and fold k, with :math:`m_{n,k}` fitted to everything but
-the fold,
+The training error falls with every pole that is added. The error on held-out data stops falling where poles begin to
+fit the noise, or differences peculiar to the subjects in the training data. For order n and fold k, with
+:math:`m_{n,k}` fitted to everything but the fold,
 
 .. math:: E_{n,k} = \sqrt{\operatorname{mean}_f \bigl|m_{n,k}(f) - z_k(f)\bigr|^2 / |z_k(f)|^2} .
 
-**Several curves** (persons, or repetitions of one) are what is held out: the model is fitted to the complex mean of the
-others, and :math:`z_k` is the complex mean of the fold. That asks what the next person's data would say, noise and
-difference between persons included.
+**Several curves** (persons, or repetitions of one): whole curves are held out. The model is fitted to the complex mean
+of the others, and :math:`z_k` is the complex mean of the fold. This estimates the prediction error for new persons,
+including noise and the variation between persons.
 
-**One curve** leaves only frequencies to hold out. Single points would test little: a resonance is spread over many of
-them, an analysis window makes neighbours share their noise, and a held-out point lies between two that were fitted.
-Long stretches would be unfair, as a resonance that falls into one is not in the data that remain. So the band is cut
-into short contiguous blocks, eight in each fold, and neighbouring blocks are in different folds. The first and the last
-block are in no fold, so that the fit is never asked to extrapolate.
+**One curve**: frequencies are held out. Single points would test little: a resonance covers many points, an analysis
+window correlates the noise of neighbours, and a held-out point lies between two that were fitted. Long stretches would
+be too hard: a resonance inside one is missing from the training data. The band is therefore cut into short contiguous
+blocks, eight in each fold, with neighbouring blocks in different folds. The first and the last block are in no fold, so
+that the model never extrapolates.
 
-**Choice.** The best order's lead may be chance. A smaller one is as good if the mean of its excess over the best,
-:math:`D_{n,k} = E_{n,k} - E_{\text{best},k}`, is within one standard error: that of the difference and not of the
-errors themselves, because what makes one fold hard is hard for all orders and cancels. The smallest such order is
-chosen, as in the one-standard-error rule [1]_. Any two of K folds share most of their training data, so that their
-differences are correlated, and the variance of the mean is not that of K independent ones. It is corrected by the ratio
-of held-out to training data [2]_,
+**Choice.** The order with the smallest error may be best by chance only. A smaller order is taken to be as good if its
+mean excess error, the mean over folds of :math:`D_{n,k} = E_{n,k} - E_{\text{best},k}`, is within one standard error.
+It is the standard error of the difference, because a fold that is hard for one order is hard for all, and this cancels.
+The smallest such order is chosen, as in the one-standard-error rule [1]_. Any two of K folds share most of their
+training data, so that the differences are correlated and the variance of their mean is larger than for K independent
+values. It is corrected by the ratio of held-out to training data [2]_,
 
 .. math:: \operatorname{se}^2 = \Bigl(\frac1K + \frac1{K-1}\Bigr)\,\frac1{K-1}\sum_k (D_{n,k} - \bar D_n)^2 .
 
@@ -44,9 +44,11 @@ from bayes_impedance.classical.vector_fitting import number_of_unknowns, vector_
 from bayes_impedance.errors import InputError
 
 _BLOCKS_PER_FOLD = 8
-"""Blocks of neighbouring frequencies that a fold leaves out. By choice: wide enough that a neighbour does not tell what
-is left out, and many enough to lie everywhere in the band."""
-_RELOCATIONS = 20  # superfluous poles never rest, and the refinement does what more of them would do for the others
+"""Blocks of neighbouring frequencies in each fold. By choice: fewer, wider blocks make the held-out data less
+predictable from their neighbours; more, narrower blocks cover the band more evenly."""
+_RELOCATIONS = 20
+"""Most pole relocations in each fit. By choice: superfluous poles never converge, so that more only cost time; the
+nonlinear refinement afterwards brings the other poles to convergence."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,11 +62,11 @@ class OrderSelection:
     error : ndarray, shape (P,)
         Relative error on held-out data: mean over folds of the root mean square over frequency.
     standard_error : ndarray, shape (P,)
-        Of the mean difference to the best order, for folds that share training data; 0 for the best itself.
+        Standard error of the mean difference from the best order, corrected for shared training data; 0 for the best.
     chosen : int
         The smallest order whose error exceeds the best by no more than its standard error.
     by_fold : ndarray, shape (P, folds)
-        The errors that `error` is the mean of.
+        Error of each order in each fold; `error` is its mean over folds.
     """
 
     orders: tuple[int, ...]
@@ -75,7 +77,7 @@ class OrderSelection:
 
     @property
     def best(self) -> int:
-        """The order of the least held-out error."""
+        """The order with the smallest held-out error."""
         return self.orders[int(np.argmin(self.error))]
 
 
@@ -97,15 +99,15 @@ def select_order(
     frequency_hz : array_like, shape (F,)
         Frequencies in Hz, ascending.
     curves : array_like, complex, shape (N, F) or (F,)
-        Impedances of persons or repetitions, NaN where somebody has no data; with one curve, frequencies are held out.
+        Impedances of persons or repetitions, NaN where data are missing; with one curve, frequencies are held out.
     orders : iterable of int
         Numbers of poles, including the one at 0.
     pole_at_zero, constant, linear : bool
         As for :func:`~bayes_impedance.classical.vector_fitting.vector_fit`, which is given weights 1/abs(z).
     folds : int
-        Into how many parts the data are divided; as many as there are curves if these are fewer.
+        Number of folds; reduced to the number of curves if there are fewer.
     seed : int
-        Of the random division of curves into folds. Frequencies are not divided at random.
+        Seed of the random division of curves into folds. Frequencies are not divided at random.
 
     Returns
     -------
@@ -156,7 +158,7 @@ def select_order(
 def _held_out_error(
     frequency: np.ndarray, training: np.ndarray, test: np.ndarray, n_poles: int, terms: dict[str, bool]
 ) -> float:
-    """Relative error on test data inside of the training data's band, of a model of the training data."""
+    """Relative error on the test data, within the training data's band, of the model fitted to the training data."""
     known = np.isfinite(training)
     model = vector_fit(frequency[known], training[known], n_poles, max_iterations=_RELOCATIONS, **terms).model
     low, high = frequency[known][[0, -1]]
@@ -170,14 +172,14 @@ def _held_out_error(
 
 
 def _by_curve(z: np.ndarray, folds: int, seed: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Mean of the curves outside and inside of each fold, complex, shape (F,) each."""
+    """Training and test data of each fold: mean of the curves outside and inside of it, complex, shape (F,) each."""
     fold = np.random.default_rng(seed).permutation(np.arange(z.shape[0]) % folds)
     for k in range(min(folds, z.shape[0])):
         yield _mean(z[fold != k]), _mean(z[fold == k])
 
 
 def _by_frequency(z: np.ndarray, folds: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """The curve without and with nothing but each fold's blocks of frequencies: complex, shape (F,), NaN elsewhere."""
+    """Training and test data of each fold: the curve without its blocks, and these alone; complex, (F,), else NaN."""
     known = np.flatnonzero(np.isfinite(z))
     blocks = np.array_split(known, min(_BLOCKS_PER_FOLD * folds + 2, known.size))[1:-1]
     if len(blocks) < folds:
@@ -190,7 +192,7 @@ def _by_frequency(z: np.ndarray, folds: int) -> Iterator[tuple[np.ndarray, np.nd
 
 
 def _mean(z: np.ndarray) -> np.ndarray:
-    """Mean over the curves that have data: (N, F) to (F,), NaN where none has."""
+    """Mean over the curves at each frequency, ignoring NaN: (N, F) to (F,); NaN where all curves are."""
     known = np.isfinite(z)
     count = known.sum(axis=0)
     return np.asarray(np.where(count > 0, np.where(known, z, 0).sum(axis=0) / np.maximum(count, 1), np.nan))

@@ -1,30 +1,30 @@
-r"""Can an impedance be built from masses, springs and dampers? A test on the whole axis, and the nearest one that can.
+r"""Passivity of a rational impedance: a test on the whole imaginary axis, and the nearest passive model.
 
-A finger that cannot deliver energy has a positive real driving-point impedance, and every positive real rational
-function is the impedance of some passive network [1]_. For real coefficients that means: no pole to the right of the
+The driving-point impedance of a finger that cannot deliver energy is positive real, and every positive real rational
+function is the impedance of some passive network [1]_. For real coefficients this means: no pole to the right of the
 imaginary axis; poles on it, 0 and infinity included, simple and with a real positive residue; and
 :math:`\operatorname{Re} z(j\omega) \ge 0` at *every* frequency, of which a recording covers only a band.
 
 **Test.** Sampling could miss a narrow or distant band. :mod:`bayes_impedance.classical.real_part` gives all
-frequencies at which :math:`\operatorname{Re} z` can change its sign; between two of them one look suffices. The depth
-of a dip is judged as :math:`\operatorname{Re} z / |z| = \cos\arg z`, which has no unit.
+frequencies at which :math:`\operatorname{Re} z` can change its sign; between two of them one sample suffices. The depth
+of a dip is measured by :math:`\operatorname{Re} z / |z| = \cos\arg z`, which is dimensionless.
 
 **Repair.** With the poles kept, z is linear in the residues, d and e, and so is its real part at one frequency. The
-nearest positive real model thus is a least squares problem with linear inequalities, as in [2]_,
+nearest positive real model is therefore a least squares problem with linear inequalities, as in [2]_,
 
 .. math:: \min_\theta \sum_i w_i^2\,|z_i - \Phi(j\omega_i)\,\theta|^2 \quad\text{with}\quad
           \operatorname{Re}\Phi(j\nu)\,(\theta - m\,\theta^+) \ge 0 \text{ for all } \nu,
 
-and with residues on the axis and e not negative. It is solved with few :math:`\nu`, the whole axis is tested, the worst
-frequency of every violation is added, and so on; each time exactly, since in the coordinates in which the objective is
-a squared length it is a least distance problem, which non-negative least squares solves [3]_. The small margin m ends
-the rounds: without it every round would leave a smaller dip. :math:`\theta^+` has all residues and d replaced by their
-absolute values. Term by term that has a positive real part, e.g.
+and with non-negative e and residues on the axis. The problem is solved with few :math:`\nu`, the whole axis is tested,
+the worst frequency of every violation is added, and this is repeated. Each solution is exact: in the coordinates in
+which the objective is a squared length it is a least distance problem, solved by non-negative least squares [3]_. The
+small margin m ends the iteration: without it every round would leave a smaller dip. In :math:`\theta^+` all residues
+and d are replaced by their absolute values. Each of its terms has a positive real part, e.g.
 
 .. math:: \operatorname{Re}\Bigl(\frac{1}{j\omega - p} + \frac{1}{j\omega - \bar p}\Bigr)
           = \frac{-2 \operatorname{Re} p\;(|p|^2 + \omega^2)}{|j\omega - p|^2\,|j\omega - \bar p|^2} > 0,
 
-hence there always is a solution, without any term that the model does not have.
+so that a solution always exists, and needs no term that the model does not have.
 
 References
 ----------
@@ -50,12 +50,12 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.network.rational import TransferFunction
 from bayes_impedance.units import hertz
 
-# A dip below zero counts from this share of |z|: roots of polynomials are no more exact, and touching zero is passive.
 _TOLERANCE = 1e-9
-# Rounds of adding frequencies at which Re z must not be negative. By choice: what is left after them is an error.
+"""Depth of a dip, relative to abs(z), that counts as a violation. By choice: above the error of polynomial roots."""
 _ROUNDS = 100
-# What the data leave open is held at the model's own value with this weight, relative to the length of a column.
+"""Most rounds of adding constraint frequencies. By choice: violations that remain after them raise an error."""
 _RIDGE = 1e-5
+"""Ridge weight relative to a column's length. By choice: small beside the data, and fixes undetermined directions."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class Violation:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Passivity:
-    """Whether an impedance is positive real, and what is wrong with it.
+    """Whether an impedance is positive real, and which conditions it violates.
 
     Attributes
     ----------
@@ -95,9 +95,9 @@ class Passivity:
     wrong_residues : tuple of AxisPole
         Poles on the axis, 0 and infinity included, that are multiple or have a residue that is not real and positive.
     reasons : tuple of str
-        A sentence for each of these; empty for a positive real function.
+        One sentence for each violated condition; empty for a positive real function.
     margin : float
-        The smallest Re z / abs(z) on the axis, its ends included: 0 for whatever is lossless somewhere, as a spring to
+        The smallest Re z / abs(z) on the axis, its ends included: 0 if z is lossless at some frequency, as a spring to
         ground is at 0 Hz.
     """
 
@@ -118,12 +118,12 @@ def check_passivity(model: PoleResidue | TransferFunction, *, unit: str = "") ->
         In a TransferFunction poles off the axis may be multiple. Poles on or right of the axis are not cancelled
         against zeros: two equal lossless branches leave such a pair, which is reported as a multiple pole.
     unit : str
-        The impedance's unit, for the sentences only.
+        The impedance's unit, for the text of `reasons` only.
 
     Returns
     -------
     Passivity
-        Complex coefficients make a function not positive real; the rest of the verdict is about their real parts.
+        With complex coefficients the function is not positive real; other conditions are tested on their real parts.
 
     Raises
     ------
@@ -208,26 +208,26 @@ def enforce_passivity(
     ----------
     model : PoleResidue
     frequency_hz : array-like, shape (F,)
-        Where the distance is taken; the result is positive real everywhere.
+        Frequencies in Hz over which the distance is measured; the result is positive real at all frequencies.
     z : array-like, complex, shape (F,), optional
-        What the result is to be near to; by default the model itself.
+        Values to approximate; by default those of the model itself.
     noise_sd : array-like, shape (F,), optional
-        Standard deviation of `z`; by default abs(z), so that relative errors count.
+        Standard deviation of `z`; by default abs(z), which minimises relative errors.
     margin : float
-        How far Re z stays above 0 where it would be negative, as a share of the real part that the model would have
-        with positive residues, scaled down to the size of `z` if it is larger.
+        Least value of Re z at the constrained frequencies, relative to the real part that the model would have with
+        positive residues; that real part is scaled down to the size of `z` if it is larger.
 
     Returns
     -------
     PoleResidue
-        The very same object if it is positive real already, whatever `z` is.
+        The same object if the model is already positive real, whatever `z` is.
 
     Raises
     ------
     InputError
         If shapes differ, frequencies or weights are not positive, or `margin` is not above 0.
     RuntimeError
-        If dips remain after many rounds.
+        If violations remain after the last round.
     """
     if margin <= 0:
         raise InputError(f"margin is {margin:g}: choose a small number above 0, for instance 1e-6")
@@ -249,7 +249,7 @@ def enforce_passivity(
         verdict = check_passivity(repaired)
         if verdict.positive_real:
             return repaired
-        # Those that do not bind have no say in this solution; kept, they would make the next ones nearly dependent.
+        # Inactive constraints do not affect this solution; kept, they would make the next set nearly dependent.
         added = [family.deepest(violation, theta, positive) for violation in verdict.violations]
         nu = np.concatenate([nu[binding[1 : nu.size + 1]], *added])
     raise RuntimeError(f"no positive real model after {_ROUNDS} rounds: {'; '.join(verdict.reasons)}; raise the margin")
@@ -258,7 +258,7 @@ def enforce_passivity(
 def _target(
     model: PoleResidue, frequency_hz: npt.ArrayLike, z: npt.ArrayLike | None, noise_sd: npt.ArrayLike | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Complex frequency, values to be met, and weights, each of shape (F,)."""
+    """Complex frequency, values to approximate, and weights, each of shape (F,)."""
     frequency = np.asarray(frequency_hz, dtype=float)
     if frequency.ndim != 1 or frequency.size == 0 or not np.all((frequency > 0) & np.isfinite(frequency)):
         raise InputError("frequency_hz must be a list of finite numbers above 0: leave out the others")
@@ -278,8 +278,8 @@ def _target(
 class _Family:
     """All real models with the poles of one, R + 2 real parameters: residues, constant and linear term.
 
-    `basis`, complex, shape (P, R), makes residues of the first R; `free`, bool, shape (R + 2,), tells the parameters
-    that are not held at 0.
+    `basis`, complex, shape (P, R), maps the first R parameters to residues; `free`, bool, shape (R + 2,), marks the
+    parameters that are not held at 0.
     """
 
     poles: np.ndarray
@@ -305,7 +305,7 @@ class _Family:
         return cls(poles, basis, free)
 
     def parameters(self, residues: np.ndarray, constant: float, linear: float) -> np.ndarray:
-        """Parameters of a model; an imaginary part of a residue on the axis is left out."""
+        """Parameters of a model; the imaginary part of a residue on the axis is dropped."""
         own = (self.basis.conj().T @ residues).real / np.sum(np.abs(self.basis) ** 2, axis=0)
         return np.asarray(np.concatenate([own, [constant, linear]])[self.free])
 
@@ -314,17 +314,17 @@ class _Family:
         every = np.zeros(self.free.size)
         every[self.free] = theta
         never_negative = np.append(self._lossless(), [False, True])
-        every[never_negative] = np.maximum(every[never_negative], 0.0)  # they are, but for rounding
+        every[never_negative] = np.maximum(every[never_negative], 0.0)  # negative by rounding only
         return PoleResidue(self.poles, self.basis @ every[:-2], float(every[-2]), float(every[-1]))
 
     def columns(self, s: np.ndarray) -> np.ndarray:
-        """What each parameter adds to z, complex, shape (F, free)."""
+        """Contribution of each parameter to z (design matrix), complex, shape (F, free)."""
         every = [(1 / (s[:, None] - self.poles)) @ self.basis, np.ones((s.size, 1)), s[:, None]]
         return np.hstack(every)[:, self.free]
 
     def real_parts(self, nu: np.ndarray) -> np.ndarray:
-        """What each parameter adds to Re z, shape (2 + V, free): at 0, nu in rad/s, and infinity."""
-        # Without a constant Re z falls with 1/omega**2, whose coefficient then is the row of infinity.
+        """Contribution of each parameter to Re z, shape (2 + V, free): at 0, nu in rad/s, and infinity."""
+        # Without a constant Re z falls as 1/omega**2; the row for infinity is then the coefficient of 1/omega**2.
         s = 1j * np.concatenate([[0.0], nu])[:, None]
         lossy = ~on_axis(self.poles)
         poles, basis = self.poles[lossy], self.basis[lossy]
@@ -335,7 +335,7 @@ class _Family:
         return np.vstack([rows, infinity])[:, self.free]
 
     def deepest(self, violation: Violation, theta: np.ndarray, positive: np.ndarray) -> np.ndarray:
-        """Frequencies in rad/s at which a band is worst: for Re z / abs(z), and for Re z over that of `positive`.
+        """Frequencies in rad/s at which Re z / abs(z), and Re z relative to that of `positive`, are smallest in a band.
 
         The first may be a zero of Im z at the very edge of a band, where a constraint would move little but the edge.
         """
@@ -350,7 +350,7 @@ class _Family:
         return np.asarray(found[(found > 0) & np.isfinite(found)])
 
     def signs(self) -> np.ndarray:
-        """Rows that select what must not be negative: residues on the axis and the linear term."""
+        """Constraint rows that select the parameters >= 0: residues on the axis and the linear term."""
         chosen = np.append(self._lossless(), [False, True]) & self.free
         return np.asarray(np.eye(self.free.size)[chosen][:, self.free])
 
@@ -364,14 +364,15 @@ def _constrained(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Parameters with the smallest abs(columns theta - target)^2 and rows theta >= least, by Lawson and Hanson's LDP.
 
-    Columns and target are complex; what they leave open stays near `own`. The second result tells which rows bind.
+    Columns and target are complex; directions that they do not determine stay near `own`. The second result is the
+    mask of active rows.
     """
     length = np.sqrt(np.sum(np.abs(columns) ** 2, axis=0))
     scaled = columns / length
     matrix = np.vstack([scaled.real, scaled.imag, _RIDGE * np.eye(length.size)])
     q, r = np.linalg.qr(matrix)
     free = q.T @ np.concatenate([target.real, target.imag, _RIDGE * own * length])
-    # r theta = free + step: the step's length is what the constraints cost, and each of them is a wall in its space.
+    # r theta = free + step: the squared length of the step is the increase of the objective due to the constraints.
     rows = rows / length
     walls = solve_triangular(r, rows.T, trans="T").T
     present = np.linalg.norm(walls, axis=1) > 0
@@ -388,7 +389,7 @@ def _constrained(
         step = -residual[:-1] / residual[-1] * scale
         touched = weights > 0
         binding[present] = touched
-        for _ in range(2):  # the constraints that bind, to the last digits: r may be close to singular
+        for _ in range(2):  # iterative refinement of the active constraints: r may be close to singular
             gap = least[touched] - rows[touched] @ solve_triangular(r, free + step)
             step = step + np.linalg.lstsq(walls[touched] / size[touched, None], gap / size[touched], rcond=1e-6)[0]
     return solve_triangular(r, free + step) / length, binding

@@ -16,7 +16,8 @@ import numpy.typing as npt
 from bayes_impedance.network.rational import TransferFunction
 
 _PAIRING = 1e-9
-"""Relative difference up to which a pole or residue is another's conjugate: above rounding, below any digit in use."""
+"""Relative difference up to which two poles or residues count as conjugates. By choice: above rounding errors, and
+below the digits that are given in practice."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +131,7 @@ def _scaled(coefficients: np.ndarray, scale: float) -> np.ndarray:
 
 
 def _conjugate(values: np.ndarray) -> np.ndarray:
-    """Values whose conjugates stand right behind them, as LAPACK orders roots, made conjugate to the last bit."""
+    """Make adjacent conjugate pairs, in LAPACK's order of roots, exactly conjugate."""
     values = np.asarray(values, dtype=complex).copy()
     i = 0
     while i < values.size:

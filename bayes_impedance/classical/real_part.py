@@ -1,25 +1,26 @@
-r"""Real part of a rational impedance on the imaginary axis: its value, its rounding, and where it can change sign.
+r"""Real part of a rational impedance on the imaginary axis: its value, its rounding error, and its sign changes.
 
 **Poles and residues.** Lossless terms (a pole at 0, :math:`e\,s`, pairs on the axis) have no real part there and are
-taken out. Since poles are real or conjugate, the others give, with :math:`x = s^2 = -\omega^2`,
+removed. Since poles are real or conjugate, the others give, with :math:`x = s^2 = -\omega^2`,
 
 .. math:: \operatorname{Re} z(j\omega) = d + \sum_k \frac{g_k}{x - q_k}, \qquad q_k = p_k^2, \quad g_k = c_k p_k,
 
-whose sign changes at its real negative roots x only. (So does :math:`\operatorname{Im} z / \omega` with e and
+which changes sign only at its real negative roots x. (So does :math:`\operatorname{Im} z / \omega` with e and
 :math:`c_k` in place of d and :math:`g_k`: there the phase is 0 or 180 degrees.) The roots are eigenvalues of the pencil
 
 .. math:: \begin{pmatrix} \operatorname{diag} q & \mathbf 1 \\ g^\top & d \end{pmatrix}
           - x \begin{pmatrix} I & 0 \\ 0 & 0 \end{pmatrix},
 
-the Hamiltonian pencil of the passivity tests of Boyd, Balakrishnan and Kabamba [1]_ and Grivet-Talocia [2]_, folded to
-half its size by the symmetry of :math:`z(s) + z(-s)` as in [3]_; it needs no inverse of d, which may be 0. As q covers
-twice the decades of the poles, a single eigenvalue problem would drown the slow ones in the rounding of the fast ones.
-Shifted to :math:`\sigma` and inverted, the pencil becomes the ordinary matrix
+the Hamiltonian pencil of the passivity tests of Boyd, Balakrishnan and Kabamba [1]_ and Grivet-Talocia [2]_, reduced
+to half its size by the symmetry of :math:`z(s) + z(-s)` as in [3]_; it needs no inverse of d, which may be 0. As q
+covers twice the decades of the poles, in a single eigenvalue problem the rounding error of the large roots would exceed
+the small roots. Shifted to :math:`\sigma` and inverted, the pencil becomes the ordinary matrix
 
 .. math:: T(\sigma) = D^{-1} + \frac{D^{-1}\mathbf 1\, g^\top D^{-1}}{d - g^\top D^{-1}\mathbf 1},
           \qquad D = \operatorname{diag}(q) - \sigma I,
 
-with eigenvalues :math:`1/(x - \sigma)` that are exact near :math:`\sigma`. One shift per decade of frequency finds all.
+whose eigenvalues :math:`1/(x - \sigma)` are accurate for x near :math:`\sigma`. One shift per decade of frequency finds
+all roots.
 
 **Ratios of polynomials** need no expansion, and poles off the axis may be multiple: :math:`\operatorname{Re} N/D` has
 the sign of the even part of :math:`N(s)\,D(-s)`, which is a polynomial in x.
@@ -47,24 +48,29 @@ from bayes_impedance.classical.pole_residue import PoleResidue
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.rational import TransferFunction
 
-# Re z below this share of the size of its terms is rounding.
 _RESOLUTION = 1e-12
-# A pole with a damping ratio below this is lossless; the phase of its residue is known less well than the pole.
+"""Re z below this fraction of its terms' size counts as rounding. By choice: some thousand machine epsilons."""
 _ON_AXIS = 1e-7
+"""Damping ratio below which a pole counts as lossless. By choice: well above rounding errors of simple roots."""
 _RESIDUE_PHASE = 1e-6
-# Poles this close are one multiple pole: a double root moves by the square root of rounding, 1e-8, or somewhat more.
+"""Phase in radians up to which a residue counts as real. By choice: larger than for a pole, which is more accurate."""
 _MULTIPLE = 1e-6
-# Decades of frequency below the slowest and above the fastest pole in which roots are looked for.
+"""Relative distance below which poles count as one multiple pole: rounding moves a double root by about its square
+root, 1e-8. By choice: well above that."""
 _DECADES_BEYOND = 9
-# How many of the lowest samples are followed down to a minimum. By choice: the lowest alone may lead to a higher one.
+"""Decades of frequency below the slowest and above the fastest pole that are searched for roots. By choice: more shifts
+cost time, and each decade needs one."""
 _DIPS = 3
-# An end of the axis goes before a frequency whose relative real part is lower by no more than this: by rounding.
+"""Number of lowest local minima of the samples that are refined. By choice: the lowest sample alone may lead to a
+minimum that is not the global one."""
 _TIE = 1e-12
+"""Difference of Re z / abs(z) up to which an end of the axis is preferred to a frequency. By choice: rounding error, as
+for :data:`_RESOLUTION`."""
 
 
 @dataclass(frozen=True)
 class AxisPole:
-    """A pole on the imaginary axis, of a pair the upper one.
+    """A pole on the imaginary axis; of a conjugate pair, the one with positive frequency.
 
     Attributes
     ----------
@@ -79,9 +85,9 @@ class AxisPole:
 
 
 class RealPart(ABC):
-    """Re z on the imaginary axis and the poles that matter for passivity; frequencies are in rad/s.
+    """Re z on the imaginary axis, and the poles that decide passivity; frequencies are in rad/s.
 
-    `ends` holds Re z / abs(z) and Re z at 0 and at infinity; both are 0 where z is imaginary or grows.
+    `ends` holds Re z / abs(z) and Re z at 0 and at infinity; both are 0 where z is imaginary or unbounded.
     """
 
     unstable: np.ndarray
@@ -95,7 +101,7 @@ class RealPart(ABC):
 
     @abstractmethod
     def resolution(self, omega: npt.ArrayLike) -> np.ndarray:
-        """Rounding of Re z."""
+        """Bound on the rounding error of Re z."""
 
     @abstractmethod
     def magnitude(self, omega: npt.ArrayLike) -> np.ndarray:
@@ -103,7 +109,7 @@ class RealPart(ABC):
 
     @abstractmethod
     def landmarks(self) -> np.ndarray:
-        """Frequencies above 0 between which Re z keeps its sign, and those of poles."""
+        """Frequencies above 0 between which Re z keeps its sign, and those of poles, shape (L,)."""
 
     def relative(self, omega: npt.ArrayLike) -> np.ndarray:
         """Re z / abs(z), 0 below the resolution; at 0 and infinity the limit."""
@@ -115,14 +121,14 @@ class RealPart(ABC):
         return np.where(omega == 0, self.ends[0][0], np.where(np.isinf(omega), self.ends[1][0], ratio))
 
     def samples(self) -> np.ndarray:
-        """Landmarks, a grid around them for the margin, and the middles between all of these; ascending, shape (W,)."""
+        """Landmarks, a grid around them, and the geometric means between neighbours; ascending, shape (W,)."""
         landmarks = self.landmarks()
         low, high = (landmarks.min(), landmarks.max()) if landmarks.size else (1.0, 1.0)
         marks = np.unique(np.concatenate([landmarks, np.geomspace(low / 1e3, high * 1e3, 200)]))
         return np.unique(np.concatenate([marks, np.sqrt(marks[1:] * marks[:-1])]))
 
     def crossing(self, outside: float, inside: float) -> float:
-        """Where Re z changes sign between two frequencies; `outside` if that is within rounding."""
+        """Where Re z changes sign between two frequencies; `outside` if there is no clear sign change."""
         if not 0 < inside < np.inf or not 0 < outside < np.inf:
             return float(outside)
         ends = np.log([outside, inside])
@@ -131,7 +137,7 @@ class RealPart(ABC):
         return float(np.exp(brentq(lambda x: float(self.real(np.exp(x))), *ends)))
 
     def lowest(self, omega: np.ndarray, with_zero: bool, with_infinity: bool) -> tuple[float, float]:
-        """Frequency and value of the smallest Re z / abs(z) around ascending frequencies, and if wanted at the ends."""
+        """Frequency and value of the smallest Re z / abs(z) near ascending frequencies, optionally also at the ends."""
         relative = self.relative(omega)
         padded = np.concatenate([[np.inf], relative, [np.inf]])
         dips = np.flatnonzero((relative <= padded[:-2]) & (relative <= padded[2:]))
@@ -140,7 +146,7 @@ class RealPart(ABC):
             found.append((float(omega[best]), float(relative[best])))
             low, high = omega[max(best - 1, 0)], omega[min(best + 1, omega.size - 1)]
             if low < high:
-                # As a share of the interval: the minimiser resolves no less than 1e-8 of its variable.
+                # The variable is the fraction of the interval: the minimiser resolves no less than 1e-8 of it.
                 local = minimize_scalar(
                     lambda x, low=low, high=high: float(self.relative(low * (high / low) ** x)),
                     bounds=(0, 1),
@@ -150,7 +156,7 @@ class RealPart(ABC):
                 found.append((float(low * (high / low) ** local.x), float(local.fun)))
         ends = ((with_zero, 0.0, self.ends[0][0]), (with_infinity, np.inf, self.ends[1][0]))
         found += [(place, value) for wanted, place, value in ends if wanted]
-        # A limit is approached: an end goes before frequencies that are lower by rounding only.
+        # An end is preferred to frequencies at which the value is lower by rounding only.
         return min(found, key=lambda pair: pair[1] - (_TIE if pair[0] in (0.0, np.inf) else 0.0))
 
 
@@ -166,7 +172,7 @@ def real_part(model: PoleResidue | TransferFunction) -> RealPart:
 
 
 def on_axis(poles: np.ndarray) -> np.ndarray:
-    """Which poles are lossless, bool, same shape."""
+    """Mask of the lossless poles, bool, same shape."""
     return np.asarray(np.abs(poles.real) <= _ON_AXIS * np.abs(poles))
 
 
@@ -175,13 +181,13 @@ def _is_positive(residue: complex, rounding: float = 0.0) -> bool:
 
 
 class _OfFractions(RealPart):
-    """Poles and residues."""
+    """Re z of a function given by poles and residues."""
 
     def __init__(self, model: PoleResidue) -> None:
         self.model = model
-        present = model.residues != 0  # what has no residue is no pole
+        present = model.residues != 0  # a zero residue means no pole
         poles, residues = model.poles[present], model.residues[present]
-        # What is damped ever so little may have another residue: its share of Re z then is finite and is looked at.
+        # A slightly damped pole with another residue has a finite contribution to Re z, which is tested.
         positive = np.array([_is_positive(residue) for residue in residues], dtype=bool)
         lossless = on_axis(poles) & (positive | (np.abs(poles.real) <= _RESOLUTION * np.abs(poles)) | (poles.real > 0))
         self.poles, self.residues = poles[~lossless], residues[~lossless]
@@ -196,7 +202,7 @@ class _OfFractions(RealPart):
         self.ends = ((float(np.sign(zero)), float(zero)), (float(np.sign(infinity)), float(infinity)))
 
     def _terms(self, omega: npt.ArrayLike) -> np.ndarray:
-        """Shape (..., P): product instead of a difference of squares, which would cancel near a resonance."""
+        """Terms of the sum, shape (..., P); as products, since a difference of squares cancels near a resonance."""
         s = 1j * np.asarray(omega)[..., None]
         return np.asarray(-self.residues * self.poles / ((self.poles - s) * (self.poles + s)))
 
@@ -223,21 +229,21 @@ class _OfFractions(RealPart):
 
 
 def _around(roots: np.ndarray) -> np.ndarray:
-    """Sizes of poles or zeros, and frequencies over the width of their resonances."""
+    """Magnitudes of poles or zeros, and frequencies across the width of their resonances."""
     steps = np.array([0.0, 0.5, 1, 2, 4, 8, 32, 128])
     widths = np.abs(roots.real) * np.concatenate([-steps, steps])[:, None]
     return np.concatenate([np.abs(roots), (np.abs(roots.imag) + widths).ravel()])
 
 
 def _sign_changes(q: np.ndarray, g: np.ndarray, d: float, low: float, high: float) -> np.ndarray:
-    """Frequencies in rad/s, at least those where d + sum g/(x - q) is 0 with x = -omega**2; ends in decades."""
-    # Beside the negative half-axis, where neither roots nor poles of a real function of x are likely to be.
+    """Frequencies in rad/s that include all roots of d + sum g/(x - q), x = -omega**2; `low`, `high` are log10."""
+    # Shifts off the negative real axis, where roots and poles of a real function of x are unlikely.
     shifts = -(10.0 ** (2 * np.linspace(low, high, int(high - low) + 2)[:, None])) * (1 + 0.3j)
     difference = q - shifts
     parts = g / difference
     value = d - parts.sum(axis=1)
-    value = np.where(value == 0, 1e-16 * np.abs(parts).sum(axis=1), value)  # a root to the last bit stays one
-    half = np.sqrt(g) / difference  # a similarity makes T symmetric, which balances it
+    value = np.where(value == 0, 1e-16 * np.abs(parts).sum(axis=1), value)  # avoids division by 0 at an exact root
+    half = np.sqrt(g) / difference  # a similarity transform that makes T symmetric balances it
     matrices = half[:, :, None] * half[:, None, :] / value[:, None, None]
     diagonal = np.arange(g.size)
     matrices[:, diagonal, diagonal] += 1 / difference
@@ -248,7 +254,7 @@ def _sign_changes(q: np.ndarray, g: np.ndarray, d: float, low: float, high: floa
 
 
 class _OfRatio(RealPart):
-    """Two polynomials in descending powers of s over a typical frequency."""
+    """Re z of a ratio of two polynomials, kept in descending powers of s divided by a typical frequency."""
 
     def __init__(self, transfer: TransferFunction) -> None:
         both = [np.array([complex(c) for c in p]) for p in (transfer.numerator, transfer.denominator)]
@@ -286,7 +292,7 @@ class _OfRatio(RealPart):
             multiple = equal.sum() > 1
             residue = complex(np.nan if multiple else np.polyval(self.numerator, poles[i]) / slope)
             terms = 0.0 if multiple else float(np.polyval(np.abs(self.numerator), np.abs(poles[i])) / np.abs(slope))
-            # The residue of a pole just left of the axis may be complex: its share of Re z is looked at.
+            # The residue of a pole just left of the axis may be complex: its contribution to Re z is tested.
             tolerated = _is_positive(residue, _RESOLUTION * terms) or (poles[i].real < 0 < residue.real)
             wrong = multiple or not tolerated
             if np.flatnonzero(equal)[0] == i and wrong:
@@ -326,7 +332,7 @@ class _OfRatio(RealPart):
 
 
 def _roots(polynomial: np.ndarray) -> np.ndarray:
-    """Roots other than 0, the small ones once more as reciprocals, which are more exact."""
+    """Roots other than 0, and again as reciprocal roots of the reversed polynomial, more accurate for small ones."""
     both = [np.roots(np.trim_zeros(p, "f")) for p in (polynomial, polynomial[::-1])]
     return np.concatenate([both[0][both[0] != 0], 1 / both[1][both[1] != 0]])
 

@@ -1,22 +1,22 @@
 r"""System identification: a rational function of given orders fitted to complex impedances, as a toolbox would.
 
-The paper used MATLAB's ``tfest`` with the orders of eq. 4. What such a tool does, here in three steps:
+The paper used MATLAB's ``tfest`` with the orders of eq. 4. The algorithm has three steps, as in such a tool:
 
 1. **A linear start.** :math:`N(s) - z\,D(s)` is linear in the coefficients, but least squares on it weighs every
-   frequency by :math:`|D|^2` (Levy 1959). Dividing by the :math:`|D|` of the step before and repeating takes that
-   weight out (Sanathanan and Koerner 1963).
-2. **Instruments.** With noise in z the regressors :math:`z\,s^k` are noisy themselves, and least squares is biased.
-   Replacing z in them by the model's own curve, on one side of the normal equations only, takes most of the bias away
-   (Young 1976): :math:`\sum \hat\varphi^* (N - zD)/|D|^2 = 0`.
-3. **Nonlinear least squares** on :math:`N/D - z` itself. With noise its landscape has false minima, where a pole in
-   the right half plane all but cancels a zero beside it. So it starts from the curves of both linear steps, from the
-   same with such poles reflected, and from poles spread over the band; the best end whose poles are all stable is
-   kept, because an impedance has no others.
+   frequency by :math:`|D|^2` (Levy 1959). Dividing by the :math:`|D|` of the step before and repeating removes
+   that weight (Sanathanan and Koerner 1963).
+2. **Instrumental variables.** With noise in z the regressors :math:`z\,s^k` are noisy themselves, and least squares is
+   biased. Replacing z in them by the model's own curve, on one side of the normal equations only, removes most of the
+   bias (Young 1976): :math:`\sum \hat\varphi^* (N - zD)/|D|^2 = 0`.
+3. **Nonlinear least squares** on :math:`N/D - z` itself. With noise it has local minima in which a pole in the
+   right half plane nearly cancels a zero. It therefore starts from the curves of both linear steps, from the same with
+   such poles reflected, and from poles spread over the band; the best end point with stable poles only is kept,
+   because a passive impedance has no unstable poles.
 
 Frequencies are scaled to their geometric mean and columns to unit length, so that powers of s stay near one. Several
 curves are first reduced: :math:`\sum_i w_i |m - z_i|^2` differs from :math:`\sum_i w_i\,|m - \bar z|^2` with the
-weighted mean :math:`\bar z` only by what no model can change. The relative weights are those of the median magnitude:
-one's own would make the small impedances count most, and turn the mean towards them.
+weighted mean :math:`\bar z` only by a term that does not depend on the model. The relative weights use the
+median magnitude: weights from each curve's own magnitude would bias the mean towards small impedances.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ WEIGHTINGS = ("none", "relative")
 """Least squares of the absolute or of the relative error."""
 
 _LINEAR_ROUNDS = 30
-"""Linearised steps from each start. By choice: the best of all of them is kept, so that more cost time only."""
+"""Linearised steps from each start. By choice: the best of them is kept, so that more only cost time."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ def identify(
     ----------
     frequency_hz : ndarray, shape (F,)
     z : ndarray, complex, shape (F,) or (N, F)
-        One curve or several, NaN where somebody has no data.
+        One curve or several, NaN where data are missing.
     n_zeros, n_poles : int
         Degrees of numerator and denominator; the pole at 0 counts.
     pole_at_zero : bool
@@ -167,7 +167,7 @@ class _Problem:
         return float(np.sum(np.abs(self.weight * (self.model(unknown) - self.curve)) ** 2))
 
     def linear_starts(self) -> list[np.ndarray]:
-        """Best of the repeated least squares, and the best after instruments."""
+        """Best iterate of the linearised least squares, and best iterate with instrumental variables."""
         found: list[np.ndarray] = []
         unknown: np.ndarray | None = None
         for instruments in (False, True):
@@ -221,7 +221,7 @@ class _Problem:
         return np.asarray(np.linalg.lstsq(t @ a, t @ b, rcond=None)[0] / length)
 
     def refine(self, start: np.ndarray) -> tuple[np.ndarray, float, bool]:
-        """Nonlinear least squares: the coefficients, half the weighted squares, whether it converged."""
+        """Nonlinear least squares: the coefficients, half the weighted sum of squares, whether it converged."""
         from scipy.optimize import least_squares
 
         def residual(unknown: np.ndarray) -> np.ndarray:
@@ -236,7 +236,7 @@ class _Problem:
         return done.x, float(done.cost), bool(done.status > 0)
 
     def transfer(self, unknown: np.ndarray) -> TransferFunction:
-        """In s itself, from the coefficients in s/scale."""
+        """The transfer function in s, from the coefficients in s/scale."""
         numerator = unknown[: self.n_zeros + 1]
         denominator = np.concatenate([[1.0], unknown[self.n_zeros + 1 :], [0.0] * self.pole_at_zero])
         n_poles = denominator.size - 1
@@ -247,7 +247,7 @@ class _Problem:
 
 
 def _reflected(poles: np.ndarray) -> np.ndarray:
-    """Poles of the right half plane turned into the left."""
+    """Poles with those in the right half plane reflected into the left."""
     return np.asarray(-np.abs(poles.real) + 1j * poles.imag)
 
 

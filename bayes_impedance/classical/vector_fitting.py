@@ -1,37 +1,34 @@
 r"""Vector fitting: poles and residues of one measured impedance, without a network.
 
-Sought is the stable rational function with real coefficients
+Fits the stable rational function with real coefficients
 
 .. math:: z(s) = \sum_k \frac{c_k}{s - p_k} + \Bigl[\frac{c_0}{s}\Bigr] + [d] + [e\,s]
 
-closest to a curve :math:`z_f = z(j\omega_f)`; terms in brackets are optional. It is nonlinear in the poles only.
+closest to a curve :math:`z_f = z(j\omega_f)`; terms in brackets are optional. Only the poles enter nonlinearly.
 
-**Relocation** [1]_. Multiply by an unknown :math:`\sigma(s)` that has the present poles :math:`q_k` as its own and the
-poles of z as its zeros. In the product they cancel, so that both are sums over the *known* :math:`q_k`, and
+**Relocation** [1]_. Multiply z by an unknown :math:`\sigma(s)` whose poles are the present poles :math:`q_k` and whose
+zeros are the poles of z. These cancel in the product, so that both are sums over the *known* :math:`q_k`, and
 
 .. math:: \sum_k\frac{c_k}{s-q_k} + \Bigl[\frac{c_0}{s}\Bigr] + [d] + [e\,s]
           = z_f\,\Bigl(\sum_k\frac{\tilde c_k}{s-q_k} + \tilde d\Bigr), \qquad s = j\omega_f,
 
 is linear in all unknowns. The zeros of :math:`\sigma`, the eigenvalues of :math:`A - b\,\tilde c^T/\tilde d` with
-:math:`(A, b, \tilde c, \tilde d)` a state space of it, are the next poles; one in the right half plane is reflected.
-A pole at exactly 0 (a spring to ground) is not relocated. As :math:`\sigma` has none there, z has it if and only if the
-product has it: it is the column 1/s on the left and nothing on the right. A term in s times the fractions of
-:math:`\sigma` leaves a constant: with e s there is a d on the left even if z is to have none.
+:math:`(A, b, \tilde c, \tilde d)` its state space, are the next poles; those in the right half plane are reflected.
+A pole at exactly 0 (a spring to ground) stays fixed: :math:`\sigma` has no pole there, so the column 1/s is only on the
+left. With a term e s in z the left side has a constant d even if z has none, from s times the fractions.
 
-Setting :math:`\tilde d = 1` would exclude the solution 0 but draws poles of noisy data aside, because :math:`\sigma` is
-then made small where that pays. The relaxed constraint [2]_ leaves :math:`\tilde d` free and asks for an average,
-:math:`\sum_f \operatorname{Re}\sigma(j\omega_f) = F`, by one more row; only if :math:`\tilde d` comes out too small to
-divide by, the step is done again with 1. Rows are real and imaginary parts, times the weights; a QR decomposition
-shrinks them to as many as unknowns, as in [3]_, which also eliminates what many responses do not share.
+Fixing :math:`\tilde d = 1` would exclude the zero solution but bias the poles of noisy data, because it favours a small
+:math:`\sigma`. The relaxed constraint [2]_ leaves :math:`\tilde d` free and fixes an average,
+:math:`\sum_f \operatorname{Re}\sigma(j\omega_f) = F`, by one more row; only if the resulting :math:`\tilde d` is too
+small to divide by, the step is repeated with 1. The weighted real and imaginary rows are compressed by QR as in [3]_.
 
-**Basis.** Conjugates and two real poles alike are the roots of :math:`q(s) = s^2 + a s + b`, with a, b > 0 if and only
-if both are stable. 1/q and s/q span the same functions as their partial fractions (for conjugates, their two real
-combinations in [1]_) and do not degenerate where real poles meet. An odd real pole is left single, as 1/(s + g).
+**Basis.** A conjugate pair, or two real poles, are the roots of :math:`q(s) = s^2 + a s + b`; both are stable if and
+only if a, b > 0. 1/q and s/q span the same functions as their partial fractions and, unlike these, stay independent
+where real poles coincide. With an odd number of real poles one is kept as 1/(s + g).
 
-**Refinement.** Relocation makes the error of the *product* small. The least weighted error of z itself is sought
-afterwards in log a, log b and log g, which needs no constraint for stability. Numerators are eliminated: with
-:math:`\Phi` the weighted columns and :math:`P = 1 - \Phi\Phi^+`, the residual of the weighted data y is
-:math:`r = P\,y`, and its derivative is [4]_
+**Refinement.** Relocation minimises the error of the *product*. The weighted error of z itself is minimised afterwards
+over log a, log b and log g, which keeps every pole stable. Numerators are eliminated: with :math:`\Phi` the weighted
+columns and :math:`P = 1 - \Phi\Phi^+`, the residual of the weighted data y is :math:`r = P\,y`, with derivative [4]_
 
 .. math:: \partial r = -P\,\partial\Phi\,\Phi^+ y - (P\,\partial\Phi\,\Phi^+)^T y .
 
@@ -41,8 +38,7 @@ References
 ----------
 .. [1] B. Gustavsen, A. Semlyen, "Rational approximation of frequency domain responses by vector fitting", IEEE
    Transactions on Power Delivery 14(3), 1999.
-.. [2] B. Gustavsen, "Improving the pole relocating properties of vector fitting", IEEE Transactions on Power Delivery
-   21(3), 2006.
+.. [2] B. Gustavsen, "Improving the pole relocating properties of vector fitting", IEEE Trans. Power Deliv. 21(3), 2006.
 .. [3] D. Deschrijver, M. Mrozowski, T. Dhaene, D. De Zutter, "Macromodeling of multiport systems using a fast
    implementation of the vector fitting method", IEEE Microwave and Wireless Components Letters 18(6), 2008.
 .. [4] G. H. Golub, V. Pereyra, "The differentiation of pseudo-inverses and nonlinear least squares problems whose
@@ -62,12 +58,18 @@ from threadpoolctl import threadpool_limits
 from bayes_impedance.classical.pole_residue import PoleResidue
 from bayes_impedance.errors import InputError
 
-_SETTLED = 1e-6  # relative change of every pole below which the relocation has come to rest
-_SMALLEST_CONSTANT = 1e-8  # a relaxed d-tilde below this is not divided by
-_LARGEST_LOG = 27.0  # of a, b and g in scaled frequency: a pole that runs off to 0 or infinity stays a number
-_RANK = 1e-13  # relative size below which columns count as dependent, and an error as rounding
-_DAMPING = 0.01  # damping ratio of initial conjugate pairs, as recommended in [1]_
-_REFINED = 3  # how many different relocated models are refined
+_SETTLED = 1e-6
+"""Relative change of every pole at which relocation has converged. By choice: refinement finds further digits."""
+_SMALLEST_CONSTANT = 1e-8
+"""Smallest relaxed d-tilde that is divided by. By choice: about the square root of machine precision."""
+_LARGEST_LOG = 27.0
+"""Bound on log a, b and g in scaled frequency. By choice: a factor of 5e11, so that diverging poles stay finite."""
+_RANK = 1e-13
+"""Relative size below which columns count as dependent, and an error as rounding. By choice: near machine precision."""
+_DAMPING = 0.01
+"""Damping ratio of initial conjugate pairs, as recommended in [1]_."""
+_REFINED = 3
+"""Number of different relocated models that are refined. By choice: more cost time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,11 +83,11 @@ class VectorFit:
     relative_rms : float
         Root mean square over frequency of |model - z| / |z|.
     weighted_rms : float
-        The same of |model - z| / noise_sd, which is about the square root of two where the model has no fault.
+        The same of |model - z| / noise_sd; about the square root of two if the model fits to within the noise.
     iterations : int
-        Relocations done from the starting poles whose result was kept.
+        Relocations from the initial poles whose result was kept.
     converged : bool
-        Whether these had come to rest. On noisy data superfluous poles may wander on without any harm to the error.
+        Whether the relocation converged. On noisy data superfluous poles may keep moving without affecting the error.
     """
 
     model: PoleResidue
@@ -110,9 +112,9 @@ def vector_fit(
 ) -> VectorFit:
     """Fit poles and residues to one impedance curve.
 
-    On noisy data relocation depends on its initial poles: unless they are given, several fixed sets are tried, and what
-    has the least weighted error is returned. Nothing is random. Superfluous pairs may become resonances between two
-    points of noisy data: :func:`~bayes_impedance.classical.order.select_order` finds how many poles these support.
+    On noisy data the result depends on the initial poles: unless given, several fixed sets are tried and the model of
+    least weighted error is returned (nothing is random). Superfluous pairs may become resonances between two points:
+    :func:`~bayes_impedance.classical.order.select_order` finds how many poles the data support.
 
     Parameters
     ----------
@@ -121,10 +123,9 @@ def vector_fit(
     z : array_like, complex, shape (F,)
         Impedance with exp(+jwt), not 0 anywhere.
     n_poles : int
-        All poles, including the one at 0 if `pole_at_zero`: five then are four free ones and 0.
+        Number of poles, including the one at 0 if `pole_at_zero`: five are then four free ones and 0.
     noise_sd : array_like, shape (F,) or (), optional
-        Standard deviation of each of real and imaginary part, in the unit of z; weights are its inverse. Without it the
-        weights are 1/abs(z), for noise in proportion to the magnitude.
+        Standard deviation of each of real and imaginary part, in the unit of z; weights are its inverse. Else 1/abs(z).
     pole_at_zero : bool
         Whether one pole is fixed at s = 0 exactly.
     constant, linear : bool
@@ -132,7 +133,7 @@ def vector_fit(
     start : array_like, complex, shape (number of free poles,), optional
         Initial free poles in rad/s, real or with their conjugates; unstable ones are reflected.
     refine : bool
-        Whether the weighted error is minimised after the relocation; the result is never worse than without.
+        Whether the weighted error is minimised after the relocation; the error is never larger than without.
     max_iterations : int
         Bound on relocations from each starting set.
 
@@ -143,7 +144,7 @@ def vector_fit(
     Raises
     ------
     InputError
-        If shapes, values or frequencies are no curve, initial poles do not match, or data are fewer than unknowns.
+        If shapes, values or frequencies are invalid, initial poles do not match, or data are fewer than unknowns.
     """
     frequency, values = np.asarray(frequency_hz, dtype=float), np.asarray(z, dtype=complex)
     sd = np.abs(values) if noise_sd is None else np.asarray(noise_sd, dtype=float)
@@ -160,9 +161,9 @@ def vector_fit(
     n_others = sum(used for _, used in terms[:3])
     problem = _Problem(s, values, 1 / (sd * size) + np.zeros(s.size), others[:, :n_others], others)
     starts = _starting_sets(n_free, abs(s[-1])) if start is None else [_checked_start(start, n_free) / scale]
-    with threadpool_limits(1, "blas"):  # matrices are small: more threads would only wait for each other
+    with threadpool_limits(1, "blas"):  # matrices are too small to gain from threads
         distinct = problem.candidates([_denominators(poles) for poles in starts], max_iterations, refine)
-        # Judged by their partial fractions: these lose digits where poles nearly coincide, the quadratics do not.
+        # Compared by their partial fractions, which, unlike the quadratics, lose digits where poles nearly coincide.
         models = [problem.partial_fractions(candidate, scale, pole_at_zero, constant) for candidate in distinct]
     deviations = [np.abs(model(2j * np.pi * frequency) - values) for model in models]
     i = int(np.argmin([np.mean((deviation / sd) ** 2) for deviation in deviations]))
@@ -171,13 +172,13 @@ def vector_fit(
 
 
 def number_of_unknowns(n_poles: int, *, pole_at_zero: bool = False, constant: bool = True, linear: bool = False) -> int:
-    """How many real numbers a model has: two per free pole, one for a pole at 0 and for each further term."""
+    """Number of real parameters of a model: two per free pole, one for a pole at 0 and for each further term."""
     return 2 * n_poles - int(pole_at_zero) + int(constant) + int(linear)
 
 
 @dataclass(frozen=True)
 class _Relocated:
-    """Where the relocation from one set of initial poles has led, at its best."""
+    """The best step of the relocation from one set of initial poles."""
 
     log_denominators: np.ndarray
     error: float
@@ -192,7 +193,7 @@ class _Problem:
     s: np.ndarray  # complex, shape (F,)
     z: np.ndarray  # complex, shape (F,)
     weight: np.ndarray  # shape (F,)
-    others: np.ndarray  # columns without free poles, those of 1/s, 1 and s in the model: complex, shape (F, up to 3)
+    others: np.ndarray  # columns of 1/s, 1 and s in the model: complex, shape (F, up to 3)
     of_product: np.ndarray  # the same of sigma z: complex, shape (F, up to 3)
 
     def basis(self, log_denominators: np.ndarray) -> np.ndarray:
@@ -202,22 +203,22 @@ class _Problem:
         return np.hstack([1 / q, s / q, 1 / (s + g)])
 
     def columns(self, log_denominators: np.ndarray) -> np.ndarray:
-        """What the numerators multiply: weighted, real, shape (2 F, numerators)."""
+        """Design matrix of the numerators: weighted, real, shape (2 F, numerators)."""
         return _real(self.weight[:, None] * np.hstack([self.basis(log_denominators), self.others]))
 
     def candidates(self, starts: list[np.ndarray], max_iterations: int, refine: bool) -> list[_Relocated]:
-        """Different models that initial denominators lead to, relocated, and the best of them refined as well."""
+        """Distinct models after relocation from all initial denominators, and refined versions of the best of them."""
         found: list[_Relocated] = []
         for log_denominators in starts:
             found.append(self.relocated(log_denominators, max_iterations))
             if found[-1].error < _RANK:
-                break  # clean data: every other start could only arrive at the same poles
+                break  # noise-free data: every other start could only give the same poles
         found.sort(key=lambda model: model.error)
         distinct = [m for i, m in enumerate(found) if i == 0 or m.error > found[i - 1].error * (1 + 1e-4)]
         return distinct + [self.refined(m) for m in distinct[:_REFINED] if refine and m.log_denominators.size]
 
     def relocated(self, log_denominators: np.ndarray, max_iterations: int) -> _Relocated:
-        """Relocate until the poles rest, and return the best step."""
+        """Relocate until the poles converge, and return the best step."""
         errors, steps = [self.solved(log_denominators)[1]], [log_denominators]
         poles, settled = _poles(log_denominators), log_denominators.size == 0
         while len(steps) <= max_iterations and not settled:
@@ -234,7 +235,7 @@ class _Problem:
         basis, n = self.basis(log_denominators), log_denominators.size
         sigma = np.column_stack([basis, self.s**0])
         columns = _real(self.weight[:, None] * np.hstack([basis, self.of_product, -self.z[:, None] * sigma]))
-        # The average of sigma, with the weight that [2]_ gives it: as much as one equation of typical size.
+        # The average of sigma, weighted as in [2]_: as one equation of typical size.
         average, target = np.zeros(columns.shape[1]), np.zeros(columns.shape[0] + 1)
         average[-n - 1 :], target[-1] = sigma.real.sum(axis=0) / np.sqrt(self.s.size), np.sqrt(self.s.size)
         solution = _least_squares(np.vstack([columns, average]), target)
@@ -256,7 +257,7 @@ class _Problem:
         return replace(model, log_denominators=found, error=self.solved(found)[1])
 
     def derivative(self, log_denominators: np.ndarray) -> np.ndarray:
-        """Of the weighted residual with the best numerators, as derived above: real, shape (2 F, free poles)."""
+        """Jacobian of the weighted residual with the best numerators, see above: real, shape (2 F, free poles)."""
         c_1, c_2, c_g = _split(self.solved(log_denominators)[0][: log_denominators.size])
         (a, b, g), s = _factors(log_denominators), self.s[:, None]
         pair = -(c_1 + c_2 * s) / (s**2 + a * s + b) ** 2
@@ -265,7 +266,7 @@ class _Problem:
         return np.asarray(-self.without_span(log_denominators, moved) * inside)
 
     def without_span(self, log_denominators: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-        """What of the vectors, shape (2 F, ...), no numerators can produce."""
+        """Component of the vectors, shape (2 F, ...), orthogonal to the columns of the numerators."""
         span = np.linalg.qr(self.columns(log_denominators))[0]
         return np.asarray(vectors - span @ (span.T @ vectors))
 
@@ -291,7 +292,7 @@ def _real(columns: np.ndarray) -> np.ndarray:
 
 
 def _least_squares(columns: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Least squares on scaled columns, reduced by a QR decomposition; the shortest solution if columns depend."""
+    """Least squares on scaled columns, reduced by a QR decomposition; the minimum-norm solution if rank-deficient."""
     norms = np.linalg.norm(columns, axis=0)
     reduced: np.ndarray = np.asarray(np.linalg.qr(np.column_stack([columns / norms, target]), mode="r"))
     return np.asarray(np.linalg.lstsq(reduced[:, :-1], reduced[:, -1], rcond=_RANK)[0] / norms)
@@ -312,7 +313,7 @@ def _poles(log_denominators: np.ndarray) -> np.ndarray:
     """Roots: the first of all pairs, the second of all pairs, the odd one; complex, shape (n,)."""
     a, b, g = _factors(log_denominators)
     discriminant = a**2 / 4 - b
-    # Two equal poles would have no partial fractions. So little apart, they are the same to the curve.
+    # Two equal poles would have no partial fractions. A separation this small does not change the curve.
     discriminant = np.where(np.abs(discriminant) < 1e-12 * b, -1e-12 * b, discriminant)
     first = -a / 2 - np.sqrt(discriminant.astype(complex))
     second = np.where(discriminant < 0, first.conj(), b / first)  # no cancellation if one is far smaller
@@ -320,7 +321,7 @@ def _poles(log_denominators: np.ndarray) -> np.ndarray:
 
 
 def _order(poles: np.ndarray) -> np.ndarray:
-    """Indices that sort poles by size, conjugates one after the other."""
+    """Indices that sort poles by magnitude, conjugates next to each other."""
     return np.asarray(np.lexsort((poles.imag, np.abs(poles))))
 
 
@@ -329,7 +330,7 @@ def _denominators(poles: np.ndarray) -> np.ndarray:
     upper, sizes = poles[poles.imag > 0], np.sort(np.abs(poles[poles.imag == 0]))
     odd = sizes[:0]
     if sizes.size % 2:
-        # Only the two poles of one pair can leave the real axis together, so those closest should be a pair.
+        # Only the two poles of one pair can become conjugates, so the closest real poles should form pairs.
         gaps = np.diff(np.log(np.maximum(sizes, 1e-300)))
         left_out = 2 * int(np.argmin([gaps[:i:2].sum() + gaps[i + 1 :: 2].sum() for i in range(0, sizes.size, 2)]))
         sizes, odd = np.delete(sizes, left_out), sizes[left_out : left_out + 1]
@@ -363,7 +364,7 @@ def _starting_sets(n_free: int, edge: float) -> list[np.ndarray]:
 
 
 def _check_curve(frequency: np.ndarray, z: np.ndarray, sd: np.ndarray) -> None:
-    """Refuse what is not a curve."""
+    """Check shapes, order and finiteness of the data."""
     if frequency.ndim != 1 or z.shape != frequency.shape:
         raise InputError(f"frequency_hz has shape {frequency.shape} and z {z.shape}: both must be (F,), one curve")
     if sd.shape not in ((), frequency.shape):
@@ -379,7 +380,7 @@ def _check_curve(frequency: np.ndarray, z: np.ndarray, sd: np.ndarray) -> None:
 
 
 def _check_order(n_poles: int, points: int, pole_at_zero: bool, constant: bool, linear: bool) -> None:
-    """Refuse a model that is none, or too large for the data."""
+    """Refuse a model without terms, or with more unknowns than the data determine."""
     if n_poles != int(n_poles) or n_poles < int(pole_at_zero):
         raise InputError(f"n_poles is {n_poles}: give a whole number, at least {int(pole_at_zero)} for this model")
     unknowns = number_of_unknowns(n_poles, pole_at_zero=pole_at_zero, constant=constant, linear=linear)
@@ -391,7 +392,7 @@ def _check_order(n_poles: int, points: int, pole_at_zero: bool, constant: bool, 
 
 
 def _checked_start(start: npt.ArrayLike, n_free: int) -> np.ndarray:
-    """Initial poles, with their conjugates."""
+    """Initial poles after checking that they are finite, not 0 and closed under conjugation."""
     poles = np.asarray(start, dtype=complex)
     usable = poles.shape == (n_free,) and np.all(np.isfinite(poles)) and np.all(poles != 0)
     if not usable or not np.array_equal(np.sort_complex(poles), np.sort_complex(poles.conj())):

@@ -1,8 +1,8 @@
 """Sampling a density with emcee, and the files of chains.
 
 In comes a log-density of a few dozen coordinates; out come chains of several independent ensembles with diagnostics.
-Open :mod:`.ensemble` first; :mod:`.laplace` finds where to begin, :mod:`.chain_file` keeps chains of a run that may be
-killed, :mod:`.arviz_file` is the only module that knows ArviZ.
+Open :mod:`.ensemble` first; :mod:`.laplace` finds starting values, :mod:`.chain_file` saves chains so that a
+killed run can be resumed, :mod:`.arviz_file` is the only module that uses ArviZ.
 """
 
 from bayes_impedance.mcmc.ensemble import Chains, sample

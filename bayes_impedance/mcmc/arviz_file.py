@@ -1,9 +1,9 @@
-"""Everything that is asked of ArviZ, in one place, for its 0.x and 1.x versions.
+"""All uses of ArviZ, for its versions 0.x and 1.x.
 
-ArviZ 1.x needs Python 3.12 and this package supports 3.11, so both generations stay. They differ in the container
-(InferenceData or DataTree), in the shape of ``from_dict`` and in where the statistics live. No other module, test,
-analysis or benchmark asks which one is installed: what is read back of a file are plain arrays (:func:`load_groups`),
-and what others do with the container is what both have in common (``data["posterior"]``, ``summary``).
+ArviZ 1.x needs Python 3.12 and this package supports 3.11, so both generations are supported. They differ in the
+container (InferenceData or DataTree), in the shape of ``from_dict`` and in where the statistics live. No other module,
+test, analysis or benchmark depends on the installed version: files are read back as plain arrays (:func:`load_groups`),
+and only features common to both containers are used elsewhere (``data["posterior"]``, ``summary``).
 
 ArviZ takes seconds to import, so it is imported inside the functions.
 """
@@ -25,9 +25,9 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.runtime.atomic_files import write_bytes
 
 _SEAL = "content_sha256"
-"""Attribute that tells a damaged file from a whole one."""
+"""Attribute with a digest of the content, by which a damaged file is detected."""
 _NETCDF_ATTRIBUTES = frozenset({"_NCProperties", "_nc3_strict", "_Netcdf4Dimid", "_Netcdf4Coordinates"})
-"""What netCDF adds to HDF5 for itself."""
+"""Attributes that netCDF adds to HDF5 for internal use."""
 
 
 def _modern() -> bool:
@@ -92,7 +92,7 @@ def save(
     coords : mapping
         Axis to labels.
     attributes : mapping
-        Written on the file and on every group.
+        Written to the file and to every group.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -114,7 +114,7 @@ def save(
 def _as_netcdf(datasets: Mapping[str, Any], attributes: Mapping[str, Any]) -> bytes:
     """A netCDF file of one group for each dataset.
 
-    It is made in memory: HDF5 ends the process if it cannot write what it holds, which on a disk it may not be able to.
+    It is made in memory: HDF5 ends the process if it cannot write its buffers, which may happen on a full disk.
     """
     import h5netcdf
     import xarray as xr
@@ -125,9 +125,7 @@ def _as_netcdf(datasets: Mapping[str, Any], attributes: Mapping[str, Any]) -> by
         xr.Dataset(attrs=dict(attributes)).dump_to_store(H5NetCDFStore(opened, mode="w"))
         for name, dataset in datasets.items():
             labelled = dataset.copy()
-            labelled.attrs = dict(
-                attributes
-            )  # without the time at which ArviZ has made it: equal runs give equal files
+            labelled.attrs = dict(attributes)  # without ArviZ's time of creation: equal runs give equal files
             numbers = {key: {"zlib": True} for key, v in labelled.variables.items() if v.dtype.kind in "iufcb"}
             labelled.dump_to_store(H5NetCDFStore(opened, group=name, mode="a"), encoding=numbers)
     return content.getvalue()
@@ -146,7 +144,7 @@ def load_groups(file: Path) -> tuple[dict[str, dict[str, np.ndarray]], dict[str,
     InputError
         If the file is damaged, or was not written by :func:`save`.
     """
-    import h5py  # h5netcdf complains once more when it lets go of a damaged file
+    import h5py  # h5netcdf raises again when it closes a damaged file
 
     groups: dict[str, dict[str, np.ndarray]] = {}
     coords: dict[str, Any] = {}
@@ -166,7 +164,7 @@ def load_groups(file: Path) -> tuple[dict[str, dict[str, np.ndarray]], dict[str,
                         groups[group][name] = values
             seal = attributes.pop(_SEAL, None)
             whole = seal is not None and seal == _seal(groups, coords, attributes)
-    except Exception:  # damage shows itself in as many ways as netCDF has parts
+    except Exception:  # damage raises many types of exception in netCDF
         whole = False
     if not whole:
         raise InputError(
@@ -178,7 +176,7 @@ def load_groups(file: Path) -> tuple[dict[str, dict[str, np.ndarray]], dict[str,
 def _seal(
     groups: Mapping[str, Mapping[str, np.ndarray]], coords: Mapping[str, Any], attributes: Mapping[str, Any]
 ) -> str:
-    """Digest of all that the file holds, whatever the widths of its numbers."""
+    """Digest of the file's content, independent of the byte widths of its numbers."""
     digest = hashlib.sha256(json.dumps({k: str(v) for k, v in sorted(attributes.items())}).encode())
     arrays = {f"{group} {name}": values for group, own in groups.items() for name, values in own.items()}
     for name in sorted(arrays):
@@ -196,7 +194,7 @@ def _plain(value: Any) -> Any:
     """Text as str, numbers as Python's."""
     if isinstance(value, bytes):
         return value.decode()
-    if type(value).__name__ == "Empty":  # how HDF5 has a text without letters
+    if type(value).__name__ == "Empty":  # HDF5's representation of an empty string
         return ""
     if isinstance(value, np.ndarray) and value.size == 1:
         return _plain(value.reshape(-1)[0])

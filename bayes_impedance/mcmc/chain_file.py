@@ -1,8 +1,8 @@
 """One ensemble's chain in a file that emcee's `HDFBackend` reads, complete whenever the process is killed.
 
 An HDF5 file that is extended in place cannot be opened after a kill at the wrong moment, and cannot be extended while
-somebody reads it. So a chain is written whole to a temporary name, and the name is changed. Beside emcee's group
-``mcmc`` there is one, ``burn_in``, with what the burn-in has found and a seal: a digest of all that is kept.
+another process reads it. So the whole chain is written to a temporary file, which is then renamed. Beside emcee's group
+``mcmc`` a group ``burn_in`` holds the results of the burn-in and a seal: a digest of all content.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ def write_chain(file: Path, backend: Any, adapted: dict[str, Any]) -> None:
     Parameters
     ----------
     file : Path
-        What is there is replaced.
+        An existing file is replaced.
     backend : emcee.backends.Backend
         Chain in memory of S steps, W walkers, D dimensions; S may be zero.
     adapted : dict
-        What the burn-in has found: mean (D,), covariance (D, D), coordinates (W, D), random_state.
+        Results of the burn-in: mean (D,), covariance (D, D), coordinates (W, D), random_state.
     """
     import emcee
     import h5py
@@ -75,8 +75,8 @@ def read_chain(file: Path, backend: Any) -> dict[str, Any] | None:
     Returns
     -------
     dict or None
-        What the burn-in had found. None if there is no file, or it is damaged or of another fit: an ensemble that is
-        sampled anew is the same, so that this is not worth a message.
+        Results of the burn-in. None if there is no file, or it is damaged or of another fit: no message is needed,
+        because sampling the ensemble again gives the same chain.
 
     Raises
     ------
@@ -96,7 +96,7 @@ def read_chain(file: Path, backend: Any) -> dict[str, Any] | None:
             random_state = _random_state(group) if len(chain["chain"]) else None
             if str(burn_in.attrs[_SEAL]) != _seal(file, chain, adapted, random_state):
                 return None
-    except Exception:  # damage shows itself in as many ways as HDF5 has parts
+    except Exception:  # damage raises many types of exception in HDF5
         return None
     if shape != backend.shape:
         raise InputError(
@@ -124,7 +124,7 @@ def _told(state: Any) -> Any:
 
 
 def _put_random_state(group: Any, state: Any) -> None:
-    """As emcee does it."""
+    """Write the random state in emcee's format."""
     for i, value in enumerate(state):
         group.attrs[f"random_state_{i}"] = value
 

@@ -1,8 +1,8 @@
 r"""Ensemble sampling of a few dozen dimensions by emcee.
 
 **Moves.** Affine-invariant moves slow down in proportion to the dimension, and a full covariance of eight elements has
-52. Here the posterior is close to normal in its coordinates, so most steps are proposals of the mixed preconditioned
-Crank-Nicolson kind (Kamatani 2018) around a normal approximation N(m, C). With :math:`u = C^{-1/2}(x - m)`,
+52. Here the posterior is close to normal in its coordinates, so most proposals are of the mixed preconditioned
+Crank-Nicolson type (Kamatani 2018) around a normal approximation N(m, C). With :math:`u = C^{-1/2}(x - m)`,
 
 .. math:: u' = \sqrt{1-\beta^2}\,u + \beta\,\zeta^{-1/2}\,\xi, \qquad \xi \sim N(0, I),\quad
           \zeta \sim \mathrm{Gamma}\left(D/2,\ |u|^2/2\right),
@@ -15,7 +15,7 @@ wrong distribution.
 
 **Convergence.** Several ensembles start and adapt independently. R-hat is taken between ensembles, never between the
 walkers of one, which are not independent chains; the autocorrelation time within ensembles gives the effective sample
-size. Sampling goes on until both are good or the allowed length is used up; the result says which.
+size. Sampling continues until both meet their limits or the longest length is reached; the result states which.
 """
 
 from __future__ import annotations
@@ -34,19 +34,20 @@ from bayes_impedance.runtime.progress import Progress
 LogProbability = Callable[[np.ndarray], np.ndarray]
 
 _STEP_LENGTHS = (0.6, 0.8)
-"""The beta of a Crank-Nicolson proposal, one of the two at random: 1 would draw anew from the normal approximation, and
-be refused where that does not hold."""
+"""Values of beta of a Crank-Nicolson proposal, one of them chosen at random. By choice: 1 would be an independent draw
+from the normal approximation, often rejected where that is poor; small values mix slowly."""
 _KEPT_DRAWS = 500
-"""Draws of each ensemble in the result: with four ensembles a 5 % quantile rests on a hundred draws."""
+"""Draws of each ensemble in the result. By choice: with four ensembles a hundred draws lie below a 5 % quantile."""
 _PIECE, _KEPT_SHARE = 25, 0.1
-"""Steps between looks at progress. A chain is written anew when this share was added to it: writing four ensembles of
-104 walkers in 52 dimensions after 400 steps cost 1.6 s in all (measured); emcee's own writing, step by step, takes 9 s.
+"""Steps between reports of progress, by choice. A chain is rewritten when it has grown by this fraction: writing four
+ensembles of 104 walkers in 52 dimensions after 400 steps cost 1.6 s in all (measured); emcee's own writing, step by
+step, takes 9 s.
 """
 
 
 @dataclass(frozen=True, kw_only=True)
 class SamplerSettings:
-    """How long to sample.
+    """Settings of the sampler's length and convergence.
 
     Attributes
     ----------
@@ -55,14 +56,14 @@ class SamplerSettings:
     burn_in : tuple of int
         Steps of each stage of adaptation.
     chunk, longest : int
-        Steps between checks of convergence, and at most.
+        Steps between checks of convergence, and largest number of steps.
     rhat : float
-        Required of every coordinate.
+        Largest accepted R-hat of any coordinate.
     effective : float
-        Required effective sample size of every coordinate.
+        Smallest accepted effective sample size of any coordinate.
     memories : float
-        Required length of the chains in autocorrelation times. They start close to equilibrium, and their time is taken
-        over a hundred walkers, so it need not be large.
+        Smallest accepted length of the chains in autocorrelation times. It need not be large, because chains start
+        close to equilibrium and the time is estimated from a hundred walkers.
     workers : int
         Ensembles that run side by side.
     """
@@ -77,7 +78,7 @@ class SamplerSettings:
     workers: int = 2
 
     def satisfied_by(self, chains: Chains) -> bool:
-        """Whether chains need not be longer."""
+        """Whether the chains meet all convergence limits."""
         return bool(
             chains.rhat.max() <= self.rhat
             and chains.effective.min() >= self.effective
@@ -86,11 +87,12 @@ class SamplerSettings:
 
 
 QUICK = SamplerSettings(ensembles=2, burn_in=(80, 40), chunk=100, longest=1500, effective=600.0)
+"""Settings of a quick fit. By choice: fewer and shorter ensembles take less time, but give fewer effective draws."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Chains:
-    """Draws and how good they are.
+    """Draws and their convergence diagnostics.
 
     Attributes
     ----------
@@ -119,7 +121,7 @@ class Chains:
 
 
 def crank_nicolson_move(mean: np.ndarray, covariance: np.ndarray) -> Any:
-    """An emcee move that does well where the target resembles a normal distribution, and is exact everywhere.
+    """An emcee move that is efficient if the target is close to a normal distribution, and valid for any target.
 
     Parameters
     ----------
@@ -145,8 +147,8 @@ def crank_nicolson_move(mean: np.ndarray, covariance: np.ndarray) -> Any:
 def autocorrelation_time(chain: np.ndarray) -> np.ndarray:
     """Integrated autocorrelation time of an ensemble, in steps.
 
-    emcee's own estimate takes each walker's mean out of its part of the chain, and so misses what makes walkers differ
-    for long: in 300 steps it finds half of the true time or less. Here the mean is that of all walkers.
+    emcee's own estimate subtracts each walker's mean, and so misses slow differences between walkers: in 300 steps it
+    finds half of the true time or less. Here the mean over all walkers is subtracted.
 
     Parameters
     ----------
@@ -171,11 +173,11 @@ def autocorrelation_time(chain: np.ndarray) -> np.ndarray:
 
 
 class _Ensemble:
-    """One independent ensemble: adapts, samples, and can be taken up again from its file.
+    """One independent ensemble: adapts, samples, and can be resumed from its file.
 
-    The chain grows in memory and is written whole from time to time (:mod:`~bayes_impedance.mcmc.chain_file`). Whenever
-    the process is killed, the file is complete, and continuing from the state of the random numbers at its end repeats
-    what was lost exactly.
+    The chain grows in memory and is written as a whole from time to time (:mod:`~bayes_impedance.mcmc.chain_file`). The
+    file is complete whenever the process is killed, and continuing from the random state at its end reproduces the lost
+    steps exactly.
     """
 
     def __init__(
@@ -197,7 +199,7 @@ class _Ensemble:
         self.state: Any = None
 
     def prepare(self, stages: tuple[int, ...], progress: Callable[[int], None]) -> None:
-        """Burn in, or take up where an earlier run stopped."""
+        """Burn in, or resume where an earlier run stopped."""
         import emcee
 
         backend = emcee.backends.Backend()
@@ -253,13 +255,13 @@ class _Ensemble:
             piece = min(_PIECE, n_steps - backend.iteration)
             for state in self.sampler.sample(self.state, iterations=piece, skip_initial_state_check=True):
                 self.state = state
-            # The file is written anew each time: all of that together should grow with the chain, not with its square.
+            # The file is rewritten each time: the total cost should grow linearly with the chain, not quadratically.
             if backend.iteration - self.kept >= max(_PIECE, _KEPT_SHARE * backend.iteration):
                 self.keep()
             progress(piece)
 
     def keep(self) -> None:
-        """Write what is not in the file yet."""
+        """Write the chain if the file is not up to date."""
         if self.file is not None and self.kept < self.sampler.backend.iteration:
             write_chain(self.file, self.sampler.backend, self.adapted)
             self.kept = self.sampler.backend.iteration
@@ -274,7 +276,7 @@ def sample(
     progress: Progress,
     checkpoint: Path | None = None,
 ) -> Chains:
-    """Sample a distribution that is not far from normal.
+    """Sample a distribution that is close to normal.
 
     Parameters
     ----------
@@ -288,13 +290,13 @@ def sample(
     seed : SeedSequence
     progress : callable
     checkpoint : Path, optional
-        Folder that keeps the chains as they grow, ``ensemble_0.h5`` and so on, which emcee's ``HDFBackend`` reads; what
-        is found there is continued.
+        Folder in which the growing chains are saved (``ensemble_0.h5`` and so on, readable by emcee's ``HDFBackend``);
+        chains found there are continued.
 
     Returns
     -------
     Chains
-        Compare ``rhat`` and ``effective`` with what was required: nothing is raised when they fall short.
+        Compare ``rhat`` and ``effective`` with the settings: no error is raised if they are not met.
 
     Raises
     ------
@@ -317,7 +319,7 @@ def sample(
         list(pool.map(lambda e: e.prepare(settings.burn_in, count), ensembles))
         progress("burn-in", total, total)
         kept = max(e.sampler.backend.iteration for e in ensembles)
-        length = max(settings.chunk, -(-kept // settings.chunk) * settings.chunk)  # the end of the chunk begun
+        length = max(settings.chunk, -(-kept // settings.chunk) * settings.chunk)  # end of the current chunk
         done[0], total = 0, settings.ensembles * length
         while True:
             list(pool.map(lambda e, n=length: e.run_to(n, lambda n: count(n, "sampling")), ensembles))
@@ -361,9 +363,9 @@ def _collect(ensembles: list[_Ensemble]) -> Chains:
 
 
 def _refined(covariance: np.ndarray, sampled: np.ndarray) -> np.ndarray:
-    """The covariance so far, brought to the sampled widths, with a little of the sampled one.
+    """The previous covariance, rescaled to the sampled standard deviations and mixed with a little of the sampled one.
 
-    A short burn-in gives good widths and poor correlations: there are more of them than independent samples.
+    A short burn-in gives good standard deviations but poor correlations, which outnumber the independent samples.
     """
     width = np.sqrt(np.diag(sampled) / np.diag(covariance))
     return np.asarray(0.8 * covariance * np.outer(width, width) + 0.2 * sampled)

@@ -5,9 +5,9 @@ of coordinates needs two values beyond those of the single coordinates,
 
 .. math:: 2 h_i h_j H_{ij} = f(+i{+}j) + f(-i{-}j) - 2f_0 - h_i^2 H_{ii} - h_j^2 H_{jj},
 
-D (D + 1) + 1 values in all, which a vectorised density gives in half a second for 52 dimensions. Steps as wide as
-that average over the peak instead of reading its very tip, and are not disturbed by rounding. The precision may not
-fall below a given floor, since a density is nowhere wider than its prior.
+D (D + 1) + 1 values in all, which a vectorised density gives in half a second for 52 dimensions. Steps this wide
+measure the average curvature over the peak rather than at its top, and are insensitive to rounding. The precision has a
+given lower bound, because the posterior is not wider than its prior.
 """
 
 from __future__ import annotations
@@ -17,11 +17,12 @@ from collections.abc import Callable
 import numpy as np
 
 _ITERATIONS = 3
-"""Newton steps: the start is close (a point estimate), and each step measures the widths for the next."""
+"""Newton steps. By choice: the start, a point estimate, is close, and each step sets the difference widths of the
+next."""
 _BATCH = 128
-"""Evaluations at once, about as many as an ensemble has walkers: the density's memory grows with it."""
+"""Evaluations in one call. By choice: about as many as an ensemble has walkers, which bounds the memory."""
 _STEP = 0.5
-"""Of the differences, in standard deviations (see above)."""
+"""Step of the differences in standard deviations. By choice: see the module's docstring."""
 
 
 def normal_approximation(
@@ -34,9 +35,9 @@ def normal_approximation(
     log_density : callable
         Maps (W, D) to (W,).
     start, scale : ndarray, shape (D,)
-        A guess of the mode and of the standard deviations.
+        Initial estimates of the mode and of the standard deviations.
     smallest_precision : float
-        Floor of the eigenvalues of the precision.
+        Lower bound of the eigenvalues of the precision.
 
     Returns
     -------
@@ -48,7 +49,7 @@ def normal_approximation(
     for _ in range(_ITERATIONS):
         value, gradient, hessian = _differences(log_density, mode, _STEP * width)
         if not (np.isfinite(value) and np.all(np.isfinite(hessian))):
-            break  # beside the support: the guess has to do
+            break  # outside the support: the current estimate is kept
         eigenvalues, vectors = np.linalg.eigh(-hessian)
         covariance = (vectors / np.maximum(eigenvalues, smallest_precision)) @ vectors.T
         step = covariance @ gradient

@@ -1,11 +1,11 @@
-"""The language of models and its arithmetic: networks of masses, springs and dampers.
+"""Networks of masses, springs and dampers: notation and computation.
 
-In comes notation such as ``(n3|r3)-(m2|r1|n1)``; out comes impedance over frequency with its derivatives.
+Input: notation such as ``(n3|r3)-(m2|r1|n1)``. Output: impedance over frequency with its derivatives.
 Open :mod:`.notation` first (the tree), then :mod:`.elements` (mass, compliance, damper), :mod:`.program` (the network
 as arrays) and :mod:`.kernel` (compiled evaluation). :mod:`.operations` is the table of operations on the impedance of a
 place, :mod:`.transform` their formulas, :mod:`.rational` the network as a ratio of polynomials.
 
-The kernel is imported when it is first used: the notation alone needs no compiler.
+The kernel is imported at first use: the notation alone needs no compiler.
 """
 
 from __future__ import annotations

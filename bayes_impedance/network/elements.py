@@ -1,4 +1,4 @@
-r"""The three kinds of element a mechanical one-port is made of.
+r"""The three kinds of element of a mechanical one-port.
 
 With velocity ``v`` and force ``F`` as phasors of :math:`e^{+j\omega t}` and :math:`s = j\omega`, Newton, Hooke and
 a linear damper give
@@ -10,10 +10,10 @@ where the compliance is :math:`n = 1/k`. All three are monomials, :math:`z = x^{
 
 .. math:: \frac{\partial z}{\partial \theta} = \pm z .
 
-That is why the package works with the logarithms of the elements throughout: they are always positive, their
-derivatives cost nothing, and "20 % between persons" means the same for a mass and for a compliance.
+The package therefore uses the logarithms of the elements throughout: the elements are always positive, the
+derivatives need no further computation, and "20 % between persons" means the same for a mass and for a compliance.
 
-The force-voltage analogy (V = F, I = v) makes the same formulas serve electrical recordings: m is an inductance, n a
+By the force-voltage analogy (V = F, I = v) the same formulas apply to electrical recordings: m is an inductance, n a
 capacitance, r a resistance.
 """
 
@@ -37,13 +37,13 @@ class Kind:
     letter : str
         First letter of the names of such elements: ``m``, ``n`` or ``r``.
     name : str
-        What it is called.
+        Name of the kind.
     exponent : int
         +1 if the impedance is proportional to the value, -1 if it is inversely proportional (a compliance).
     power : int
         Power of s in the impedance.
     story : str
-        One sentence for a person who reads the report.
+        One sentence of explanation for the report.
     """
 
     letter: str
@@ -68,7 +68,7 @@ class Kind:
             z in the impedance's unit.
         """
         s, value = np.asarray(s), np.asarray(value)
-        s = s.astype(float) if s.dtype.kind == "i" else s  # whole numbers have no powers below zero
+        s = s.astype(float) if s.dtype.kind == "i" else s  # numpy's integers have no negative powers
         return np.asarray(s**self.power * (value if self.exponent > 0 else 1.0 / value))
 
     def value_at(self, magnitude: float, frequency_hz: float) -> float:
@@ -94,7 +94,7 @@ def kind_of(element: str) -> Kind:
     Raises
     ------
     InputError
-        If the first letter names no kind.
+        If the first letter is not that of a kind.
     """
     kind = KINDS.get(element[:1])
     if kind is None:
@@ -105,8 +105,8 @@ def kind_of(element: str) -> Kind:
 
 
 def band_scale(element: str, magnitude: float, frequency_hz: float) -> float:
-    """Logarithm of the value at which an element's impedance meets the data's magnitude inside the band.
+    """Logarithm of the value at which an element's impedance equals the data's magnitude inside the band.
 
-    This is the centre of the default, scale-free prior: it needs no knowledge of the unit or of the body part.
+    This is the centre of the default, scale-free prior, which is independent of the unit and of the body part.
     """
     return float(np.log(kind_of(element).value_at(magnitude, frequency_hz)))

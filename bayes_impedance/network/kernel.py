@@ -1,28 +1,28 @@
-r"""Impedance and its derivative for many parameter sets and frequencies at once, compiled.
+r"""Compiled evaluation of impedance and its derivative for many parameter sets and frequencies.
 
 A network alternates between two kinds of sum: impedances add in a parallel group, mobilities in a series group. Each
-group is therefore one **node** that sums in its own domain, and passes its sum on to its parent, inverted where the
-domains differ. Expressed in the node's domain a leaf is :math:`c\,(j\omega)^p` with :math:`c = e^{\pm\theta}` and
+group is therefore one **node** that sums in its own domain and passes its sum to its parent, inverted if the domains
+differ. Expressed in the node's domain a leaf is :math:`c\,(j\omega)^p` with :math:`c = e^{\pm\theta}` and
 :math:`p \in \{-1, 0, 1\}`, so the leaves of a node contribute
 
 .. math:: v = B + j\left(\omega A - C/\omega\right)
 
-with three real numbers A, B, C whatever their count. One complex reciprocal per group is all that remains per
+with three real numbers A, B, C for any number of leaves. Only one complex reciprocal per group remains for each
 frequency: five for the fingertip's eight elements.
 
-The derivative runs the same program backwards. With :math:`w = 1/v` the adjoint of a node's sum is
+The derivative is computed in reverse mode by the same program. With :math:`w = 1/v` the adjoint of a node's sum is
 
 .. math:: \bar v = \frac{\partial z}{\partial v} = -w^2\, \bar w \quad\text{(inverted)}, \qquad
           \bar v = \bar w \quad\text{(passed on)},
 
-and a leaf's derivative with respect to its logarithm is :math:`\pm\bar v\, c\,(j\omega)^p`: nothing is divided twice.
+and a leaf's derivative with respect to its logarithm is :math:`\pm\bar v\, c\,(j\omega)^p`: no division is repeated.
 
 An :mod:`operation <bayes_impedance.network.operations>` at a place is a node of its own: its sum is the impedance z of
 the place, its output T(z), and backwards :math:`\bar z = T'(z)\,\bar T`.
 
 The program is data (:mod:`bayes_impedance.network.program`), so one compiled function serves every network; it is
-compiled once per machine and cached. Real and imaginary parts live in separate contiguous arrays over frequency,
-which is the layout that compilers vectorise.
+compiled once per machine and cached. Real and imaginary parts are in separate contiguous arrays over frequency, a
+layout that compilers can vectorise.
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ from bayes_impedance.network.transform import transform
 from bayes_impedance.runtime.compiled_functions import kept_njit
 
 compiled: Any = kept_njit(nogil=True, error_model="numpy")
-"""Decorator of every compiled function: kept on disk, runs beside other threads, divides as numpy does (inf, nan)."""
+"""Decorator of every compiled function: cached on disk, releases the GIL, divides as numpy does (inf, nan)."""
 
 
 @compiled
 def workspace(program: Program, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Scratch for :func:`forward`: sums and outputs of the nodes, both (N + 1, 2, F).
+    """Workspace of :func:`forward`: sums and outputs of the nodes, both (N + 1, 2, F).
 
-    The last row of the sums holds 1/omega and 0, that of the outputs zeros: what a node without children adds.
+    The last row of the sums holds 1/omega and 0, that of the outputs zeros, the contribution of a missing child.
     """
     n_nodes = program.node_parent.size
     sums, outputs = np.empty((n_nodes + 1, 2, omega.size)), np.empty((n_nodes + 1, 2, omega.size))
@@ -62,8 +62,8 @@ def workspace(program: Program, omega: np.ndarray) -> tuple[np.ndarray, np.ndarr
 def forward(program: Program, theta: np.ndarray, omega: np.ndarray, sums: np.ndarray, outputs: np.ndarray) -> None:
     """One parameter set: fill the nodes' sums and outputs, arrays of :func:`workspace`; the last node's output is z.
 
-    Arrays are indexed with all their indices at once: taking out a row first makes numba count references to it, which
-    in short loops costs as much as the arithmetic.
+    Arrays are always fully indexed: taking a row first makes numba count references to it, which in short loops costs
+    as much as the arithmetic.
     """
     n_nodes, n_frequencies = program.node_parent.size, omega.size
     for node in range(n_nodes):
@@ -82,7 +82,7 @@ def forward(program: Program, theta: np.ndarray, omega: np.ndarray, sums: np.nda
             if program.node_parent[child] == node:
                 first, second, children = child, first, children + 1
         inverted = program.node_invert[node] == 1 and program.node_code[node] == 0
-        if inverted and children <= 2:  # what most nodes are, in one pass over the frequencies
+        if inverted and children <= 2:  # most nodes, in one pass over the frequencies
             for f in range(n_frequencies):
                 x = resistive + outputs[first, 0, f] + outputs[second, 0, f]
                 y = inertial * omega[f] - elastic * sums[n_nodes, 0, f] + outputs[first, 1, f] + outputs[second, 1, f]
@@ -151,10 +151,10 @@ def backward(
     adjoints: np.ndarray,
     derivative: np.ndarray,
 ) -> None:
-    """After :func:`forward`: fill the derivative by theta, shape (P, 2, F).
+    """After :func:`forward`: fill the derivative with respect to theta, shape (P, 2, F).
 
-    `adjoints` is scratch of shape (N + 1, 2, F). Its last row is the derivative of a result by z, real and imaginary
-    part: one and zero if the result is z itself.
+    `adjoints` is scratch of shape (N + 1, 2, F). Its last row is the derivative of a result with respect to z, real
+    and imaginary part: one and zero if the result is z itself.
     """
     n_nodes, n_frequencies = program.node_parent.size, omega.size
     for node in range(n_nodes - 1, -1, -1):
@@ -241,7 +241,7 @@ class Kernel:
     network : Network
         Any network of masses, compliances and dampers.
     operations : sequence of Operation
-        What else happens to the impedance at its places.
+        Operations on the impedance at places of the network.
 
     Attributes
     ----------
@@ -249,7 +249,7 @@ class Kernel:
     elements : tuple of str
         The order of elements in every array, P of them; parameters of the operations come after the elements.
     program : Program
-        What the compiled functions take.
+        The network in the form used by the compiled functions.
     """
 
     def __init__(self, network: Network, operations: Sequence[Operation] = ()) -> None:

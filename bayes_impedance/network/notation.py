@@ -12,11 +12,11 @@ The same two characters build a network in Python and in text, with Python's pre
     parse("skin:(n3|r3)-tissue:(m2|r1|n1|(m1-(n2|r2)))")  the fingertip with named groups
 
 A mass has its other end in the inertial frame, so it is a one-port like the others. Nested groups of one kind are
-flattened unless they carry a label: addition is associative, and a network is written in one way only.
+flattened unless they have a label: addition is associative, so that each network has a unique notation.
 
 The transfer function is computed on polynomials in s. A leaf is a monomial over a monomial, sums and reciprocals keep
 all coefficients positive, and the only factors that can cancel for every value of the elements are powers of s; they
-are cancelled by looking for coefficients that are zero by structure, not small. With :class:`fractions.Fraction`
+are found from coefficients that are exactly zero by structure, without a tolerance. With :class:`fractions.Fraction`
 values the result is exact.
 """
 
@@ -42,21 +42,21 @@ PAPER_NETWORK = "skin:(n3|r3)-tissue:(m2|r1|n1|limb:(m1-(n2|r2)))"
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,59}")
 
 DEEPEST = 50
-"""Levels of parentheses and labels: a tree is walked by recursion, a few calls to a level, of which Python allows a
-thousand in all. The fingertip's network has four levels."""
+"""Largest nesting depth of parentheses and labels. By choice: recursion takes a few calls per level, and Python allows
+a thousand in all. The fingertip's network has four levels."""
 LONGEST = 10_000
-"""Characters: a thousand elements with their groups, far more than anything estimates."""
+"""Most characters of a notation. By choice: a thousand elements with their groups, far more than can be estimated."""
 
 
 class Place(NamedTuple):
-    """A spot in a network where something may be inserted.
+    """A position in a network at which an element or operation may be inserted.
 
     Attributes
     ----------
     path : tuple of int
-        Which part to take at each level, from the root.
+        Index of the part at each level, from the root.
     name : str
-        ``port`` for the whole network; otherwise the label, or the notation of what stands there.
+        ``port`` for the whole network; otherwise the label, or the notation of the part there.
     """
 
     path: tuple[int, ...]
@@ -69,7 +69,7 @@ class Network(ABC):
 
     @property
     def parts(self) -> tuple[Network, ...]:
-        """The networks this one is directly made of."""
+        """The direct parts of this network."""
         return ()
 
     @property
@@ -97,7 +97,7 @@ class Network(ABC):
         return Series(_flatten(Series, (self, other)))
 
     def labelled(self, label: str | None) -> Self:
-        """The same network under a name.
+        """The same network with a label.
 
         Raises
         ------
@@ -126,7 +126,7 @@ class Network(ABC):
 
     @abstractmethod
     def impedance(self, s: npt.ArrayLike, values: Mapping[str, Any]) -> np.ndarray:
-        """Impedance by plain recursion: slow, obvious, and the reference that the compiled kernel is tested against.
+        """Impedance by plain recursion: slow, but simple; the reference for tests of the compiled kernel.
 
         Parameters
         ----------
@@ -149,7 +149,7 @@ class Network(ABC):
 
     @abstractmethod
     def transfer_function(self, values: Mapping[str, Any]) -> TransferFunction:
-        """Numerator and denominator of z(s), with the powers of s that always cancel taken out.
+        """Numerator and denominator of z(s), without the powers of s that always cancel.
 
         Parameters
         ----------
@@ -179,14 +179,14 @@ class Network(ABC):
         )
 
     def at(self, place: Place | str) -> Network:
-        """What stands at a place."""
+        """The part of the network at a place."""
         node: Network = self
         for i in self._resolve(place).path:
             node = node.parts[i]
         return node
 
     def replaced(self, place: Place | str, new: Network) -> Network:
-        """The network with something else at a place."""
+        """The network with another part at a place."""
         path = self._resolve(place).path
         if not path:
             return new
@@ -196,11 +196,11 @@ class Network(ABC):
         return _combine(type(self), parts).labelled(self.label)
 
     def beside(self, place: Place | str, addition: Network) -> Network:
-        """The network with `addition` in parallel to what stands at `place` (common velocity)."""
+        """The network with `addition` in parallel to the part at `place` (common velocity)."""
         return self.replaced(place, self.at(place) | addition)
 
     def in_series(self, place: Place | str, addition: Network) -> Network:
-        """The network with `addition` in series with what stands at `place` (common force)."""
+        """The network with `addition` in series with the part at `place` (common force)."""
         return self.replaced(place, self.at(place) - addition)
 
     def _resolve(self, place: Place | str) -> Place:
@@ -293,7 +293,7 @@ def parse(text: str) -> Network:
     Raises
     ------
     InputError
-        With the position of what cannot be read.
+        If the notation is invalid; the message gives the position.
     """
     return _Parser(text).read()
 
@@ -339,7 +339,7 @@ class _Parser:
         return self.group("-", Series, self.part)
 
     def group(self, sign: str, kind: type[_Group], read: Callable[[], Network]) -> Network:
-        # Made at once: part by part, the checks of a group would be repeated for each.
+        # The group is made once: adding part by part would repeat its checks for each.
         parts = [read()]
         while self.peek() == sign:
             self.take()

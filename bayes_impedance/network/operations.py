@@ -43,22 +43,22 @@ from dataclasses import dataclass
 import numpy as np
 
 N_PARAMETERS = 3
-"""Most parameters, and most constants, of any operation."""
+"""Largest number of parameters, and of constants, of any operation in the table above."""
 
 LOGARITHMIC = 1.0
-"""Value of c2 for a coefficient that is positive by construction."""
+"""Value of c2 that marks a coefficient positive by construction, as defined above."""
 
 PLACES = ("port", "groups", "springs", "dampers", "elements")
 """Kinds of place in a network; ``groups`` are groups of elements inside, without the port."""
 
 LINE_LEVELS = (0.3, 1.0, 3.0, 10.0)
-"""Masses of a line that are scanned, in masses whose impedance is the place's own at the upper end of the band.
+"""Scanned masses of a line, relative to the mass whose impedance equals the place's at the upper end of the band.
 
 By choice: from a layer whose waves lie above the band to one with several standing waves inside it.
 """
 
 BYPASS_RATIOS = 6
-"""Ratios of stiffness to damping of a bypass that are scanned.
+"""Number of scanned ratios of stiffness to damping of a bypass.
 
 By choice: with a band of three decades and a third of a decade beyond either end they are 0.8 decades apart, and the
 signature of damper and spring together changes over about a decade.
@@ -85,7 +85,7 @@ class Setting:
     low, middle, high : float
         Angular frequencies of the band in rad/s.
     compliance : float
-        Of the element at the place; NaN if there is no such element, or it is not needed.
+        Compliance of the element at the place; NaN if there is none, or it is not needed.
     """
 
     units: tuple[str, ...]
@@ -110,14 +110,14 @@ def _coefficient_not_negative(u: np.ndarray) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class Traits:
-    """Everything about an operation but its formula.
+    """Properties of an operation, except its formula.
 
     Attributes
     ----------
     code : int
         Number of the operation in the compiled functions; 0 is no operation.
     parameters : tuple of str
-        What the parameters are; the coefficient first. An effect may give them more specific names.
+        Names of the parameters; the coefficient first. An effect may give them more specific names.
     units : tuple of tuple of str
         Units that each parameter may have, as in :class:`Setting`.
     links : tuple of str
@@ -127,27 +127,27 @@ class Traits:
         ``beside`` if it adds an impedance to the place, ``series`` if it adds a mobility, ``replaces`` if it changes
         the place's impedance in another way.
     places : tuple of str
-        Kinds of place for which its formula means something: of :data:`PLACES`.
+        Kinds of place at which the operation is meaningful: of :data:`PLACES`.
     one_port : bool
-        Whether it says what the tissue at one place is made of: a passive one-port beside it or in its place.
+        Whether it describes tissue at one place: a passive one-port beside the place or replacing it.
     sums_to_any : bool
         Whether a sum of such terms can be any passive one-port (Foster, Prony).
     passive : bool
-        Whether a place that is passive stays so with every coefficient of allowed sign.
+        Whether a passive place remains passive with every coefficient of allowed sign.
     built_as : str
-        How a circuit has it: ``elements`` (exactly), ``ladder`` (of elements, to a stated accuracy), ``filter`` (of a
-        measurement channel, as sources) or nothing if there is no circuit.
+        Realisation in a circuit: ``elements`` (exactly), ``ladder`` (of elements, to a stated accuracy), ``filter`` (of
+        a measurement channel, as sources) or nothing if there is no circuit.
     constants : function or None
         The constants c1 and c2 in a :class:`Setting`; None if it has none.
     allows : function
-        Whether the linear parameters' means over people, shape (L,), have signs that an unsigned effect can have.
+        Whether the linear parameters' means over subjects, shape (L,), have signs allowed for an unsigned effect.
     reported : function or None
         The coefficient as it is reported, shape (S,), from draws of all parameters in the operation's unit; None if
-        as it is.
+        it is reported unchanged.
     derived : function or None
-        What else is reported, from draws of all parameters.
+        Further reported quantities, from draws of all parameters.
     scanned : function or None
-        Shapes that are scanned, from the ends of the band in rad/s; None if they are grids of the parameters.
+        Scanned shapes, from the ends of the band in rad/s; None if they are grids of the parameters.
     direction : function or None
         First-order change of a place's impedance per unit of the coefficient, for a scanned shape and angular
         frequencies, shape (F,); None if it is the operation's own derivative at zero.
@@ -330,7 +330,7 @@ NAMES = tuple(TRAITS)
 """Names of all operations, in the order of their codes."""
 
 ADDING = tuple(name for name, traits in TRAITS.items() if traits.connection == "beside")
-"""Operations that put something beside a place: the change does not depend on what stands there."""
+"""Operations that add an impedance beside a place: the change does not depend on the place's impedance."""
 
 
 @dataclass(frozen=True)

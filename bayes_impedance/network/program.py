@@ -1,4 +1,4 @@
-r"""A network as a program: small arrays that one compiled function can run.
+r"""A network as a program: small arrays evaluated by one compiled function.
 
 Every group of the network is a **node** that sums its parts, impedances in a parallel group and mobilities in a
 series group. A leaf in its node's domain is :math:`c\,(j\omega)^p` with :math:`c = e^{\pm\theta}`. An
@@ -61,7 +61,7 @@ def compile_network(network: Network, operations: Sequence[Operation] = ()) -> P
     nodes: list[_Node] = []
 
     def visit(node: Network, path: tuple[int, ...], parent_is_mobility: bool) -> int:
-        """Append the nodes below and then this one; the parent's number is filled in by the caller."""
+        """Append the child nodes, then this one; the caller fills in the parent's number."""
         here = [operation for operation in operations if operation.path == path]
         mobility = isinstance(node, Series)
         parts = list(enumerate(node.parts))
@@ -110,7 +110,7 @@ def parameter_names(network: Network, operations: Sequence[Operation]) -> tuple[
 
 @dataclass
 class _Node:
-    """A node while the program is written."""
+    """A node during the compilation of a program."""
 
     invert: bool
     code: int = 0

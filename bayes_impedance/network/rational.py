@@ -1,9 +1,9 @@
-r"""Rational functions of s: what a network's impedance is on paper.
+r"""Rational functions of s: a network's impedance as a ratio of polynomials.
 
 .. math:: z(s) = \frac{b_N s^N + \dots + b_0}{a_M s^M + \dots + a_0}
 
 Coefficients are kept in ascending powers as plain Python numbers while a network is reduced, so that Fractions stay
-exact, and are handed out in descending powers, which is the habit of numpy, scipy.signal and of the paper's appendix.
+exact, and are returned in descending powers, the convention of numpy, scipy.signal and of the paper's appendix.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def add_fractions(terms: Sequence[TransferFunction]) -> TransferFunction:
 
 
 def _order(polynomial: Polynomial) -> int:
-    """Power of s that can be taken out."""
+    """Largest power of s that divides the polynomial."""
     return next(i for i, coefficient in enumerate(polynomial) if coefficient != 0)
 
 

@@ -1,6 +1,6 @@
-r"""Which elements of a network no recording can tell apart, whatever its band and its precision.
+r"""Structural identifiability: elements of a network that no recording can distinguish, at any band and precision.
 
-**Like elements side by side.** Elements of one kind that share a velocity or a force act as one element:
+**Adjacent elements of one kind.** Elements of one kind that share a velocity or a force act as one element:
 
 .. math::
     (m_1\,|\,m_2) = m_1 + m_2, \qquad (r_1\,|\,r_2) = r_1 + r_2, \qquad
@@ -9,15 +9,16 @@ r"""Which elements of a network no recording can tell apart, whatever its band a
 and in series the other way round. Only that combination can be determined, so the network is written with one element
 in their place before it is fitted (:func:`merged`).
 
-**Anything else.** A network may have more elements than its rational function has coefficients without having two like
-ones side by side. Element p is structurally identifiable if its derivative is no combination of the others':
+**Other cases.** A network may have more elements than its rational function has coefficients without having two
+adjacent elements of one kind. Element p is structurally identifiable if its derivative is no combination of the
+others':
 
 .. math:: \operatorname{rank} J_{(p)} < \operatorname{rank} J, \qquad
           J_{kp} = \frac{\partial z(s_k;\, x)}{\partial x_p}
 
 for generic x and more values of s than there are elements. The rank is decided exactly: impedance and derivatives are
-computed with integers modulo a large prime at random x and s, where a sum, a product and a reciprocal are what they are
-among rational numbers. By the Schwartz-Zippel lemma, the chance that a random point shows a smaller rank than the
+computed with integers modulo a large prime at random x and s, where sums, products and reciprocals are exact, as for
+rational numbers. By the Schwartz-Zippel lemma, the chance that a random point shows a smaller rank than the
 generic one is below the degree of the determinant over the prime: 1e-16 (J. T. Schwartz, J. ACM 27, 1980).
 """
 
@@ -34,20 +35,20 @@ _PRIME = 2**61 - 1
 """Mersenne prime: a product of two residues is exact in Python's integers."""
 
 _SEED = 1
-"""Of the random point: the answer does not depend on it but with a chance of 1e-16."""
+"""Seed of the random point. By choice: the result depends on it with probability 1e-16 only."""
 
 _MORE_POINTS = 3
-"""Values of s beyond the number of elements."""
+"""Values of s in excess of the number of elements. By choice: the rank needs no more than the number of elements."""
 
 
 @dataclass(frozen=True)
 class Combination:
-    """Like elements of which only a combination can be determined.
+    """Elements of one kind of which only a combination can be determined.
 
     Attributes
     ----------
     name : str
-        Of the one element in their place.
+        Name of the single element that replaces them.
     elements : tuple of str
         As they were written.
     expression : str
@@ -60,7 +61,7 @@ class Combination:
 
 
 def merged(network: Network) -> tuple[Network, tuple[Combination, ...]]:
-    """The network with one element in place of like elements side by side.
+    """The network with adjacent elements of one kind replaced by a single element.
 
     Parameters
     ----------
@@ -69,9 +70,9 @@ def merged(network: Network) -> tuple[Network, tuple[Combination, ...]]:
     Returns
     -------
     network : Network
-        Itself if there are none.
+        The network itself if there are none.
     combinations : tuple of Combination
-        Of what was put together.
+        The replaced elements.
     """
     found: list[Combination] = []
     result = _merged(network, set(network.elements), found)
@@ -100,7 +101,7 @@ def _merged(node: Network, taken: set[str], found: list[Combination]) -> Network
 
 
 def _combined(same: list[str], parallel: bool, taken: set[str], found: list[Combination]) -> str:
-    """Name of the element in place of like ones; the combination joins those that were found."""
+    """Name of the element that replaces others of its kind; the combination is appended to `found`."""
     earlier = {c.name: c for c in found}
     written = tuple(e for name in same for e in (earlier[name].elements if name in earlier else (name,)))
     terms = [earlier[name].expression if name in earlier else name for name in same]
@@ -120,7 +121,7 @@ def _factor(term: str) -> str:
 
 
 def inseparable(network: Network) -> tuple[str, ...]:
-    """Elements that no recording can determine, because others can take over whatever they do.
+    """Elements that are not structurally identifiable: changes of others can compensate any change of theirs.
 
     Parameters
     ----------

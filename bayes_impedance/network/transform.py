@@ -1,4 +1,4 @@
-"""The formulas of the operations, compiled: T(z), its derivative by z and by the parameters.
+"""Compiled formulas of the operations: T(z) and its derivatives with respect to z and the parameters.
 
 The table in :mod:`bayes_impedance.network.operations` gives each formula and its code. Each operation is holomorphic in
 z, so one complex derivative dT/dz carries the chain rule through it.

@@ -1,15 +1,15 @@
-r"""Weighted draws from one person's exact posterior under a reference population.
+r"""Importance sampling of one person's exact posterior under a reference population.
 
 The proposal q is a mixture: mostly a multivariate t (10 degrees of freedom: tails heavier than the target's), at first
-around the person's mode, and in part the reference population itself, which covers regions far from the mode and
-bounds the weights (Owen and Zhou 2000). Draws and weights of one round give the mean and covariance of the next round's
-t, which allows for posteriors that are wider on one side than the curvature at the mode suggests. Points come from
-scrambled Sobol sequences, which cover eight dimensions far more evenly than random ones.
+around the person's mode, and in part the reference population itself, which covers regions far from the mode and bounds
+the importance weights (defensive mixture, Owen and Zhou 2000). Draws and weights of one round give the mean and
+covariance of the next round's t, which allows for posteriors that are wider on one side than the curvature at the mode
+suggests. Points come from scrambled Sobol sequences, which cover eight dimensions far more evenly than random ones.
 
-What is kept of a draw is its log elements and :math:`\ln L(\theta) - \ln q(\theta)`. Multiplied with **any** population
-density :math:`N(\theta; \mu, \Sigma)` and averaged, this is the person's marginal likelihood under that population: the
-reference only decides where the draws lie. It must be near the truth (a broad one leaves a handful of effective draws
-for elements that a single person hardly determines), and a little wider.
+Each draw is stored as its log elements and :math:`\ln L(\theta) - \ln q(\theta)`. Multiplied with **any** population
+density :math:`N(\theta; \mu, \Sigma)` and averaged, this estimates the person's marginal likelihood under that
+population: the reference only determines where the draws lie. It must be near the true population and a little wider: a
+much wider one leaves few effective draws for elements that a single person hardly determines.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from bayes_impedance.person.valley import follow
 
 
 def widening(n_persons: int) -> float:
-    """Spread of the reference population relative to the estimate it stands for.
+    """Factor by which the standard deviations of the reference population exceed the estimated ones.
 
     The dispersion of n persons is known to about 1/sqrt(2 n) of itself: 8 % for 71 of them, 30 % for six.
     """
@@ -35,20 +35,20 @@ def widening(n_persons: int) -> float:
 
 
 _DEGREES_OF_FREEDOM = 10.0
-"""Of the proposal's multivariate t. By choice: tails clearly heavier than a normal target's at little loss of
-effective draws."""
+"""Degrees of freedom of the proposal's multivariate t. By choice: tails clearly heavier than a normal target's at
+little loss of effective draws."""
 
 _EXPLORING, _DEFENSIVE = 0.5, 0.125
 """Share of the reference population in the proposal of the first round and of the later ones.
 
-By choice: half of the first round looks for what the mode does not show; later an eighth bounds every weight by
+By choice: half of the first round explores regions away from the mode; later an eighth bounds every weight by
 eight times the likelihood, at the cost of an eighth of the draws.
 """
 
 
 @dataclass(frozen=True)
 class Reference:
-    """A population in whose shadow draws are made.
+    """The reference (anchor) population: importance draws are proposed from posteriors under it.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class Reference:
     covariance: np.ndarray
 
     def log_density(self, theta: np.ndarray) -> np.ndarray:
-        """Log normal density at theta (S, P), shape (S,)."""
+        """Logarithm of the normal density at theta (S, P), shape (S,)."""
         factor = np.linalg.cholesky(self.covariance)
         u = np.linalg.solve(factor, (theta - self.mean).T)
         return np.asarray(-0.5 * np.sum(u**2, axis=0) - np.sum(np.log(np.diag(factor))))
@@ -110,9 +110,9 @@ def draw(
     mode : Mode
         The person's mode under the reference.
     ridge : Ridge
-        How the deviations of the repetitions follow.
+        How the deviations of the repetitions depend on theta.
     reference : Reference
-        Already widened.
+        The reference population, already widened.
     n : int
         Number of draws, a power of two.
     seed : SeedSequence
@@ -142,7 +142,7 @@ def draw(
             best = draws
         if best is not None and best.effective > 0.5 * n:
             break
-        # Weights are tempered until they rest on enough draws to give a covariance.
+        # Weights are tempered until enough draws are effective to estimate a covariance.
         log_weight = draws.log_weight
         while np.exp(-np.logaddexp.reduce(2 * log_weight)) < 6 * centre.size:
             log_weight = 0.7 * log_weight

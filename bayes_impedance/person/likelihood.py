@@ -5,18 +5,19 @@ With J recordings of a person, noise of known shape sigma and one unknown scale 
 .. math:: z_{jk} = Z_k(\theta + \delta_j) + \varepsilon_{jk}, \qquad
           \operatorname{Re}\varepsilon_{jk},\ \operatorname{Im}\varepsilon_{jk} \sim N(0, s^2\sigma_{jk}^2),
 
-where theta are the person's log elements and the deviations :math:`\delta_j` (which sum to zero) say how the finger
-lay in repetition j. They are estimated, not averaged away: the mean of recordings with shifted resonances is not a
-recording with the mean resonance. The scale has an inverse gamma prior and is integrated out in closed form,
+where theta are the person's log elements, and the deviations :math:`\delta_j` (which sum to zero) are those of
+repetition j, since the finger lies differently each time. They are estimated rather than removed by averaging: the mean
+of recordings with shifted resonances is not a recording with the mean resonance. The scale has an inverse gamma prior
+and is integrated out in closed form,
 
 .. math:: p(z\,|\,\theta) \propto \left(\beta + \tfrac12\chi^2(\theta)\right)^{-(\alpha + N)},
           \qquad \chi^2(\theta) = \sum_{jk} |z_{jk} - Z_k(\theta+\delta_j)|^2/\sigma_{jk}^2,
 
-with N the number of complex numbers less those that the deviations use up. A network that does not fit therefore
-widens its own posterior instead of pretending to be exact.
+with N the number of complex values less those used by the deviations. If the network does not fit, the posterior
+therefore becomes wider.
 
-Here the deviations are held. That is right where a mode is searched; where a posterior is drawn they are integrated
-out, see :mod:`bayes_impedance.person.marginal_likelihood`.
+Here the deviations are held fixed. That is correct in the search for a mode; for draws of the posterior they are
+integrated out, see :mod:`bayes_impedance.person.marginal_likelihood`.
 """
 
 from __future__ import annotations
@@ -31,10 +32,11 @@ from bayes_impedance.network.program import Program
 from bayes_impedance.runtime.compiled_functions import kept_njit
 
 SCALE_SHAPE = 2.0
-"""alpha = beta of the inverse gamma prior of the squared noise scale: centred near one, a factor of two either way."""
+"""alpha = beta of the inverse gamma prior of the squared noise scale. By choice: centred near one, and wide enough for
+a factor of two either way."""
 
 _FREQUENCIES = 104
-"""Most frequencies in a block of the normal equations.
+"""Largest number of frequencies in a block of the normal equations.
 
 With the fingertip's eight elements the derivatives and the residual of a block take 9 x 2 x 104 doubles = 15 kB, which
 leaves room for the nodes in a first-level cache of 32 or 48 kB.
@@ -59,7 +61,7 @@ class Likelihood:
     deviations : ndarray, shape (J, P)
         Log elements of each repetition less the person's; columns sum to zero.
     count : float
-        Number N of complex numbers that tell about theta and the noise scale.
+        Number N of complex values that inform theta and the noise scale.
     """
 
     omega: np.ndarray
@@ -77,7 +79,7 @@ class Likelihood:
         return cls(2 * np.pi * np.ascontiguousarray(frequency_hz), parts, weight, deviations, max(count, 1.0))
 
     def thinned(self, n: int) -> Likelihood:
-        """About n of the frequencies, evenly spread: for decisions that need no precision."""
+        """The data at about n of the frequencies, evenly spread: for decisions that need no precision."""
         f = self.omega.size
         points = np.unique(np.linspace(0, f - 1, min(n, f)).round().astype(int))
         parts = (np.ascontiguousarray(a[..., points]) for a in (self.omega, self.z, self.weight))
@@ -148,8 +150,8 @@ def normal_equations(
     information : ndarray, shape (P, P)
     """
     n_nodes, n_elements = program.node_parent.size, theta.size
-    # Blocks of frequencies whose numbers stay in the first-level cache. All are equally long: the last one is filled up
-    # with a frequency of no weight.
+    # Blocks of frequencies that fit into the first-level cache. All are equally long: the last is padded with a
+    # frequency of weight zero.
     n_blocks = max(1, -(-omega.size // _FREQUENCIES))
     size = max(1, -(-omega.size // n_blocks))
     sums, outputs = workspace(program, omega[:size])

@@ -1,9 +1,10 @@
 r"""The likelihood of one person's log elements with the deviations of the repetitions integrated out.
 
-The symbols are those of :mod:`bayes_impedance.person.likelihood`. A posterior must not hold the deviations: if the
-curvature H_j differs between repetitions they move along with theta, and holding them makes weakly determined elements
-up to 30 % too certain. They are therefore integrated out by Laplace's method anew at every theta: from the linear
-dependence :math:`\delta_j(\theta)` at the mode one Newton step is made with the sum kept at zero, and
+The symbols are those of :mod:`bayes_impedance.person.likelihood`. The deviations must not be held fixed in a
+posterior: if the curvature H_j differs between repetitions, they depend on theta, and fixing them makes the standard
+deviations of weakly determined elements up to 30 % too small. They are therefore integrated out by Laplace's method at
+every theta: one Newton step, with the sum kept at zero, starts from the linear dependence :math:`\delta_j(\theta)` at
+the mode, and
 
 .. math:: \ln p(z\,|\,\theta, \rho) \approx -(\alpha + N')\ln\left(\beta + \tfrac12\chi^2\right)
           - \tfrac12 \sum_j \delta_j^T R^{-1} \delta_j - \tfrac12 \ln\left|U^T A\, U\right|,
@@ -32,12 +33,12 @@ from bayes_impedance.person.likelihood import (
 
 @dataclass(frozen=True)
 class Ridge:
-    """How the deviations of the repetitions follow the person's log elements.
+    """Linear dependence of the deviations of the repetitions on the person's log elements.
 
     Attributes
     ----------
     theta : ndarray, shape (P,)
-        Where the expansion is made: the mode.
+        Point of expansion: the mode.
     slope : ndarray, shape (J, P, P)
         Derivative of each repetition's deviation with respect to theta; sums to zero over repetitions.
     rho : ndarray, shape (P,)

@@ -1,14 +1,14 @@
-r"""One person's mode: where the posterior of the log elements is highest, and how sharply.
+r"""Posterior mode of one person's log elements, and the curvature there.
 
 Levenberg-Marquardt on the exact objective, the likelihood of :mod:`bayes_impedance.person.likelihood` under a normal
-prior :math:`N(m, \Lambda^{-1})`. At the current point the likelihood acts like a Gaussian one of weight
-:math:`w = (\alpha+N)/(\beta+\chi^2/2)`, which gives the curvature :math:`A = w J^TJ/\sigma^2 + \Lambda`. Where the
-network does not fit, the residuals stay large and that curvature is not the true one: convergence is slow. After a
-fixed number of steps the exact second derivative is used, from differences of the exact gradient.
+prior :math:`N(m, \Lambda^{-1})`. Locally the likelihood is that of Gaussian noise with weight
+:math:`w = (\alpha+N)/(\beta+\chi^2/2)`, which gives the curvature :math:`A = w J^TJ/\sigma^2 + \Lambda`. If the
+network does not fit, the residuals stay large, this Gauss-Newton curvature is inaccurate and convergence is slow. After
+a fixed number of steps the second derivative is therefore taken from differences of the exact gradient.
 
 Converged means that the Newton decrement :math:`g^T A^{-1} g`, the squared distance to the mode in posterior standard
 deviations, is below 1e-6. Several starts guard against local minima: the residuals of an unconverged
-fit look like missing physics.
+fit could be mistaken for an effect that the model lacks.
 """
 
 from __future__ import annotations
@@ -24,10 +24,11 @@ from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood, all_repet
 __all__ = ["DECREMENT_LIMIT", "Likelihood", "Mode", "all_modes", "find_mode", "log_likelihood", "mode_at"]
 
 DECREMENT_LIMIT = 1e-6
-"""A mode is converged when it is closer than this to the optimum, in squared posterior standard deviations."""
+"""Newton decrement below which a mode counts as converged. By choice: its square root, a thousandth of a posterior
+standard deviation, is the remaining distance."""
 
 _MAX_ITERATIONS = 100
-"""Steps from a start before it is given up. By choice; whether it converged is judged by the decrement alone."""
+"""Most steps from each start. By choice: more cost time; convergence is judged by the decrement alone."""
 
 _GAUSS_NEWTON_ITERATIONS = 15
 """Steps before the exact second derivative is used. By choice: it costs several gradients a
@@ -36,16 +37,16 @@ step, and where the network fits, fewer steps than these suffice."""
 
 @dataclass(frozen=True, kw_only=True)
 class Mode:
-    """Where one person's posterior is highest.
+    """Mode of one person's posterior and its curvature.
 
     Attributes
     ----------
     theta : ndarray, shape (P,)
         Log elements at the mode.
     objective : float
-        Minus log posterior density there, up to a constant.
+        Negative log posterior density at the mode, up to a constant.
     precision : ndarray, shape (P, P)
-        Curvature with the prior's.
+        Curvature including the prior's.
     information : ndarray, shape (P, P)
         Curvature of the likelihood alone, in units of the inferred noise.
     scale : float
@@ -63,7 +64,7 @@ class Mode:
 
     @property
     def converged(self) -> bool:
-        """Whether the gradient test is passed."""
+        """Whether the decrement is below :data:`DECREMENT_LIMIT`."""
         return bool(self.decrement < DECREMENT_LIMIT)
 
 
@@ -206,21 +207,21 @@ def all_modes(
 def find_mode(
     kernel: Kernel, likelihood: Likelihood, starts: np.ndarray, prior_mean: np.ndarray, prior_precision: np.ndarray
 ) -> Mode:
-    """The highest mode that any start reaches under a normal prior.
+    """The highest mode reached from any start, under a normal prior.
 
     Parameters
     ----------
     kernel : Kernel
     likelihood : Likelihood
     starts : ndarray, shape (S, P)
-        The first is preferred among equals, so that parts of a network that could change places keep theirs.
+        Among equal modes the first start is preferred, so that exchangeable parts of a network keep their order.
     prior_mean : ndarray, shape (P,)
     prior_precision : ndarray, shape (P, P)
 
     Returns
     -------
     Mode
-        Check ``converged``; nothing is raised, because one person in many may be set right later.
+        Check ``converged``; no error is raised, because a single person may be corrected in a later round.
     """
     ends, objectives, decrements = all_modes(kernel, likelihood, starts, prior_mean, prior_precision)
     best = int(np.argmax(objectives <= objectives.min() + 1e-3))
@@ -235,7 +236,7 @@ def mode_at(
     prior_precision: np.ndarray,
     decrement: float,
 ) -> Mode:
-    """Describe the posterior around theta, which is taken to be its mode."""
+    """Curvature and scale of the posterior at theta, which is assumed to be its mode."""
     d = likelihood
     chi, _, information = all_repetitions(kernel.program, theta, d.deviations, d.omega, d.z, d.weight)
     exponent = SCALE_SHAPE + d.count

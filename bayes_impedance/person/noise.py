@@ -1,9 +1,10 @@
-r"""The size of the noise, from repetitions or from roughness.
+r"""Estimation of the noise, from repetitions or from roughness over frequency.
 
-A finger that is put down again has slightly other elements. What then differs between two recordings is noise plus a
-motion along the tangent space of the network, :math:`\partial Z/\partial\theta`, and only what is **outside** of that
-space is noise. With orthonormal contrasts :math:`c` over the J recordings (J - 1 of them, free of the common part), Q
-an orthonormal basis of the tangent space in whitened real coordinates and :math:`h_k` its leverage at frequency k,
+A finger that is repositioned has slightly different elements. The difference between two recordings is therefore noise
+plus a change within the tangent space of the network, :math:`\partial Z/\partial\theta`, and only the component
+**outside** that space is noise. With orthonormal contrasts :math:`c` over the J recordings (J - 1 of them, free of the
+common part), Q an orthonormal basis of the tangent space in whitened real coordinates and :math:`h_k` its leverage at
+frequency k,
 
 .. math:: \hat\sigma_k^2 = \frac{\sum |(1 - QQ^T) c|_k^2}{\sum 2\,(1 - h_k)} .
 
@@ -11,10 +12,10 @@ Sums run over persons and over as many neighbouring frequencies as give about 20
 the window is narrow and a sharp rise of the noise is resolved; with one person it is wide and the estimate is stable.
 
 With one repetition the noise is estimated from the second difference over frequency of the residual from the fitted
-network. (The second difference of the data would count their own curvature as noise.)
+network. (The second difference of the data would count their curvature as noise.)
 
-Noise is either proportional to the magnitude or not, at a given frequency across persons; the better of the two, by
-its likelihood, is taken.
+At a given frequency, the noise of different persons is either proportional to the magnitude or independent of it; the
+alternative with the higher likelihood is used.
 """
 
 from __future__ import annotations
@@ -25,17 +26,18 @@ from dataclasses import dataclass
 import numpy as np
 
 FLOOR_WITH_REPETITIONS = 1e-4
-"""Smallest noise relative to |z| that repetitions may show: no impedance head does better, and rounding in a file must
-not set weights."""
+"""Lower bound of the noise relative to |z| if estimated from repetitions. By choice: no impedance head is better, and
+rounding in a file must not determine the weights."""
 
 FLOOR_WITHOUT = 1e-3
-"""The same where only roughness shows it. By choice ten times as large: roughness of smoothed data says little."""
+"""The same if estimated from roughness. By choice ten times as large: smoothed data have too little roughness."""
 
 _DEGREES_OF_FREEDOM = 200.0
-"""Over which an estimate is pooled. By choice: a standard deviation is then known to 1/sqrt(2 x 200) = 5 %."""
+"""Degrees of freedom over which an estimate is pooled. By choice: a standard deviation is then known to 1/sqrt(2 x 200)
+= 5 %."""
 
 _GRID_POINTS = 400
-"""Most frequencies at which noise is pooled; more are binned. By choice: the windows are much wider than a bin."""
+"""Largest number of frequencies in pooling; more are binned. By choice: the windows are much wider than a bin."""
 
 
 @dataclass(frozen=True)
@@ -106,8 +108,8 @@ def scatter_of_repetitions(
     derivative : ndarray, complex, shape (P, F)
         dZ/dtheta at the person's fitted elements.
     noise_sd : ndarray, shape (F,), optional
-        What is known of the noise already, to whiten with; proportional to |z| if nothing is. The projection is
-        unbiased only when it is the true one, so noise is estimated twice.
+        Current estimate of the noise, used for whitening; by default proportional to |z|. The projection is unbiased
+        only with the true noise, so that the noise is estimated twice.
     """
     magnitude = np.abs(z.mean(axis=0))
     white = magnitude if noise_sd is None else noise_sd
@@ -174,7 +176,7 @@ def _pool(scatters: Sequence[Scatter], relative: bool, floor: float) -> tuple[No
     smallest = (floor * np.median(np.concatenate([s.magnitude for s in scatters]) / scale)) ** 2
     variance = np.maximum(variance, smallest)
     expected = np.interp(x, nodes, variance)
-    # Gaussian deviance, with each person's own scale profiled out.
+    # Gaussian deviance, profiled over each person's scale.
     deviance, start = 0.0, 0
     log_scale = np.log(scale**2)
     for s in scatters:
@@ -186,6 +188,6 @@ def _pool(scatters: Sequence[Scatter], relative: bool, floor: float) -> tuple[No
 
 
 def _orthonormal(columns: np.ndarray) -> np.ndarray:
-    """Orthonormal basis of the columns' span; directions that the band hardly sees are left out."""
+    """Orthonormal basis of the columns' span, without directions that have little effect within the band."""
     u, singular, _ = np.linalg.svd(columns, full_matrices=False)
     return np.asarray(u[:, singular > 1e-10 * singular[0]])

@@ -1,17 +1,17 @@
-r"""A proposal for posteriors that are long, narrow and curved: normal distributions strung along the valley.
+r"""A proposal for long, narrow and curved posteriors: a mixture of normal distributions along the valley.
 
-Where recordings determine a combination of elements sharply and another hardly, a person's posterior is a curved valley
-whose length is the population's and whose width is the noise's. One multivariate t around its deepest point covers a
-stretch of it, and its draws seem efficient because they never leave that stretch. Here the valley is followed from the
-mode in both directions. With H the information of the recordings and :math:`\Lambda` the precision of the reference
-population, its direction is the eigenvector with
+If the recordings determine one combination of elements precisely and another hardly, a person's posterior is a curved
+valley: its length is set by the population, its width by the noise. One multivariate t around the mode covers only a
+part of it, and its effective number of draws is deceptively high because no draw leaves that part. Here the valley is
+followed from the mode in both directions. With H the information of the recordings and :math:`\Lambda` the precision of
+the reference population, its direction is the eigenvector with
 
 .. math:: H v = \lambda\,\Lambda v, \qquad \lambda \text{ smallest}, \qquad v^T \Lambda v = 1 .
 
 A step :math:`\theta + h v` is corrected by the mode under a prior that holds its distance along v only; h is chosen so
-that the correction c remains small in units of the noise, :math:`c^T H c \le 1`. At every point stands a normal
-distribution with precision :math:`H + \Lambda + (\Lambda v)(\Lambda v)^T/h^2`, weighted with the mass that it stands
-for.
+that the correction c remains small in units of the noise, :math:`c^T H c \le 1`. Each point is the centre of a normal
+distribution with precision :math:`H + \Lambda + (\Lambda v)(\Lambda v)^T/h^2`, weighted with the posterior mass that it
+represents.
 """
 
 from __future__ import annotations
@@ -26,19 +26,21 @@ from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.mode import Mode, find_mode, mode_at
 
 _FIRST_STEP, _SHORTEST, _LONGEST = 0.1, 1e-3, 0.5
-"""Steps in standard deviations of the reference population; a valley that bends within a thousandth of them is none."""
+"""First, shortest and longest step, in standard deviations of the reference population. By choice: longer steps leave
+gaps between the normal distributions; a curve that bends within the shortest step is not treated as a valley."""
 
 _STRAIGHT = 1.0
-"""Square of a correction, in units of the noise, up to which a step has followed the valley."""
+"""Largest squared correction of an accepted step, in units of the noise. By choice: one standard deviation."""
 
 _END = 12.0
-"""Fall of the log density at which the valley ends: what lies beyond holds 6e-6 of the height."""
+"""Decrease of the log density at which the valley ends. By choice: the density there is 6e-6 of that at the mode."""
 
 _MOST = 200
-"""Points to either side of the mode: then the valley is followed no further."""
+"""Most points to either side of the mode. By choice: a bound on the cost of very long valleys."""
 
 _HOLD = 1e4
-"""Precision with which the distance along the valley is held while the rest is corrected, one over a squared step."""
+"""Prior precision of the distance along the valley during the correction, in one over a squared step. By choice: it
+holds the distance to a hundredth of a step."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,7 @@ def follow(
     points = [*reversed(behind[1:]), *ahead]
     covariance = np.linalg.inv(np.array([p for _, p, _ in points]))
     depth = np.array([d for _, _, d in points])
-    # Half of the logarithm: other populations than the reference weigh the ends of the valley more.
+    # Half of the log weight: populations other than the reference give the ends of the valley more weight.
     log_weight = 0.5 * (-depth + 0.5 * np.linalg.slogdet(covariance)[1])
     weight = np.exp(log_weight - log_weight.max())
     return Valley(np.array([c for c, _, _ in points]), covariance, weight / weight.sum())

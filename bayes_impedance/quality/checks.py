@@ -1,8 +1,8 @@
-"""What is suspicious about recordings, before anything is fitted to them.
+"""Checks of recordings before a model is fitted to them.
 
-Each check looks for one thing that spoils a population estimate without making it fail: a flipped sign, a gain switch,
-a copied file, a person measured in another unit. Limits are far out, so that clean data give no warning; what a finding
-means is for its reader to decide, and nothing is removed.
+Each check looks for one fault that biases a population estimate without making it fail: an inverted sign, a gain
+switch, a copied file, a subject measured in another unit. Limits are conservative, so that clean data give no warning.
+The interpretation of a finding is left to the user, and no data are removed.
 """
 
 from __future__ import annotations
@@ -21,14 +21,15 @@ from bayes_impedance.quality.marks import Mark, marks
 from bayes_impedance.recordings.dataset import Recordings, Subject
 
 COMMON = 0.5
-"""The same thing in more than half of the recordings comes from the rig and is told once: people do not share it."""
+"""Fraction of recordings above which an event at the same place is attributed to the apparatus and reported once. By
+choice: subjects do not share such events."""
 COMMON_MINIMUM = 4
-"""Of fewer recordings, two would be more than half, which chance can do."""
+"""Fewest recordings for this rule. By choice: of three recordings two are more than half, which may be chance."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One thing that somebody should look at.
+    """One result of the checks that should be inspected.
 
     Attributes
     ----------
@@ -38,9 +39,9 @@ class Finding:
     severity : {"note", "warning"}
         A note says what cannot be estimated; a warning says what may be wrong.
     subject, repetition : str or None
-        Whose recording; None where it is about all.
+        The recording concerned; None if the finding concerns all.
     frequency_hz : (float, float) or None
-        Band in Hz; None where it is about the whole curve.
+        Band in Hz; None if the finding concerns the whole curve.
     message : str
         One sentence with a remedy.
     """
@@ -55,7 +56,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class _Event:
-    """Something at one place of one recording, before events are grouped into findings."""
+    """One fault at one place of one recording, before events are grouped into findings."""
 
     subject: str
     repetition: str
@@ -64,7 +65,7 @@ class _Event:
 
 
 def check_recordings(recordings: Recordings) -> tuple[Finding, ...]:
-    """Look for everything that is suspicious.
+    """Run all checks.
 
     Parameters
     ----------
@@ -74,14 +75,13 @@ def check_recordings(recordings: Recordings) -> tuple[Finding, ...]:
     Returns
     -------
     tuple of Finding
-        Warnings first, and of these what was changed or left aside when the files were read; empty if there is
-        nothing to tell.
+        Warnings first, beginning with what was changed or ignored when the files were read; empty if there is none.
     """
     read = [*_check_reading(recordings), *_check_network(recordings)]
     if not recordings.subjects:
         return tuple(read)
     found, where = marks(recordings.subjects)
-    # What is marked as no value is one fault: it is not searched for others.
+    # Points marked as missing are one fault: they are not checked for others.
     unmarked = tuple(
         replace(subject, z=point_anomalies.without(subject.frequency_hz, subject.z, off)) if off.any() else subject
         for subject, off in zip(recordings.subjects, where, strict=True)
@@ -148,7 +148,7 @@ def _check_reading(recordings: Recordings) -> Iterator[Finding]:
 
 
 def _check_network(recordings: Recordings) -> Iterator[Finding]:
-    """A network that cannot be read would stop the first fit that does not name another."""
+    """Report a network notation that cannot be read: it would stop any fit that does not name another."""
     try:
         parse(recordings.network or "m1")
     except InputError as error:
@@ -210,7 +210,7 @@ def _group(
     place: Callable[[_Event], object],
     message: Callable[[str, str, list[_Event]], str],
 ) -> Iterator[Finding]:
-    """Make one finding of what most recordings share, and one for each recording of the rest.
+    """Make one finding of events that most recordings share, and one for each remaining recording.
 
     Parameters
     ----------
@@ -220,9 +220,9 @@ def _group(
     total : int
         Number of recordings.
     place : callable
-        What two events must have in common to be the same thing.
+        Key of an event's place; events with equal keys count as the same.
     message : callable
-        Of whose it is, of where it is, and of the events.
+        Makes the finding's text from the recordings concerned, the band, and the events.
     """
     by_place: dict[object, list[_Event]] = {}
     for event in events:

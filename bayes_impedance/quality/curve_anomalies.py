@@ -1,4 +1,4 @@
-"""Curves compared with each other: copies, strangers and unsteady subjects, and units that contradict themselves."""
+"""Comparison of whole curves: copies, outlying subjects, poor repeatability, and wrong units."""
 
 from __future__ import annotations
 
@@ -11,37 +11,41 @@ from bayes_impedance.recordings.csv_table import ComplexArray, FloatArray
 from bayes_impedance.recordings.dataset import Subject
 
 COPY_LIMIT = 1e-6
-"""Copies differ by less than this part of |z|: the rounding of an export with six or seven digits."""
+"""Relative difference of |z| below which recordings count as copies: rounding of an export with six or seven digits."""
 COPY_CONTRAST = 0.02
-"""... or by less than this part of what is usual between nearest neighbours, if there are enough to say so: an export
-with fewer digits. Recordings with noise of their own are not fifty times as close as all others."""
+"""Also copies: a difference below this fraction of the median distance of nearest neighbours, if there are enough of
+them (exports with fewer digits). By choice: independent noise does not make two recordings fifty times closer."""
 MINIMUM_SUBJECTS = 5
-"""Fewer subjects than this do not say what is usual: a median distance needs a majority that is not odd."""
+"""Fewest subjects for comparisons with the median. By choice: a median needs a majority of normal subjects."""
 ODD_LIMIT = 8.0
-"""Robust standard deviations that a subject, or the spread of its repetitions, must be away from the others. People are
-not normally distributed: the limit is far above the 3 that the largest of a hundred normal values reaches."""
+"""Robust z-score above which a subject, or the spread of its repetitions, is reported. By choice far above 3, which the
+largest of a hundred normal values reaches, because subjects are not normally distributed."""
 ODD_FACTOR, ODD_PHASE_DEG, SPREAD_FACTOR = 2.0, 20.0, 4.0
-"""... and at least so far: a factor in magnitude, degrees in phase, a factor in spread. People who are very much alike
-give a small standard deviation, of which a harmless difference is many. Choices, not measurements."""
+"""Smallest differences that are reported in addition: a factor in magnitude, degrees in phase, a factor in spread. By
+choice: for very similar subjects the robust standard deviation is small, and a harmless difference has a large
+score."""
 
 BODE_MINIMUM_DEG = 8.0
-"""Measured and computed phase must differ by more than this (rms): what is usual within a band is a few degrees."""
+"""Smallest rms difference between measured and computed phase that is reported. By choice: within a limited band a few
+degrees are usual."""
 BODE_CONTRAST = 2.5
-"""... and by this many times what remains after conversion, before a unit is suspected: conversion must explain it."""
+"""Smallest ratio of this difference before and after conversion of the unit. By choice: the conversion must explain the
+difference."""
 
 _BODE_POINTS = 60
-"""Of the grid of ln f on which Bode's relation is integrated: a sixth of an octave in three decades."""
+"""Points of the grid of ln f for Bode's relation. By choice: a sixth of an octave for three decades."""
 _BODE_REACH = 5.0
-"""In ln f; the kernel has lost 99.7 % of its integral there."""
+"""Range of integration on either side, in ln f: it contains 99.7 % of the kernel's integral."""
 _COMPARED_POINTS = 40
-"""Frequencies at which all pairs of curves are compared first; those that are near are compared at all."""
+"""Frequencies in the first comparison of all pairs of curves. By choice, to save time: close pairs are then compared at
+all frequencies."""
 _MAD_TO_SD = 1.4826
-"""Standard deviation of a normal distribution over its median distance from the median."""
+"""Ratio of the standard deviation of a normal distribution to its median absolute deviation."""
 
 
 @dataclass(frozen=True)
 class Copy:
-    """Two recordings that are one.
+    """Two recordings that are copies.
 
     Attributes
     ----------
@@ -59,7 +63,7 @@ class Copy:
 
 @dataclass(frozen=True)
 class OddSubject:
-    """A subject unlike the others.
+    """A subject whose curve lies far from the others.
 
     Attributes
     ----------
@@ -86,7 +90,7 @@ def duplicates(subjects: Sequence[Subject]) -> list[Copy]:
     Returns
     -------
     list of Copy
-        Each recording appears at most once as the other.
+        Each recording appears at most once as the second of a pair.
     """
     by_grid: dict[bytes, list[Subject]] = {}
     for subject in subjects:
@@ -100,7 +104,7 @@ def duplicates(subjects: Sequence[Subject]) -> list[Copy]:
 def _duplicates_on_grid(subjects: Sequence[Subject]) -> list[Copy]:
     labels = [(subject.name, repetition) for subject in subjects for repetition in subject.repetitions]
     z = np.concatenate([subject.z for subject in subjects])
-    # Every pair is compared, so only at some frequencies first.
+    # All pairs are compared, first at few frequencies only.
     some = z[:, np.unique(np.linspace(0, z.shape[1] - 1, _COMPARED_POINTS).astype(int))]
     nearest = np.full(len(labels), np.inf)
     close: list[tuple[int, FloatArray]] = []
@@ -158,10 +162,10 @@ def odd_subjects(subjects: Sequence[Subject]) -> list[OddSubject]:
 
 
 def _log_curve(subject: Subject, x: FloatArray) -> ComplexArray:
-    """Return ln|z| + j phase of a subject's mean at log frequencies, the phase in radians without wraps."""
+    """Return ln|z| + j phase of a subject's mean at log frequencies, with the phase unwrapped, in radians."""
     own, z = np.log(subject.frequency_hz), subject.mean
     phase = np.unwrap(np.angle(z))
-    # Unwrapping leaves whole turns open; passive phases are around zero.
+    # Unwrapping leaves multiples of 2 pi undetermined; passive phases are around zero.
     phase -= 2 * np.pi * np.round(np.median(phase) / (2 * np.pi))
     log_curve: ComplexArray = np.interp(x, own, _log_magnitude(z)) + 1j * np.interp(x, own, phase)
     return log_curve
@@ -216,19 +220,19 @@ def _spread(subject: Subject) -> float:
 
 
 def suspect_units(subjects: Sequence[Subject], polar: bool = True) -> tuple[str, ...]:
-    """Return what seems to be other than linear magnitudes and phases in degrees that lead for a mass.
+    """Return the conventions that the data seem to violate: linear magnitude, phase in degrees, exp(+jwt).
 
     The phase of a passive one-port without excess delay follows from its magnitude (see `bode_phase`), to a few degrees
-    within a band. If that fails, but holds for a magnitude that was in dB or a phase that was in radians, it probably
-    was. A magnitude far above 20 dB and a phase in radians together look like a damper and remain unseen. If it holds
-    for the negative phase, the recordings are complex conjugates, as of the convention exp(-j w t).
+    within a band. If the relation fails, but holds for a magnitude converted from dB or a phase converted from radians,
+    that unit is reported. A magnitude far above 20 dB together with a phase in radians resembles a damper and is not
+    detected. If it holds for the negative phase, the recordings are complex conjugates (convention exp(-j w t)).
 
     Parameters
     ----------
     subjects : sequence of Subject
         Those whose band is wider than a factor of four are used.
     polar : bool
-        Whether they were given as magnitude and phase; real and imaginary parts have no other unit.
+        Whether the data were given as magnitude and phase; units are not checked for real and imaginary parts.
 
     Returns
     -------
@@ -255,7 +259,7 @@ def suspect_units(subjects: Sequence[Subject], polar: bool = True) -> tuple[str,
     if polar:
         misfit["magnitude_in_db",] = _rms(phase - from_decibel)
     largest = max(float(np.abs(np.angle(subject.z)).max()) for subject in subjects)
-    # Passive phases in radians reach pi/2; the double leaves room for noise and for faults.
+    # Passive phases in radians are at most pi/2; twice that allows for noise and faults.
     if polar and largest < np.deg2rad(np.pi):
         in_radians = np.rad2deg(phase)
         misfit["phase_in_radians",] = _rms(in_radians - from_linear)
@@ -270,7 +274,7 @@ def bode_phase(log_magnitude: FloatArray, step: float) -> FloatArray:
     .. math:: \varphi(u_0) = \frac1\pi \int \frac{d \ln|z|}{du} \ln\coth\frac{|u - u_0|}2\,du,
               \qquad u = \ln f
 
-    Outside of the band the slope is taken to stay as it is at the ends.
+    Outside the band the slope is extrapolated as constant.
 
     Parameters
     ----------
@@ -290,7 +294,7 @@ def bode_phase(log_magnitude: FloatArray, step: float) -> FloatArray:
     """
     half = max(1, round(_BODE_REACH / step))
     distance = np.abs(np.arange(-half, half + 1)) * step
-    # The kernel has an integrable pole in the middle: a quarter of the step stands for that cell.
+    # The kernel has an integrable singularity at the centre: that cell uses its value at a quarter of the step.
     distance[half] = step / 4
     kernel = -np.log(np.tanh(distance / 2))
     kernel *= np.pi / 2 / kernel.sum()

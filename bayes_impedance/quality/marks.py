@@ -1,8 +1,8 @@
-"""Marks for missing values among the numbers: zeros, 9999, the largest number of a format.
+"""Marks for missing values (sentinel values) in the data: zeros, 9999, the largest number of a format.
 
-A program that has no value writes a number that nobody measures, and a stuck converter writes its last one again and
-again. Both repeat a number exactly, and stand far away from the curve on either side. Numbers of few digits repeat in
-good recordings too, but not far from their neighbours.
+A program without a value writes a number that cannot be a measurement, and a stuck converter repeats its last value.
+Both repeat a number exactly, far away from the curve on either side. Numbers of few digits also repeat in good
+recordings, but not far from their neighbours.
 """
 
 from __future__ import annotations
@@ -25,28 +25,30 @@ from bayes_impedance.recordings.csv_table import ComplexArray, FloatArray
 from bayes_impedance.recordings.dataset import Subject
 
 KNOWN_MARKS = (0.0, 99.0, 999.0, 9999.0, 99999.0, 999999.0, 32767.0, 32768.0, 65535.0, 1e20, 1e30, 1e37, 1e38)
-"""Sizes that programs write for "no value", which need not occur twice: nines, ends of 16-bit converters, and the
-powers of ten that formats such as netCDF fill with. The largest single-precision number is one more."""
+"""Absolute values that programs write for "no value", which need not occur twice: nines, ends of 16-bit converters, and
+the powers of ten that formats such as netCDF fill with."""
 FLOAT_MAXIMUM = float(np.finfo(np.float32).max)
+"""Largest single-precision number, another such mark."""
 MINIMUM_REST = 3
-"""Points of a recording that must be left to say where its curve is: fewer make no line with a point to spare."""
+"""Fewest remaining points of a recording to define its curve: a line through two, and one to check it."""
 STEPS = 4.0
-"""Steps of the numbers' rounding that a mark is away at least: a rounded point is half a step off in each part, and so
-are the points that tell where the curve is, from which it may be extrapolated by as much again."""
+"""Smallest distance of a mark from the curve in rounding steps: a point is off by half a step in each part, so are the
+points that define the curve, and extrapolation may add as much again."""
 _DIGITS = 12
-"""Significant digits in which a magnitude counts as repeated: it is computed from two numbers, and rounded."""
+"""Significant digits in which equal magnitudes count as repeated. By choice: they are computed from two numbers, with
+rounding errors beyond these digits."""
 
 
 @dataclass(frozen=True)
 class Mark:
-    """A number that stands for no value.
+    """A number that marks missing values.
 
     Attributes
     ----------
     part : str
-        ``z``, ``Re z``, ``Im z`` or ``|z|``: what is always the same.
+        ``z``, ``Re z``, ``Im z`` or ``|z|``: the quantity with the repeated number.
     value : complex
-        The number; of a part, with imaginary part zero.
+        The number; for a part, the imaginary part is zero.
     points : tuple of (str, str, float)
         Subject, repetition and frequency in Hz of each point.
     """
@@ -57,7 +59,7 @@ class Mark:
 
 
 def marks(subjects: Sequence[Subject]) -> tuple[list[Mark], list[np.ndarray]]:
-    """Numbers that stand for no value.
+    """Find numbers that mark missing values.
 
     Parameters
     ----------
@@ -74,7 +76,7 @@ def marks(subjects: Sequence[Subject]) -> tuple[list[Mark], list[np.ndarray]]:
     found: list[Mark] = []
     if not subjects:
         return found, where
-    # What is the same in both parts is told once.
+    # A mark in both parts is reported once.
     for part in ("z", "Re z", "Im z", "|z|"):
         own = [_part(subject.z, part) for subject in subjects]
         every = np.concatenate([values[~w] for values, w in zip(own, where, strict=True)])
@@ -106,7 +108,7 @@ def _part(z: ComplexArray, part: str) -> np.ndarray:
 
 
 def _is_known(values: np.ndarray) -> np.ndarray:
-    """Whether the parts of numbers that are not zero are marks that programs write."""
+    """Whether all non-zero parts of numbers are known marks."""
     known = np.array([*KNOWN_MARKS, FLOAT_MAXIMUM])
 
     def listed(sizes: FloatArray) -> npt.NDArray[np.bool_]:
@@ -116,7 +118,7 @@ def _is_known(values: np.ndarray) -> np.ndarray:
 
 
 def _far(f: FloatArray, z: ComplexArray, candidate: np.ndarray, marked: np.ndarray, part: str) -> np.ndarray:
-    """Candidates that are as far from the curve of the other points as outliers are, shape (J, F)."""
+    """Mask of candidates as far from the curve of the other points as an outlier, shape (J, F)."""
     far = np.zeros(z.shape, dtype=bool)
     if f.size <= MINIMUM_REST:
         return far
@@ -139,13 +141,13 @@ def _far(f: FloatArray, z: ComplexArray, candidate: np.ndarray, marked: np.ndarr
                 continue
             curve = without(f, z[j][None], drop[None])
             limit = _limit(f, curve)[0]
-            # All of them: a curve that crosses a number somewhere is close to it there.
+            # All occurrences are tested: a curve that passes through a number is close to it there.
             far[j] |= own & bool(np.all(np.abs(values[j] - _part(curve[0], part))[own] > limit[own]))
     return far
 
 
 def _limit(f: FloatArray, z: ComplexArray) -> FloatArray:
-    """How far from the curve a point of its noise and rounding never is, shape (J, F)."""
+    """Distance from the curve that noise and rounding do not exceed, shape (J, F)."""
     with np.errstate(over="ignore", invalid="ignore"):
         relative = np.maximum(OUTLIER_LIMIT * noise_scale(deviation(f, z)), OUTLIER_MINIMUM)
         steps = [np.diff(np.unique(part)).min(initial=np.inf) for part in (z.real, z.imag)]

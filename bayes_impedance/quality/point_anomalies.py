@@ -1,4 +1,4 @@
-r"""Single points, steps and stretches that do not belong to a curve: array functions behind the checks.
+r"""Outliers, steps and non-passive stretches of single curves: array functions used by the checks.
 
 A measured impedance is smooth in log-frequency except for its noise. The deviation of a point from the straight line
 through its two neighbours,
@@ -24,29 +24,31 @@ BoolArray = npt.NDArray[np.bool_]
 IndexArray = npt.NDArray[np.intp]
 
 MINIMUM_POINTS = 11
-"""With fewer points there is no local scale (half of its window), and nothing is reported."""
+"""Fewest points of a recording that is checked: half of the window of the local scale."""
 OUTLIER_LIMIT, OUTLIER_MINIMUM = 11.0, 0.01
-"""An outlier is this many local standard deviations away from its neighbours, about twice what chance needs (above),
-and this part of the local magnitude (a choice, not a measurement)."""
+"""Smallest distance of an outlier from its neighbours: in local standard deviations, about twice what chance reaches
+(see above), and relative to the local magnitude (by choice)."""
 OUTLIER_CONTRAST = 5.0
-"""It is this many times further off than its neighbours are without it; at a resonance they are off as well."""
+"""Smallest ratio of an outlier's deviation to that of its neighbours without it. By choice: at a resonance the
+neighbours deviate as well."""
 JUMP_LIMIT, JUMP_MINIMUM = 12.0, 0.05
-"""A jump is this many standard errors high, about twice what chance needs (above), and this large in nepers or radians
-(5 %, 3 degrees: a choice, not a measurement)."""
+"""Smallest height of a jump: in standard errors, about twice what chance reaches (see above), and in nepers or radians
+(5 %, 3 degrees, by choice)."""
 JUMP_CONTRAST = 3.0
-"""It is this many times the steps between the points around it; a resonance changes over several points."""
+"""Smallest ratio of a jump to the steps between the points around it. By choice: a resonance changes over several
+points."""
 NOT_PASSIVE_LIMIT, NOT_PASSIVE_MINIMUM = 8.0, 1e-3
-"""A negative real part must be this many standard errors below zero over its stretch, and this part of |z|. Chance
-reaches about five (above); for less than a thousandth, a phase error of 0.06 degrees suffices."""
+"""Smallest depth of a negative real part: in standard errors over its stretch, and relative to |z|. By choice: chance
+reaches about five (see above), and less than a thousandth can result from a phase error of 0.06 degrees."""
 
 _SCALE_WINDOW = 21
-"""Points of the running median that gives the local scale: a median of 21 Rayleigh values is known to a sixth."""
+"""Points of the running median for the local scale. By choice: a median of 21 Rayleigh values is known to a sixth."""
 _JUMP_SIDE = 5
-"""Points on each side that a jump is measured from."""
+"""Points on each side of a jump to which lines are fitted. By choice: more reduce noise, fewer follow the curve."""
 _PASSIVE_WINDOW = 7
-"""Points that a stretch with a negative real part is averaged over."""
+"""Points over which the real part is averaged. By choice: more reduce noise, fewer resolve short stretches."""
 _RAYLEIGH_MEDIAN = float(np.sqrt(2.0 * np.log(2.0)))
-"""Median of |d| for a standard deviation of one."""
+"""Median of |d|, Rayleigh distributed, for a standard deviation of one."""
 
 
 def running_median(values: FloatArray, window: int) -> FloatArray:
@@ -97,7 +99,7 @@ def deviation(frequency_hz: FloatArray, z: ComplexArray) -> ComplexArray:
 
 
 def noise_scale(d: ComplexArray) -> FloatArray:
-    """Return the local standard deviation of each of real and imaginary part of a deviation.
+    """Return the local standard deviation of each of real and imaginary part of the deviations.
 
     Parameters
     ----------
@@ -117,7 +119,7 @@ def noise_scale(d: ComplexArray) -> FloatArray:
 
 
 def _caution(points: int) -> float:
-    """Return what limits are multiplied by, because the scale of a short recording is less certain."""
+    """Return the factor on the limits for short recordings, whose scale is less certain."""
     return 1 + MINIMUM_POINTS / points
 
 
@@ -132,7 +134,7 @@ def outliers(frequency_hz: FloatArray, z: ComplexArray) -> BoolArray:
     Returns
     -------
     ndarray of bool, shape (J, F)
-        Also two adjacent points with the same error are found. Steps between two levels are not outliers.
+        Two adjacent points with the same error are found, too. Steps between two levels are not outliers.
     """
     if frequency_hz.size < MINIMUM_POINTS:
         return np.zeros(z.shape, dtype=bool)
@@ -142,7 +144,7 @@ def outliers(frequency_hz: FloatArray, z: ComplexArray) -> BoolArray:
     magnitude = np.maximum(running_median(np.abs(z), 5), np.finfo(float).tiny)
     limit = np.maximum(OUTLIER_LIMIT * _caution(size) * noise_scale(deviation(frequency_hz, z)), OUTLIER_MINIMUM)
     for length in (1, 2):
-        # A run of points between the indices a and b, which with their outer neighbours should be on one curve.
+        # A run of points between the indices a and b, whose outer neighbours should lie on one curve with it.
         a = np.arange(0, size - length - 1)
         b = a + length + 1
         run = a[:, None] + np.arange(1, length + 1)
@@ -174,7 +176,7 @@ def _line_error(
     x : ndarray of float, shape (F,)
     z : ndarray of complex, shape (J, F)
     at, one, two : ndarray of int, shape (...)
-        Indices of the point and of the two that make the line.
+        Indices of the point and of the two points that define the line.
 
     Returns
     -------
@@ -188,7 +190,7 @@ def _line_error(
 
 
 def without(frequency_hz: FloatArray, z: ComplexArray, drop: BoolArray) -> ComplexArray:
-    """Return curves of which some points are replaced by interpolation in log-frequency.
+    """Return curves with some points replaced by interpolation in log-frequency.
 
     Parameters
     ----------
@@ -209,7 +211,7 @@ def without(frequency_hz: FloatArray, z: ComplexArray, drop: BoolArray) -> Compl
 
 
 def jumps(frequency_hz: FloatArray, z: ComplexArray) -> tuple[BoolArray, ComplexArray]:
-    """Return where a curve steps to another level and stays there.
+    """Return where a curve jumps to another level and stays there.
 
     Lines through the five points on either side, in ln z against ln f, are compared halfway between the two points.
 
@@ -254,7 +256,7 @@ def jumps(frequency_hz: FloatArray, z: ComplexArray) -> tuple[BoolArray, Complex
         & (excess > JUMP_CONTRAST * np.abs(around - usual[..., None]).max(axis=-1))
         & (excess > size / 2)
     )
-    # Beside a jump the windows straddle it: only the largest within reach counts.
+    # Windows near a jump contain it: only the largest step within a window counts.
     padded = np.pad(np.where(candidate, size, 0.0), ((0, 0), (k, k)))
     largest = sliding_window_view(padded, 2 * k + 1, axis=-1).max(axis=-1)
     found[:, inside] = candidate & (size == largest)

@@ -1,8 +1,8 @@
-"""Datasets: what was measured, for whom, how often, and the files that hold it.
+"""Datasets: recordings of all subjects and repetitions, and their files.
 
-In come folders of CSV, Parquet and TOML; out comes :class:`Recordings`, a tuple of subjects with complex impedances.
+Input: folders of CSV, Parquet and TOML files. Output: :class:`Recordings`, subjects with complex impedances.
 Open :mod:`.dataset` first (the data in memory), then :mod:`.files` (reading and writing), which calls
-:mod:`.csv_table`, :mod:`.long_table`, :mod:`.metadata`, :mod:`.parquet`; :mod:`.repetitions` puts them on grids,
+:mod:`.csv_table`, :mod:`.long_table`, :mod:`.metadata`, :mod:`.parquet`; :mod:`.repetitions` finds common grids,
 :mod:`.out_of_core` reads lazily.
 """
 

@@ -1,8 +1,8 @@
-"""CSV tables: bytes to named columns, with the spreadsheet row of every cell that is wrong.
+"""CSV tables: bytes to named columns, with the spreadsheet row of every invalid cell.
 
-The standard library's `csv` reads 85 000 rows in a tenth of a second and keeps count of the rows, which the messages
-need; nothing else has to be imported to tell somebody that a file is not usable. Checks are array operations; a loop
-over cells runs only to find the cell at fault.
+The standard library's `csv` reads 85 000 rows in a tenth of a second and counts rows, as the messages need; no other
+import is needed to reject a file. Checks are array operations; a loop over cells is used only to find the invalid
+cell.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ def parse_csv(data: bytes, file: str, known: Collection[str]) -> Table:
 
 
 def table_of(columns: Sequence[tuple[str, Cells]], file: str, known: Collection[str]) -> Table:
-    """Columns that need no splitting, of str or of numbers, as a table; errors are those of `parse_csv`."""
+    """A table from columns of str or of numbers that are already separate; errors are those of `parse_csv`."""
     header = [name.strip() for name, _ in columns]
     header = [name.lower() if name.lower() in known else name for name in header]
     if not header:
@@ -183,7 +183,7 @@ def names(table: Table, column: str) -> Cells:
         raise InputError(
             f"{table.file}, row {table.row[empty[0]]}: {column} is empty; give the name, or delete the row"
         )
-    # `dict.fromkeys`: there are few different names in many rows.
+    # Each distinct name is checked once: there are few of them in many rows.
     for name in dict.fromkeys(cells):
         if has_control_character(name):
             row = table.row[np.flatnonzero(cells == name)[0]]

@@ -1,6 +1,6 @@
-"""What was measured, for whom, how often: the data in memory.
+"""Datasets in memory: subjects, repetitions, impedances.
 
-z = F/v in SI units with exp(+jwt), counted so that a passive load has Re z >= 0.
+z = F/v in SI units with exp(+jwt); sign convention: a passive load has Re z >= 0.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Subject:
-    """One person's recordings on one grid of frequencies.
+    """One subject's recordings on one frequency grid.
 
     Attributes
     ----------
@@ -35,9 +35,9 @@ class Subject:
     repetitions : tuple of str, length J
         Their names.
     noise_sd : ndarray of float, shape (J, F), or None
-        Standard deviation of each of real and imaginary part, in the dataset's unit, where the data give it.
+        Standard deviation of each of real and imaginary part, in the dataset's unit; None if not given.
     covariates : mapping of str to float
-        NaN where a covariate is not known.
+        NaN where a covariate is missing.
 
     Raises
     ------
@@ -53,7 +53,7 @@ class Subject:
     covariates: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check what every user of a subject relies on."""
+        """Check shapes, order of frequencies and names."""
         for name in (self.name, *self.repetitions):
             if not name or name != name.strip() or has_control_character(name):
                 raise ValueError(f"name {name!r} must not be empty, padded with space or contain control characters")
@@ -77,14 +77,14 @@ class Subject:
 
     @property
     def digest(self) -> str:
-        """What changes with the name of the subject or of a repetition, and with any number but the covariates."""
+        """Digest of the names of subject and repetitions and of all numbers except the covariates."""
         digest = hashlib.sha256(repr((self.name, self.repetitions)).encode())
         for numbers in (self.frequency_hz, self.z, self.noise_sd):
             digest.update(b"none" if numbers is None else np.ascontiguousarray(numbers).tobytes())
         return digest.hexdigest()
 
     def at(self, points: np.ndarray) -> Subject:
-        """The same at some of the frequencies, by their numbers or a mask."""
+        """The subject at some of the frequencies, given by indices or a mask."""
         noise = None if self.noise_sd is None else self.noise_sd[:, points]
         return replace(self, frequency_hz=self.frequency_hz[points], z=self.z[:, points], noise_sd=noise)
 
@@ -99,7 +99,7 @@ class Recordings:
     unit : str
         SI unit of z.
     network : str or None
-        Notation of the network that the dataset names for itself.
+        Notation of the network that the dataset specifies.
     subjects : tuple of Subject
         In the order of the file; names differ.
     sha256 : str
@@ -108,7 +108,7 @@ class Recordings:
     warnings : tuple of str
         What was changed or left out when reading.
     polar : bool
-        Whether the file gave magnitude and phase, which can be in a wrong unit each.
+        Whether the file has magnitude and phase, each of which can be in a wrong unit.
 
     Raises
     ------
@@ -127,7 +127,7 @@ class Recordings:
     polar: bool = False
 
     def __post_init__(self) -> None:
-        """Check that a name identifies a subject."""
+        """Check that the subjects' names are unique."""
         if len(set(self.names)) < len(self.names):
             raise ValueError("two subjects have the same name")
 
@@ -141,7 +141,7 @@ class Recordings:
         return tuple(subject.name for subject in self.subjects)
 
     def in_memory(self) -> Recordings:
-        """The same, with all numbers of all subjects at hand; of a dataset parted by subject they stay in its files."""
+        """The recordings with all data in memory; if partitioned by subject, they stay in the files otherwise."""
         return replace(self, subjects=tuple(replace(subject) for subject in self.subjects))
 
     def to_dataframe(self) -> pd.DataFrame:
@@ -177,13 +177,13 @@ class Recordings:
         return frame
 
     def subjects_table(self) -> pd.DataFrame:
-        """What is known of everybody besides the recordings.
+        """The covariates of all subjects as a table.
 
         Returns
         -------
         DataFrame
-            One row for each subject, whose name is the index; one column for each covariate, NaN where it is not known.
-            A covariate's unit is part of its name, as the dataset has it.
+            One row for each subject, whose name is the index; one column for each covariate, NaN where it is missing.
+            A covariate's unit is part of its name in the dataset.
         """
         import pandas as pd
 

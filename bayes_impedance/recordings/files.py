@@ -34,8 +34,8 @@ RECORDINGS_FILES = ("recordings.csv", "recordings.csv.gz", "recordings.parquet")
 SUBJECTS_FILE = "subjects.csv"
 METADATA_FILE = "dataset.toml"
 WRONG_SIGN = 0.6
-"""Above this part of points with Re z of the wrong sign, the sign convention itself is taken to be wrong: noise around
-zero gives half at most."""
+"""Fraction of points with Re z of the wrong sign above which the sign convention is taken to be wrong. By choice: above
+one half, the largest fraction that noise around zero gives."""
 
 
 def read_recordings(path: str | os.PathLike[str]) -> Recordings:
@@ -44,16 +44,16 @@ def read_recordings(path: str | os.PathLike[str]) -> Recordings:
     Parameters
     ----------
     path : path
-        Folder of a dataset, or one CSV file (plain or gzip) or Parquet table (a file or a folder of partitions). One
-        that is named recordings.csv, .csv.gz or .parquet stands for its folder, because its unit and sign are
-        declared beside it.
+        Folder of a dataset, or one CSV file (plain or gzip) or Parquet table (a file or a folder of partitions). A
+        file named recordings.csv, .csv.gz or .parquet stands for its folder, because its unit and sign are declared
+        there.
 
     Returns
     -------
     Recordings
-        Complete rows only, repetitions of one subject on their common frequencies, SI units, passive positive. Of a
-        Parquet table that is parted by subject (``recordings.parquet/subject=A/part-0.parquet``) every part is read and
-        checked, and its numbers are read again by whoever needs them: they are not held.
+        Complete rows only, repetitions of one subject on their common frequencies, SI units, Re z >= 0 for a passive
+        load. Of a Parquet table partitioned by subject (``recordings.parquet/subject=A/part-0.parquet``) every
+        partition is read and checked; its data are not kept in memory, but read again when needed.
 
     Raises
     ------
@@ -115,12 +115,12 @@ def _tables(file: Path, digest: hashlib._Hash) -> Iterator[tuple[RecordingTable,
         data = read_bytes(file)
         digest.update(data)
         table = parse_recordings(data, str(file))
-        del data  # the text is larger than the numbers
+        del data  # the text takes more memory than the numbers
         yield table, ()
 
 
 class _Reading:
-    """Subjects as they are read, and what is checked when all are there."""
+    """Subjects while they are read, and checks made when all have been read."""
 
     def __init__(self, file: Path, metadata: Metadata, covariates: CovariateTable) -> None:
         self.file, self.metadata, self.covariates = file, metadata, covariates
@@ -135,7 +135,7 @@ class _Reading:
         self.rows = self.negative = self.positive = 0
 
     def add(self, table: RecordingTable, folder: Path | None = None, digest: str = "") -> None:
-        """Take in everybody of a table; with a folder to read them from again, without their numbers."""
+        """Add all subjects of a table; if a folder is given, their data are not kept but read from there again."""
         self._warn(table, folder)
         self.polar |= table.polar
         for name in table.subject_names:
@@ -155,7 +155,7 @@ class _Reading:
 
     def _stored(self, subject: Subject, table: RecordingTable, rows: IntArray, folder: Path, digest: str) -> Subject:
         own = table.row[rows]
-        # Row 2 is the first; most tables are in order and complete, which needs no numbers to tell.
+        # Row 2 is the first; most tables are sorted and complete, so that no row indices need to be stored.
         simple = np.array_equal(own.ravel(), np.arange(own.size) + 2)
         shared = self.subjects[-1].frequency_hz if self.subjects else subject.frequency_hz
         grid = shared if np.array_equal(shared, subject.frequency_hz) else subject.frequency_hz
@@ -175,7 +175,7 @@ class _Reading:
         )
 
     def _warn(self, table: RecordingTable, folder: Path | None) -> None:
-        """What holds for many partitions is said of the first."""
+        """Add a table's warnings; one that holds for many partitions is given for the first only."""
         for warning in table.warnings:
             said = warning.partition(": ")[2] if folder is not None else warning
             self.of_table += [warning] if said not in self.said else []
@@ -198,7 +198,7 @@ class _Reading:
         return (f"{file}: no recordings of {', '.join(surplus[:5])}{more}; the covariates are not used",)
 
     def check_sign(self, metadata_file: str) -> None:
-        """Refuse data that contradict their declared sign, because a negated impedance fits nothing but fails late."""
+        """Refuse data that contradict their declared sign: a negated impedance would fail only later, in the fit."""
         if not self.rows:
             raise InputError(f"{self.file}: no partition has a row with a finite number in every column; fill them in")
         declared_positive = self.metadata.sign == SIGNS[0]
@@ -214,7 +214,7 @@ class _Reading:
 
 
 def _recordings_file(folder: Path) -> Path:
-    """Return the recordings of a folder, of which there must be one."""
+    """Return the recordings file of a folder; there must be exactly one."""
     found = [folder / name for name in RECORDINGS_FILES if (folder / name).exists()]
     if not found:
         raise InputError(
@@ -235,7 +235,7 @@ def write_recordings(
     significant_digits: int | None = None,
     compress: bool = False,
 ) -> Path:
-    """Write a dataset that `read_recordings` reads; a dataset that is there already is replaced.
+    """Write a dataset that `read_recordings` reads; an existing dataset is replaced.
 
     Parameters
     ----------
@@ -244,8 +244,8 @@ def write_recordings(
         Folder to write to; it is created. `recordings.csv`, `dataset.toml` and, where there are covariates,
         `subjects.csv` are written to temporary names first, so that no half-written file is left behind.
     significant_digits : int, optional
-        Digits of z and noise_sd. By default as many as restore the number exactly; frequencies and covariates always
-        are exact.
+        Digits of z and noise_sd. By default enough to restore the numbers exactly; frequencies and covariates are
+        always exact.
     compress : bool
         Write `recordings.csv.gz`. The same data give the same bytes.
 

@@ -1,6 +1,6 @@
-"""The table of recordings: one row for every subject, repetition and frequency, checked.
+"""The checked table of recordings: one row for every subject, repetition and frequency.
 
-The checks are separate functions that each refuse one kind of fault and name the row; none of them changes the data.
+Each check is a function that refuses one kind of fault and names the row; none of them changes the data.
 """
 
 from __future__ import annotations
@@ -163,7 +163,7 @@ def check_cells(cells: Table, may_be_empty: bool = False) -> RecordingTable:
 
 
 def _check_sizes(cells: Table, z: ComplexArray, noise_sd: FloatArray, frequency_hz: FloatArray) -> None:
-    """Refuse numbers that no load, noise or frequency can be."""
+    """Refuse impossible values of impedance, noise or frequency."""
     with np.errstate(over="ignore"):
         size = np.hypot(z.real, z.imag)
     for name, number, low, high in (
@@ -204,7 +204,7 @@ def _check_columns(cells: Table) -> tuple[tuple[str, str], tuple[str, ...]]:
     """Return the pair of value columns to use and warnings of the columns that are ignored."""
     found = cells.columns
     polar = any(name in found for name in POLAR) and not any(name in found for name in CARTESIAN)
-    # With one column of each kind neither pair is complete, and the message is about the Cartesian one.
+    # With one column of each pair neither is complete, and the message names the Cartesian pair.
     if not all(name in found for name in CARTESIAN) and all(name in found for name in POLAR):
         polar = True
     value_columns = POLAR if polar else CARTESIAN
@@ -231,7 +231,7 @@ def _refuse(cells: Table, wrong: npt.NDArray[np.bool_], message: Callable[[int],
 
 
 def _drop_incomplete(table: RecordingTable, may_be_empty: bool) -> RecordingTable:
-    """Leave out rows without a value; noise_sd counts only for subjects that have it at all."""
+    """Drop rows with a missing value; noise_sd is required only of subjects that have it in some row."""
     has_noise = np.zeros(len(table.subject_names), dtype=bool)
     has_noise[table.subject[np.isfinite(table.noise_sd)]] = True
     complete = np.isfinite(table.frequency_hz) & np.isfinite(table.z)

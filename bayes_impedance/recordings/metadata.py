@@ -1,7 +1,7 @@
-"""What a dataset says about itself: dataset.toml, with its unit and sign.
+"""Metadata of a dataset: dataset.toml, with its unit and sign.
 
 Impedance is F/v in the force-voltage analogy (force = voltage, velocity = current), so the same file format serves
-mechanical, rotational, acoustic and electrical one-ports. Values are kept in the SI unit of their kind.
+mechanical, rotational, acoustic and electrical one-ports. Values are stored in the SI unit of their kind.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ DEFAULT_UNIT = "N s/m"
 SIGNS = ("passive positive", "passive negative")
 _KEYS = ("title", "unit", "sign", "network", "source", "licence")
 RECIPE = "import"
-"""Key of the table that keeps how the dataset was made from other files; it is not used again."""
+"""Key of the table that records how the dataset was made from other files; it is not evaluated."""
 
 #: Spellings, without spaces and signs of multiplication and of powers, of each unit that is kept.
 _SPELLINGS = {
@@ -28,6 +28,7 @@ _SPELLINGS = {
     "Pa s/m": ("Pas/m", "Pa/(m/s)", "Pasm-1", "rayl", "Rayl"),
 }
 _PREFIXES = {"n": 1e-9, "u": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
+"""SI prefixes and their factors; those that occur with units of impedance."""
 #: Scaled spellings that are no prefix before a spelling from above.
 _SCALED = {
     "g/s": ("N s/m", 1e-3),
@@ -72,7 +73,7 @@ class Metadata:
     unit : str
         SI unit of the impedance after conversion.
     factor : float
-        What the file's numbers are to be multiplied by to be in `unit`; the sign is not part of it.
+        Factor that converts the file's numbers to `unit`, without the sign.
     sign : str
         One of `SIGNS`.
     network : str or None
@@ -105,7 +106,7 @@ def parse_metadata(data: bytes, file: str, default_title: str) -> Metadata:
     Returns
     -------
     Metadata
-        Unknown keys and converted units are told in its warnings.
+        Its warnings name unknown keys and converted units.
 
     Raises
     ------
@@ -117,7 +118,7 @@ def parse_metadata(data: bytes, file: str, default_title: str) -> Metadata:
     def where(key: str) -> str:
         return f"{file}, line {line_of(text, key)}"
 
-    # Notes of others may stand beside what is used: unknown keys are told, not refused.
+    # Other programs' keys may be present: unknown keys give a warning, not an error.
     table = UserTable(parse_toml(text, file), where, _KEYS, tolerant=True)
     warnings = [table.about_unknown(key) for key in table.unknown if key != RECIPE]
     title, source, licence, network, declared, given_sign = (
@@ -158,7 +159,7 @@ def parse_unit(unit: str, where: str) -> tuple[str, float]:
     Parameters
     ----------
     unit : str
-        Unit as people write it, e.g. "N s/m", "N*s/m", "kg/s", "mN s/m", "kOhm".
+        Unit in common notation, e.g. "N s/m", "N*s/m", "kg/s", "mN s/m", "kOhm".
     where : str
         File and line, for messages.
 

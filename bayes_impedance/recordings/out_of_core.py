@@ -1,7 +1,7 @@
-"""A subject whose numbers stay in a file until somebody needs them.
+"""Subjects whose data stay in a file until they are needed.
 
-A dataset that is parted by subject can be larger than memory: its subjects hold where their numbers are, and travel as
-that. Whoever works on a subject, be it a cluster's worker, reads the numbers there and forgets them.
+A dataset partitioned by subject can be larger than memory: its subjects hold the location of their data, and only this
+is sent to workers. A process that works on a subject, such as a cluster's worker, reads the data and releases them.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from bayes_impedance.recordings.parquet import parquet_table
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class StoredRows:
-    """Where a subject's checked numbers are.
+    """Location of a subject's checked data.
 
     Attributes
     ----------
     folder : Path
-        Absolute: a worker may be at home elsewhere.
+        Absolute path: a worker may have another working directory.
     digest : str
-        Of the files when they were checked.
+        Digest of the files when they were checked.
     rows : ndarray of int, shape (J, F), or None
-        Spreadsheet rows; None for the first J F in their order.
+        Spreadsheet rows; None for the first J F rows in order.
     shape : tuple of int
         J repetitions, F frequencies.
     polar : bool
     factor, noise_factor : float
-        What impedance and noise_sd are multiplied by.
+        Factors applied to impedance and noise_sd.
     with_noise : bool
     """
 
@@ -54,7 +54,7 @@ class StoredRows:
 
 @lru_cache(maxsize=16)
 def _read(place: StoredRows) -> tuple[ComplexArray, FloatArray | None]:
-    """Impedance and noise, each of shape (J, F); the last few are remembered: who needs one needs the other soon."""
+    """Impedance and noise, each of shape (J, F); the last few are cached, as both are usually needed."""
     if not place.folder.exists():
         raise InputError(
             f"{place.folder}: is not there for {gethostname()}; every worker needs the dataset at this path"
@@ -69,21 +69,21 @@ def _read(place: StoredRows) -> tuple[ComplexArray, FloatArray | None]:
 
 
 class StoredSubject(Subject):
-    """A subject whose impedance and noise are read from a file each time somebody asks for them.
+    """A subject whose impedance and noise are read from a file at each access.
 
     Parameters
     ----------
     subject : Subject
-        With all its numbers, which are not kept.
+        The subject with all its data, which are not kept.
     frequency_hz : ndarray of float, shape (F,)
-        The subject's own: those who share a grid can share the array.
+        The subject's frequencies; subjects with a common grid can share the array.
     place : StoredRows
     """
 
     place: StoredRows
 
     def __new__(cls, *_: Any, **fields: Any) -> Subject:  # type: ignore[misc]
-        """An empty one; but `dataclasses.replace` gives all fields, and whoever has numbers is no longer stored."""
+        """A new stored subject; with all fields, as from `dataclasses.replace`, an ordinary one with data in memory."""
         return Subject(**fields) if fields else object.__new__(cls)
 
     def __init__(self, subject: Subject, frequency_hz: FloatArray, place: StoredRows) -> None:
@@ -97,10 +97,10 @@ class StoredSubject(Subject):
 
     @property
     def noise_sd(self) -> FloatArray | None:
-        """Standard deviation of the noise, shape (J, F), where the data give it."""
+        """Standard deviation of the noise, shape (J, F), or None if not given."""
         return _read(self.place)[1] if self.place.with_noise else None
 
     @property
     def digest(self) -> str:
-        """The same for the files, which need not be read for it."""
+        """Digest from the names and the files' stored digest, without reading the files."""
         return f"{self.name} {self.repetitions} {self.place.digest}"

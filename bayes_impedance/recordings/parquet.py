@@ -15,11 +15,11 @@ from bayes_impedance.recordings.csv_table import Cells, Table, table_of
 
 SUFFIX = ".parquet"
 _IGNORED_PREFIXES = (".", "_")
-"""Names that begin so are notes of other programs, such as ``_SUCCESS``; pyarrow ignores the same by default."""
+"""Files with these prefixes belong to other programs, such as ``_SUCCESS``; pyarrow ignores the same by default."""
 
 
 def parquet_table(path: Path, known: Collection[str], extra: dict[str, str] | None = None) -> tuple[Table, str]:
-    """Read a table: numbers stay numbers, all else is text.
+    """Read a table: numeric columns stay numeric, all others become text.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ def parquet_table(path: Path, known: Collection[str], extra: dict[str, str] | No
     known : collection of str
         Column names that are recognised in upper case too.
     extra : dict of str to str
-        Columns of one value each that stand in the folder's own name.
+        Additional constant columns, from the folder's own name.
 
     Returns
     -------
@@ -70,7 +70,7 @@ def parquet_table(path: Path, known: Collection[str], extra: dict[str, str] | No
 
 
 def partitions(path: Path, key: str) -> list[tuple[str, Path]]:
-    """Values of a key and the folders that hold them, by the folders' names; none if that is not how it is parted."""
+    """Values of a key and the folders that hold them, by the folders' names; empty if not partitioned by it."""
     if not path.is_dir():
         return []
     inside = sorted(p for p in path.iterdir() if not p.name.startswith(_IGNORED_PREFIXES))
@@ -81,10 +81,10 @@ def partitions(path: Path, key: str) -> list[tuple[str, Path]]:
 
 
 def _files(path: Path) -> list[tuple[Path, dict[str, str]]]:
-    """The file itself, or all in a folder by their names, and what the names of their folders say.
+    """The file itself, or all files of a folder sorted by name, and the keys in the names of their folders.
 
-    The dataset of pyarrow has an empty schema because it only lists the files: a file that cannot be read is to be
-    found when it is read, and its columns may differ from those of the others.
+    The dataset of pyarrow has an empty schema because it only lists the files: an unreadable file is detected when it
+    is read, and its columns may differ from those of the others.
     """
     if not path.is_dir():
         return [(path, {})]
@@ -99,7 +99,7 @@ def _files(path: Path) -> list[tuple[Path, dict[str, str]]]:
 
 
 def _keys(place: Path, folder: Path, names: list[str]) -> dict[str, str]:
-    """What names of folders such as ``subject=A`` say, as text: numbers may have zeros in front."""
+    """Keys and values in names of folders such as ``subject=A``, as text: numbers may have leading zeros."""
     import pyarrow as pa
     import pyarrow.dataset as ds
 
@@ -127,14 +127,14 @@ def _cells(column: Any) -> Cells:
     import pyarrow as pa
 
     if pa.types.is_floating(column.type) or pa.types.is_integer(column.type):
-        return np.asarray(column.to_numpy())  # what is missing is NaN
+        return np.asarray(column.to_numpy())  # missing values become NaN
     result = np.empty(len(column), dtype=object)
     result[:] = ["" if value is None else str(value) for value in column.to_pylist()]
     return result
 
 
 def _joined(parts: list[list[tuple[str, Cells]]]) -> list[tuple[str, Cells]]:
-    """The same columns of several files, one below the other."""
+    """Equal columns of several files, concatenated."""
     if len(parts) == 1:
         return parts[0]
     joined = []

@@ -1,4 +1,4 @@
-"""From a checked table to subjects: SI units, passive positive, repetitions on their common frequencies."""
+"""From a checked table to subjects: SI units, Re z >= 0 if passive, repetitions on their common frequencies."""
 
 from __future__ import annotations
 
@@ -15,34 +15,34 @@ from bayes_impedance.recordings.long_table import RecordingTable
 from bayes_impedance.recordings.metadata import SIGNS, Metadata
 
 MINIMUM_POINTS = 3
-"""Fewer frequencies than this make no curve: a mass, a spring and a damper give three unknowns."""
+"""Fewest frequencies of a subject. By choice: a mass, a spring and a damper are three unknowns."""
 MINIMUM_COMMON = 0.5
-"""Repetitions of one subject must share at least this part of the frequencies of the longest: dropping more than half
-of a recording in silence would be another experiment."""
+"""Smallest fraction of the longest repetition's frequencies that all repetitions of a subject must share. By choice:
+dropping more than half of a recording would change the experiment."""
 
 
 def signed_factor(metadata: Metadata) -> float:
-    """What the file's impedance is multiplied by."""
+    """Factor applied to the file's impedance: unit and sign."""
     return metadata.factor if metadata.sign == SIGNS[0] else -metadata.factor
 
 
 def subjects_of(
     table: RecordingTable, metadata: Metadata, covariates: CovariateTable
 ) -> Iterator[tuple[Subject, IntArray, str | None]]:
-    """Everybody in a table.
+    """All subjects of a table.
 
     Yields
     ------
     subject : Subject
     rows : ndarray of int, shape (J, F)
-        Where in the table the subject's values are.
+        Indices of the subject's values in the table.
     warning : str or None
-        What was left out.
+        Data that were dropped.
 
     Raises
     ------
     InputError
-        If repetitions have too little in common, or somebody has too few frequencies.
+        If repetitions share too few frequencies, or a subject has too few frequencies.
     """
     z = table.z * signed_factor(metadata)
     noise_sd = table.noise_sd * metadata.factor

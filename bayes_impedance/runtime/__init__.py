@@ -1,11 +1,11 @@
-"""How work is run: executors, files that are complete or absent, checkpoints, progress; what users give, checked.
+"""Running computations: executors, atomic files, checkpoints, progress; checked user input.
 
-In come a function of a module and data of many persons; out come results in the persons' order, whoever has worked.
-Nothing here knows about impedance. Open :mod:`.executors` first, then :mod:`.sharded` (data that stay with the
-workers), :mod:`.broadcast` (data lent to workers), :mod:`.atomic_files` and :mod:`.checkpoint` (what survives a killed
-run), :mod:`.input_files` and :mod:`.user_table` (files and tables that a user gives, read within bounds and checked).
+Input: a module-level function and data of many persons. Output: results in the persons' order, on any executor.
+Nothing here depends on impedance. Open :mod:`.executors` first, then :mod:`.sharded` (data that stay with the
+workers), :mod:`.broadcast` (data sent to workers once), :mod:`.atomic_files` and :mod:`.checkpoint` (data that survive
+a killed run), :mod:`.input_files` and :mod:`.user_table` (files and tables from users, read within bounds and checked).
 
-Executors are imported when they are first used: to tell somebody that an argument is wrong needs none.
+Executors are imported at first use: they are not needed to report a wrong argument.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """Files that are complete or absent, whenever the process is killed.
 
 A file is written under a temporary name in its own folder and then renamed, because renaming within a folder is atomic:
-a reader meets the former file or the new one. The temporary name cannot be foreseen, and the file is made with
-``O_EXCL | O_NOFOLLOW``: a link that somebody has put there is never followed. A process that is killed leaves the
-temporary file, whose name holds the process's number and its machine's; the next process that writes the same file
-removes it. An exception removes it at once.
+a reader sees either the former file or the new one. The temporary name is unpredictable, and the file is created with
+``O_EXCL | O_NOFOLLOW``: a symbolic link planted there is never followed. A killed process leaves the temporary file,
+whose name holds the process's number and the machine's name; the next process that writes the same file removes it. An
+exception removes it at once.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from typing import Any
 from bayes_impedance.errors import InputError
 
 TEMPORARY_SUFFIX = ".tmp"
-"""End of the name of a file while it is written."""
+"""Suffix of the temporary file's name."""
 
 _ATTEMPTS = 100
-"""Names of eight random bytes are tried so often; one that is taken is a coincidence of one in 1e19."""
+"""Attempts to find an unused name of eight random bytes. By choice: even one collision has probability 1e-19."""
 
 
 @contextmanager
@@ -36,7 +36,7 @@ def replacing(file: Path) -> Iterator[Path]:
     Parameters
     ----------
     file : Path
-        Its folder is made if it does not exist.
+        Its folder is created if it does not exist.
 
     Yields
     ------
@@ -46,7 +46,7 @@ def replacing(file: Path) -> Iterator[Path]:
     Raises
     ------
     OSError
-        With the name of `file`, whatever part of the writing has failed.
+        With the name of `file`, whichever step of the writing has failed.
     """
     temporary = None
     try:
@@ -57,7 +57,7 @@ def replacing(file: Path) -> Iterator[Path]:
         temporary.replace(file)
     except OSError as error:
         _unlink(temporary)
-        if error.errno is None:  # some libraries say it in words alone
+        if error.errno is None:  # some libraries give a message only
             raise OSError(errno.EIO, str(error), str(file)) from error
         other = error.filename not in (None, str(temporary), temporary)
         name = str(error.filename) if other else str(file)
@@ -68,7 +68,7 @@ def replacing(file: Path) -> Iterator[Path]:
 
 
 def _new(file: Path) -> Path:
-    """An empty file of a name that nobody could foresee."""
+    """A new empty file with an unpredictable name."""
     flags = os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_NOFOLLOW", 0)
     for _ in range(_ATTEMPTS):
         temporary = file.with_name(f"{_stem(file)}{os.getpid()}-{secrets.token_hex(8)}{TEMPORARY_SUFFIX}")
@@ -79,13 +79,13 @@ def _new(file: Path) -> Path:
 
 
 def _stem(file: Path) -> str:
-    """What the temporary names begin with that this machine gives to a file."""
+    """Common beginning of the temporary names that this machine gives to a file."""
     machine = "".join(c if c.isalnum() else "_" for c in socket.gethostname())
     return f".{file.name}.{machine}-"
 
 
 def _remove_leftovers(file: Path) -> None:
-    """Remove what killed processes of this machine have left of this file."""
+    """Remove temporary files of this file left by killed processes of this machine."""
     stem = _stem(file)
     with os.scandir(file.parent) as entries:
         names = [e.name for e in entries if e.name.startswith(stem) and e.name.endswith(TEMPORARY_SUFFIX)]
@@ -102,14 +102,14 @@ def _unlink(file: Path | None) -> None:
 
 
 def process_lives(number: int) -> bool:
-    """Whether a process of this machine has this number; where that cannot be asked, it is taken to live."""
+    """Whether a process with this number runs on this machine; assumed true if that cannot be determined."""
     if os.name == "nt":  # os.kill would end it
         return True
     try:
         os.kill(number, 0)
     except (ProcessLookupError, OverflowError):
         return False
-    except OSError:  # it is somebody else's
+    except OSError:  # it belongs to another user
         return True
     return True
 
@@ -134,24 +134,24 @@ def write_json(file: Path, content: Any, *, indent: int = 2) -> Path:
     Raises
     ------
     ValueError
-        If a number is not finite: JSON has no word for it.
+        If a number is not finite: JSON cannot represent it.
     """
     return write_text(file, json.dumps(content, indent=indent, allow_nan=False) + "\n")
 
 
 def read_json(file: Path, remedy: str) -> dict[str, Any]:
-    """Read an object of JSON.
+    """Read a JSON object.
 
     Parameters
     ----------
     file : Path
     remedy : str
-        End of the sentence if it cannot be read.
+        Remedy at the end of the error message.
 
     Raises
     ------
     InputError
-        If there is no such file, or it holds anything else.
+        If there is no such file, or it is not a JSON object.
     """
     try:
         content = json.loads(file.read_text(encoding="utf-8"), parse_constant=_not_a_number)
@@ -172,9 +172,9 @@ def _not_a_number(text: str) -> float:
 
 
 def write_together(contents: dict[Path, bytes]) -> None:
-    """Write several files of which none is replaced before all are complete."""
+    """Write several files; none is replaced before all are complete."""
     with ExitStack() as stack:
-        # Contexts end in the opposite order; the files are to be renamed in theirs.
+        # Contexts end in reverse order, but the files are to be renamed in the given order.
         temporary = {file: stack.enter_context(replacing(file)) for file in reversed(contents)}
         for file, content in contents.items():
             temporary[file].write_bytes(content)

@@ -1,7 +1,7 @@
 """Data that many tasks need, sent to each worker once.
 
-Threads use the data as they are, a cluster keeps them with one of its workers, and any other process remembers what it
-has been sent.
+Threads share the data in memory, a cluster keeps them with one of its workers, and any other process caches the data it
+has received.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from uuid import uuid4
 from bayes_impedance.runtime.executors import Cluster, Result, unchanged
 
 _MOST_REMEMBERED = 256_000_000
-"""Bytes of lent data that a process remembers; one that does not remember is sent them again."""
+"""Bytes of data cached by a process. By choice: limits the memory; data dropped from the cache are sent again."""
 
 
 class Lent:
-    """Data that tasks need again and again: in this process as they are, elsewhere kept where they have been once.
+    """Data used by many tasks: shared within this process, sent once to other processes and cached there.
 
-    Where a task travels, the data are known by a name. A process that does not know the name says so, and is sent them;
-    a lost worker's successor does the same. A :class:`Cluster` keeps the data with one of its workers and does there
-    what needs them.
+    A task sent to another process refers to the data by name. A process without data of that name requests them, as
+    does the replacement of a lost worker. A :class:`Cluster` keeps the data with one of its workers and runs the tasks
+    that need them there.
 
     Parameters
     ----------
     data : object
-        Must not be changed any more.
+        Must not be modified afterwards.
     """
 
     def __init__(self, data: Any) -> None:
@@ -45,7 +45,7 @@ class Lent:
 
     @staticmethod
     def ask(executor: Executor, function: Callable[..., Result], rows: Sequence[tuple[Lent, Any]]) -> list[Result]:
-        """Results of ``function(data, task)`` for every pair of what is lent and a task, in order."""
+        """Results of ``function(data, task)`` for every pair of lent data and task, in order."""
         if isinstance(executor, Cluster):
             return executor.ask(function, [(lent._with(executor), task) for lent, task in rows])
         lents, tasks = [lent for lent, _ in rows], [task for _, task in rows]
@@ -61,7 +61,7 @@ class Lent:
         return [answer for answer in answers if not isinstance(answer, _Answer)]
 
     def _with(self, cluster: Cluster) -> Any:
-        """What the cluster knows the data by."""
+        """The cluster's reference (future) to the data."""
         if self._kept is None or self._kept[0] is not cluster:
             self._kept = cluster, cluster.keep(unchanged, self.data)
         return self._kept[1]
@@ -72,7 +72,7 @@ class _Answer(Enum):
 
 
 class _Whole:
-    """What is lent, on the way to a process that may not know it."""
+    """Lent data including their content, sent to a process that may not have them."""
 
     def __init__(self, lent: Lent) -> None:
         self.name, self.data = lent.name, lent.data
@@ -88,7 +88,7 @@ _remembering = Lock()
 
 
 def _learned(name: str, data: Any) -> Lent:
-    """What has just arrived; the longest not asked for is forgotten if there is too much."""
+    """Cache received data; the least recently used are dropped if the cache is too large."""
     lent = Lent(data)
     with _remembering:
         _remembered[name] = lent

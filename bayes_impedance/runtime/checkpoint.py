@@ -1,9 +1,9 @@
-"""What a fit keeps as it comes, in a folder that belongs to this fit alone.
+"""Checkpoints of a fit, in a folder that belongs to this fit alone.
 
-Numbers of another dataset or of other settings would be taken up in silence, so the folder says whose they are, and
-every file in it carries a seal: a digest of its numbers and of their owner. What has no seal that fits is damaged or of
-another fit; it is made anew. What is worked out person by person is kept in pieces: a fit that has been killed in the
-middle of ten thousand persons goes on from the last piece.
+Results of another dataset or of other settings must not be reused unnoticed. The folder therefore identifies its fit,
+and every file in it has a seal: a digest of its content and of the fit. A file without a matching seal is damaged or
+belongs to another fit, and is computed again. Results computed person by person are saved in pieces: a fit killed in
+the middle of ten thousand persons resumes after the last piece.
 """
 
 from __future__ import annotations
@@ -23,31 +23,31 @@ from bayes_impedance.runtime.atomic_files import TEMPORARY_SUFFIX, write_bytes, 
 
 _NAME = "belongs_to.txt"
 _OWN_FILES = re.compile(r"(\w+\.npz|ensemble_\d+\.h5)")
-"""Names of the files that a fit keeps beside :data:`_NAME`."""
+"""Names of the files that a fit saves in addition to :data:`_NAME`."""
 _SEAL = "seal"
 _MOST_PIECES, _SMALLEST_PIECE = 64, 16
-"""A kill loses one piece at most, a sixty-fourth of the work; with fewer persons than sixteen in each, files would
-cost more than the fits that they save."""
+"""Largest number of pieces, and fewest persons in one. By choice: a kill loses at most a sixty-fourth of the work; with
+fewer than sixteen persons, writing a file would cost more than repeating their fits."""
 
 Row = tuple[np.ndarray, ...]
 
 
 def claim(folder: Path, digests: Iterable[str], *settings: object) -> None:
-    """Make the folder this fit's own.
+    """Mark the folder as belonging to this fit.
 
     Parameters
     ----------
     folder : Path
-        Made if it is not there.
+        Created if it does not exist.
     digests : iterable of str
-        Of everybody's recordings, in order.
+        Digests of all subjects' recordings, in order.
     *settings : object
-        All else that the numbers depend on, with a ``repr`` that says so.
+        Everything else that determines the results; the ``repr`` must identify it.
 
     Raises
     ------
     InputError
-        If it has been claimed for other recordings or settings, or if it is not a fit's.
+        If it belongs to other recordings or settings, or was not made by a fit.
     """
     digest = hashlib.sha256(repr(settings).encode())
     for own in digests:
@@ -65,12 +65,12 @@ def claim(folder: Path, digests: Iterable[str], *settings: object) -> None:
 
 
 def require_own(folder: Path) -> None:
-    """Refuse a folder, or whatever else has its name, that no fit has made.
+    """Refuse a folder, or another file of this name, that was not made by a fit.
 
     Raises
     ------
     InputError
-        If there is something without the mark of a fit.
+        If the path exists without the mark of a fit.
     """
     foreign = InputError(
         f"{folder}: does not carry the mark of a fit ({_NAME}), so it is left as it is; move it away, or name another "
@@ -85,12 +85,12 @@ def require_own(folder: Path) -> None:
 
 
 def discard(folder: Path) -> None:
-    """Remove what a fit has kept, and the folder if nothing else is in it.
+    """Remove a fit's checkpoints, and the folder if it is then empty.
 
     Raises
     ------
     InputError
-        If no fit has made the folder.
+        If the folder was not made by a fit.
     """
     require_own(folder)
     if not folder.is_dir():
@@ -99,7 +99,7 @@ def discard(folder: Path) -> None:
         if file.is_file() and not file.is_symlink() and (_OWN_FILES.fullmatch(file.name) or _temporary(file)):
             file.unlink()
     (folder / _NAME).unlink(missing_ok=True)
-    with suppress(OSError):  # somebody has put something there
+    with suppress(OSError):  # the folder holds other files
         folder.rmdir()
 
 
@@ -124,20 +124,20 @@ def seal_of(folder: Path, arrays: Mapping[str, Any]) -> str:
 
 
 def save_arrays(file: Path, arrays: Mapping[str, Any]) -> None:
-    """Write named arrays with their seal; what is there is replaced."""
+    """Write named arrays with their seal; an existing file is replaced."""
     content = {name: np.asarray(values) for name, values in arrays.items()}
-    buffer = io.BytesIO()  # a full disk must not meet a half-written archive
+    buffer = io.BytesIO()  # in memory first, so that a full disk leaves no partial archive
     sealed: dict[str, Any] = {**content, _SEAL: np.array(seal_of(file.parent, content))}
     np.savez(buffer, **sealed)
     write_bytes(file, buffer.getvalue())
 
 
 def load_arrays(file: Path) -> dict[str, np.ndarray] | None:
-    """What `save_arrays` has written; None if there is no file, or it is damaged or of another fit."""
+    """Read arrays written by `save_arrays`; None if there is no file, or it is damaged or of another fit."""
     try:
         with file.open("rb") as opened, np.load(opened, allow_pickle=False) as data:
             arrays = {name: np.asarray(data[name]) for name in data.files}
-    except Exception:  # damage shows itself in as many ways as there are layers in an archive
+    except Exception:  # damage raises many types of exception
         return None
     seal = arrays.pop(_SEAL, None)
     return arrays if seal is not None and str(seal) == seal_of(file.parent, arrays) else None
@@ -147,18 +147,18 @@ def load_arrays(file: Path) -> dict[str, np.ndarray] | None:
 
 
 def in_pieces(folder: Path | None, name: str, n: int, rows_from: Callable[[int], Iterator[Row]]) -> Iterator[Row]:
-    """Rows of arrays in order: those that were kept, then the others, which are kept piece by piece.
+    """Rows of arrays in order: first the saved ones, then the computed ones, which are saved piece by piece.
 
     Parameters
     ----------
     folder : Path or None
-        None keeps nothing.
+        None saves nothing.
     name : str
-        Of what is kept, in names of files.
+        Name of the results, used in file names.
     n : int
-        How many rows there are.
+        Number of rows.
     rows_from : callable
-        Rows from some row on, as they come.
+        Iterator over the rows from a given index on.
     """
     size = max(_SMALLEST_PIECE, -(-n // _MOST_PIECES))
     start = 0
@@ -180,7 +180,7 @@ def in_pieces(folder: Path | None, name: str, n: int, rows_from: Callable[[int],
 
 
 def forget_pieces(folder: Path, *names: str) -> None:
-    """Remove what has been put together elsewhere."""
+    """Remove pieces that have been combined elsewhere."""
     for name in names:
         for file in folder.glob(f"{name}_*.npz"):
             file.unlink()

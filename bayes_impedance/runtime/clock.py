@@ -1,4 +1,4 @@
-"""Seconds that the steps of a computation take."""
+"""Wall-clock time of the steps of a computation."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 
 class Clock:
-    """Wall-clock seconds of each named step; those of a step that is done again are added.
+    """Wall-clock seconds of each named step; times of repeated steps are added.
 
     Attributes
     ----------

@@ -1,10 +1,10 @@
-"""Compiled functions that numba keeps on disk, where it can and as long as they are whole.
+"""Compiled functions cached on disk by numba, with a fallback folder and an integrity check.
 
-numba writes what it has compiled beside the module, into the user's cache or into the folder that ``NUMBA_CACHE_DIR``
-names. Where none of these can be written, it refuses to compile at all; here a temporary folder serves this process
-and those that it starts. What numba has written it takes up without a check: a file that is damaged would end the
-process, or give other numbers. Here every file ends with its digest, and one whose digest does not fit is as good as
-none: the function is compiled anew.
+numba writes compiled functions beside the module, into the user's cache or into the folder given by
+``NUMBA_CACHE_DIR``. If none of these is writable, it refuses to compile; here a temporary folder is then used by this
+process and its child processes. numba loads its files without a check: a damaged file could end the process or give
+wrong numbers. Here every file ends with its digest, and a file with a wrong digest is ignored: the function is compiled
+again.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ _FOLDER = "NUMBA_CACHE_DIR"
 
 
 def kept_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Decorator like ``numba.njit(cache=True, **options)`` that works without a place to write, and with damaged files.
+    """Decorator like ``numba.njit(cache=True, **options)`` that tolerates unwritable folders and damaged files.
 
     Parameters
     ----------
     **options
-        Of ``numba.njit``.
+        Options of ``numba.njit``.
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
@@ -55,7 +55,7 @@ def kept_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 @cache
 def _temporary_cache() -> str | None:
-    """A folder for what is compiled, until this process ends; None if there is none either."""
+    """A cache folder that lives until this process ends; None if it cannot be created."""
     try:
         folder = tempfile.mkdtemp(prefix="bayes_impedance-numba-")
     except OSError:
@@ -78,18 +78,18 @@ def _temporary_cache() -> str | None:
 
 
 class _Sealed(_CacheFile):  # type: ignore[misc]
-    """Files of numba's cache that end with a digest of what stands before it."""
+    """Files of numba's cache that end with a digest of their content."""
 
     def save(self, key: Any, data: Any) -> None:
-        """Keep what was compiled; a cache that cannot be written is not worth an error."""
+        """Save compiled code; a cache that cannot be written is no error."""
         with suppress(OSError):
             super().save(key, data)
 
     def load(self, key: Any) -> Any:
-        """What was compiled; None if it is not there or damaged."""
+        """Load compiled code; None if it is missing or damaged."""
         try:
             return super().load(key)
-        except Exception:  # written by another version of what is unpickled
+        except Exception:  # pickled by another version of its classes
             return None
 
     def _load_index(self) -> Any:

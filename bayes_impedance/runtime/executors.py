@@ -1,9 +1,9 @@
-"""Work done person by person, on any executor of the standard interface.
+"""Computations person by person, on any executor of the standard interface.
 
 Threads of this process, processes of this machine (:class:`~bayes_impedance.runtime.worker_processes.Processes`, or a
 pool of the standard library) and the workers of a Dask cluster (``Client.get_executor()``) are interchangeable: a
-function of a module is sent out with the data of some persons, and results come back in the persons' order. The result
-does not depend on who has worked, and a task lost with a process or a cluster's worker is repeated.
+module-level function is sent with the data of some persons, and results are returned in the persons' order. The result
+does not depend on the executor, and a task lost with a process or a cluster's worker is repeated.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ from bayes_impedance.runtime.worker_processes import Processes
 Result = TypeVar("Result")
 
 _MOST_TASKS = 64
-"""A task costs a cluster about a millisecond; sixty-four are enough to keep many workers busy to the end."""
+"""Most tasks of one map. By choice: a task costs a cluster about a millisecond; sixty-four keep many workers busy."""
 
 _RETRIES = 5
-"""A task whose worker is lost is done again so often: more than a process of this machine has (three), because a
-cluster's workers go for reasons that have nothing to do with the task."""
+"""Retries of a task whose worker is lost. By choice: more than for a local process (three), because a cluster's workers
+are often lost for reasons unrelated to the task."""
 
 _SCHEDULER_SECONDS, _WORKER_SECONDS, _FAREWELL_SECONDS = 15, 60, 5
-"""Time that a scheduler has to answer: a wrong address should be told within seconds. Time that it has to find a
-worker: what a worker's process needs to start, several times over. Time to close a connection that may be dead."""
+"""Timeouts, by choice: for a scheduler's answer (a wrong address should be reported within seconds), for its first
+worker (several times the start of a worker process), and for closing a connection that may be dead."""
 
 _say = logging.getLogger(__name__).warning
-"""What is awaited: Python shows warnings on standard error where nobody has asked for anything else."""
+"""Reports what is awaited: Python prints warnings to standard error unless logging is configured."""
 
 
 @contextmanager
@@ -47,18 +47,18 @@ def executor_of(threads: int = 2, processes: int | None = None, scheduler: str |
     Parameters
     ----------
     threads : int
-        Used if nothing else is asked for.
+        Number of threads; used if neither of the others is given.
     processes : int, optional
-        Processes of this machine.
+        Number of processes of this machine.
     scheduler : str, optional
-        Address of a Dask scheduler, ``tcp://host:8786``; it comes first.
+        Address of a Dask scheduler, ``tcp://host:8786``; it takes precedence.
 
     Raises
     ------
     InputError
         If ``distributed`` is not installed, or no scheduler answers.
     WorkerError
-        If the same task has lost its worker again and again, or the scheduler or all its workers are gone.
+        If a task has repeatedly lost its worker, or the scheduler or all its workers are lost.
     """
     if scheduler is None:
         with ThreadPoolExecutor(threads) if processes is None else Processes(processes) as executor:
@@ -76,7 +76,7 @@ def executor_of(threads: int = 2, processes: int | None = None, scheduler: str |
         client: Any = Client(  # type: ignore[no-untyped-call]
             scheduler, timeout=_SCHEDULER_SECONDS, set_as_default=False
         )
-    except Exception as error:  # an address, a port and what answers there can be wrong in any way
+    except Exception as error:  # a wrong address or port raises many types of exception
         reason = " ".join(str(error).split()) or "no answer"
         raise InputError(
             f"no Dask scheduler answers at '{scheduler}' within {_SCHEDULER_SECONDS} s ({reason}); start one with "
@@ -94,13 +94,13 @@ def executor_of(threads: int = 2, processes: int | None = None, scheduler: str |
         except (InputError, WorkerError):
             raise
         except (Exception, CancelledError):
-            if watch.lost or client.status != "running":  # what else is said follows from this
+            if watch.lost or client.status != "running":  # other errors follow from this one
                 raise WorkerError(watch.lost or _lost(scheduler)) from None
             raise
 
 
 async def _require_scheduler(address: str) -> None:
-    """Ask who is there: a client of Dask waits much longer than it is told for a program that is no scheduler."""
+    """Check that a scheduler answers: for other programs Dask's client waits much longer than its timeout."""
     from distributed.comm.core import connect
     from distributed.security import Security
 
@@ -139,7 +139,7 @@ def _await_workers(client: Any, scheduler: str) -> None:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep to itself what Dask logs of a connection that breaks: it is told in one sentence."""
+    """Suppress Dask's log messages about a broken connection: one error message reports it."""
     loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
     levels = [logger.level for logger in loggers]
     for logger in loggers:
@@ -153,7 +153,7 @@ def _quiet() -> Iterator[None]:
 
 @contextmanager
 def _closing(client: Any) -> Iterator[None]:
-    """Close the client; one whose scheduler is gone cannot say farewell, which nobody needs to hear."""
+    """Close the client; errors of closing without a scheduler are suppressed."""
     try:
         yield
     finally:
@@ -162,7 +162,7 @@ def _closing(client: Any) -> Iterator[None]:
 
 
 class _Watch:
-    """A thread that ends what waits for a cluster without workers, or for a scheduler that is gone."""
+    """A thread that ends waiting if the cluster has no workers left or the scheduler is lost."""
 
     def __init__(self, client: Any, scheduler: str) -> None:
         self.client, self.scheduler, self.lost = client, scheduler, ""
@@ -194,7 +194,7 @@ class _Watch:
                 )
             if self.lost:
                 with suppress(Exception):
-                    self.client.close(timeout=_FAREWELL_SECONDS)  # everything that waits for a result hears of it
+                    self.client.close(timeout=_FAREWELL_SECONDS)  # everything waiting for a result gets an error
                 return
 
 
@@ -211,25 +211,25 @@ class Cluster(Executor):
         self._tasks = client.get_executor(pure=False, retries=_RETRIES)
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Any:
-        """A task for some worker."""
+        """Submit a task to any worker."""
         return self._tasks.submit(fn, *args, **kwargs)
 
     def keep(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """A task whose result stays with the worker that has done it."""
+        """Submit a task whose result stays with its worker."""
         return self.client.submit(function, *arguments, pure=False, retries=_RETRIES)
 
     def keep_each(self, function: Callable[..., Any], rows: Sequence[Sequence[Any]], *shared: Any) -> list[Any]:
-        """Tasks ``function(*row, *shared)`` for every row, sent together, which is half the work of one by one."""
+        """Submit ``function(*row, *shared)`` for every row in one batch, half the cost of single submissions."""
         task = partial(_called, function=function, shared=shared)
         columns = zip(*rows, strict=True)
         return list(self.client.map(task, *columns, key=_name(function), pure=False, retries=_RETRIES))
 
     def ask(self, function: Callable[..., Result], rows: Sequence[Sequence[Any]], *shared: Any) -> list[Result]:
-        """Results of ``function(*row, *shared)`` for every row of what is kept, worked out where it is kept."""
+        """Results of ``function(*row, *shared)`` for every row of kept data, computed where the data are."""
         return list(self.client.gather(self.keep_each(function, rows, *shared)))
 
     def ask_in_turn(self, function: Callable[..., Result], rows: Sequence[Sequence[Any]]) -> Iterator[Result]:
-        """The same one by one, for results that are too large to be here twice."""
+        """The same one by one, for results of which memory holds only one copy."""
         asked = deque(self.keep_each(function, rows))
         while asked:
             yield asked.popleft().result()
@@ -238,13 +238,13 @@ class Cluster(Executor):
 def map_persons(
     executor: Executor, function: Callable[..., Result], *columns: Sequence[Any] | np.ndarray
 ) -> Iterator[Result]:
-    """Results of ``function(*row)`` for every person, in order, as they come.
+    """Iterate over the results of ``function(*row)`` for every person, in order.
 
     Parameters
     ----------
     executor : Executor
     function : callable
-        Of a module, or a ``functools.partial`` of one with what all persons share: it may have to travel.
+        Module-level function, or a ``functools.partial`` of one with shared arguments: it must be picklable.
     *columns : sequence
         One entry for each person, equally many.
     """
@@ -254,7 +254,7 @@ def map_persons(
         executor.submit(over_rows, function, *(column[start : start + size] for column in columns))
         for start in range(0, n, size)
     )
-    while tasks:  # what has been passed on is not held
+    while tasks:  # results are released once yielded
         yield from tasks.popleft().result()
 
 
@@ -268,12 +268,12 @@ def _called(*row: Any, function: Callable[..., Result], shared: Sequence[Any]) -
 
 
 def _name(function: Callable[..., Any]) -> str:
-    """What a cluster calls tasks of this kind, whose durations it remembers."""
+    """Name of a cluster's tasks of this kind, by which it records their durations."""
     while isinstance(function, partial):
         function = function.args[0] if function.func is over_rows else function.func
     return getattr(function, "__name__", type(function).__name__)
 
 
 def unchanged(part: Result) -> Result:
-    """Return the part itself: the task that fetches it, or hands it over."""
+    """Return the part itself: the task that fetches or transfers it."""
     return part

@@ -1,7 +1,7 @@
-"""Files that a user gives: read within bounds, as bytes, text, TOML or JSON, or refused in one sentence.
+"""Files from users: read within size limits as bytes, text, TOML or JSON, or refused with one sentence.
 
-Whatever a file holds, what it costs to refuse it is bounded: compressed content is unpacked only up to a limit, and
-what is nested too deeply or has too many digits for the standard library's parsers is told as a fault of the file.
+The cost of refusing any file is bounded: compressed content is unpacked only up to a limit, and nesting that is too
+deep or numbers with too many digits for the standard library's parsers are reported as faults of the file.
 """
 
 from __future__ import annotations
@@ -25,19 +25,20 @@ parser of TOML reads a megabyte a second."""
 _GZIP_MAGIC = b"\x1f\x8b"
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 _CHUNK = 2**20
+"""Bytes unpacked at a time. By choice: the limit can be exceeded by no more than this."""
 _GZIP_WINDOW = 31
-"""Of zlib: the largest window (15) in a gzip container (16)."""
+"""zlib's `wbits`: the largest window (15) in a gzip container (16)."""
 
 
 def read_bytes(path: Path, largest: int = LARGEST_TABLE) -> bytes:
-    """Return the content of a file, uncompressed where it is a gzip file.
+    """Return the content of a file, uncompressed if it is a gzip file.
 
     Parameters
     ----------
     path : Path
         File to read; gzip is recognised by its content, not by its name.
     largest : int
-        Bytes of uncompressed content above which it is refused; no more are read or unpacked.
+        Largest uncompressed content in bytes; no more are read or unpacked.
 
     Returns
     -------
@@ -84,7 +85,7 @@ def _unpacked(data: bytes, largest: int) -> bytes | None:
             size += len(part)
             if size > largest:
                 return None
-        # Zeros may follow the last member: some programs fill up their blocks.
+        # Zeros may follow the last member: some programs pad their blocks.
         data = member.unused_data.lstrip(b"\0")
     if data:
         raise zlib.error("what follows the last member is not gzip")
@@ -148,7 +149,7 @@ def _described(path: Path, wanted: str) -> bytes:
 
 
 def parse_toml(text: str, file: str) -> dict[str, Any]:
-    """Content of TOML.
+    """Parse TOML text.
 
     Raises
     ------
@@ -159,7 +160,7 @@ def parse_toml(text: str, file: str) -> dict[str, Any]:
         return tomllib.loads(text)
     except RecursionError:
         raise InputError(f"{file}: the TOML is nested too deeply to be read; write it in few levels") from None
-    except ValueError as error:  # also integers of thousands of digits, which are no fault of the grammar
+    except ValueError as error:  # also integers of thousands of digits, which are grammatically valid
         raise InputError(f'{file}: {_toml_problem(_reason(error))}; correct it, e.g. title = "My data"') from None
 
 
@@ -173,7 +174,7 @@ def _toml_problem(message: str) -> str:
     match = re.fullmatch(r"(.*) \(at (line \d+), column \d+\)", message, flags=re.DOTALL)
     if match is not None:
         return f"{match[2]} is not valid TOML ({match[1]})"
-    # The decoder reports trouble at the end of the file without a line.
+    # The decoder reports errors at the end of the file without a line.
     where = "the last line is" if "end of document" in message else "it is"
     return f"{where} not valid TOML ({message})"
 

@@ -1,12 +1,12 @@
-"""The folder that a command writes to: nothing in it is replaced that the package has not made, and by one process.
+"""Output folders of commands: only the package's own files are replaced, and by one process at a time.
 
-**What is ours.** A hidden file of the folder (:data:`MARK`) lists what the package has written there, with the SHA-256
-of each file. A file that is not listed, or has been changed since, is the user's. While a command runs, what it is
-going to write is listed without a digest, so that what a killed process leaves is known to be ours.
+**Ownership.** A hidden file of the folder (:data:`MARK`) lists the files that the package has written, with their
+SHA-256. A file that is not listed, or has been changed since, belongs to the user. While a command runs, the files that
+it will write are listed without a digest, so that files left by a killed process are recognised.
 
-**One process.** A lock file (:data:`LOCK`) holds the process's number and its machine. On one machine the system's own
-lock on that file decides, which ends with the process; a lock file that is left behind is taken over. The system's lock
-may not reach other machines, so the file of another machine is respected until somebody deletes it.
+**Locking.** A lock file (:data:`LOCK`) holds the process's number and its machine. On one machine the operating
+system's lock on that file decides, which ends with the process; a lock file left behind is taken over. The system's
+lock may not reach other machines, so another machine's lock file is respected until it is deleted by hand.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from bayes_impedance.runtime.atomic_files import write_json
 
 MARK, LOCK = ".bayes_impedance.json", ".bayes_impedance.lock"
 _LONGEST_LOCK = 1000
-"""Bytes of a lock file that are looked at: two short lines are what this package writes."""
+"""Most bytes read from a lock file. By choice: far more than the two short lines that this package writes."""
 
 Made = dict[str, str | None]
 
@@ -37,16 +37,16 @@ def output_folder(folder: Path, names: Iterable[str], overwrite: bool = False) -
     Parameters
     ----------
     folder : Path
-        Made if it does not exist; removed if the work ends with an error and leaves it empty.
+        Created if it does not exist; removed if the work ends with an error and leaves it empty.
     names : iterable of str
         Every file that may be written, replaced or removed, relative to the folder.
     overwrite : bool
-        The user wants files of these names replaced whoever has made them.
+        Whether files of these names are replaced even if they are not the package's.
 
     Raises
     ------
     InputError
-        If a file of these names was not made by this package; nothing has been touched then.
+        If a file of these names was not made by this package; nothing has been changed then.
     BusyError
         If another process holds the folder.
     """
@@ -56,7 +56,7 @@ def output_folder(folder: Path, names: Iterable[str], overwrite: bool = False) -
     folder.mkdir(parents=True, exist_ok=True)
     try:
         with _locked(folder):
-            _require_ours(folder, wanted, overwrite)  # somebody may have been faster
+            _require_ours(folder, wanted, overwrite)  # another process may have written meanwhile
             yield from _marked(folder, wanted)
     finally:
         if not existed:
@@ -71,14 +71,14 @@ def _marked(folder: Path, names: list[str]) -> Iterator[None]:
     try:
         yield
     except BaseException:
-        with suppress(OSError):  # the first error is the one to be told
+        with suppress(OSError):  # the first error is reported
             _settle(folder, known, before)
         raise
     _settle(folder, known, before)
 
 
 def _settle(folder: Path, known: Made, before: dict[str, tuple[int, int, int] | None]) -> None:
-    """List what has been written, with its digest, and no longer what has not."""
+    """List the written files with their digests, and remove those that were not written."""
     made = {name: digest for name, digest in known.items() if name not in before}
     for name, former in before.items():
         now = _fingerprint(folder / name)
@@ -93,7 +93,7 @@ def _settle(folder: Path, known: Made, before: dict[str, tuple[int, int, int] | 
 
 
 def made_by_us(folder: Path) -> tuple[str, ...]:
-    """Names of what the package has written to a folder, or was going to when it was killed."""
+    """Names of files that the package has written to a folder, or was about to write when it was killed."""
     return tuple(_made(folder))
 
 
@@ -120,11 +120,11 @@ def _made(folder: Path) -> Made:
         made = json.loads((folder / MARK).read_text(encoding="utf-8"))["made"]
         return {str(name): None if digest is None else str(digest) for name, digest in made.items()}
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        return {}  # nothing is ours then, and nothing is replaced
+        return {}  # no file counts as the package's, and none is replaced
 
 
 def _fingerprint(file: Path) -> tuple[int, int, int] | None:
-    """Tells whether a file has been replaced: the writer gives it a new inode."""
+    """Values that change when a file is replaced: the writer gives it a new inode."""
     try:
         found = file.lstat()
     except OSError:
@@ -146,7 +146,7 @@ def _locked(folder: Path) -> Iterator[None]:
     descriptor = _open_lock(file)
     try:
         while (held := _hold(descriptor)) and os.fstat(descriptor).st_nlink == 0:
-            os.close(descriptor)  # its former owner has removed the file meanwhile: there is another one, or none
+            os.close(descriptor)  # its former owner has meanwhile removed or replaced the file
             descriptor = _open_lock(file)
         number, machine = _holder(descriptor, file)
         if not held or machine not in ("", socket.gethostname()):
@@ -159,7 +159,7 @@ def _locked(folder: Path) -> Iterator[None]:
         try:
             yield
         finally:
-            file.unlink(missing_ok=True)  # before the lock ends: the next process makes its own file
+            file.unlink(missing_ok=True)  # before the lock ends: the next process creates its own file
     finally:
         os.close(descriptor)
 
@@ -174,10 +174,10 @@ def _open_lock(file: Path) -> int:
 
 
 def _hold(descriptor: int) -> bool:
-    """Whether this process has the system's lock now; where the file system has none, everybody has it."""
+    """Whether this process holds the system's lock; always true where the file system has no locks."""
     try:
         import fcntl
-    except ImportError:  # a system without it
+    except ImportError:  # not available on this system
         return True
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,8 +1,8 @@
-"""How long work tells of its progress."""
+"""Progress reports of long computations."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 Progress = Callable[[str, int, int], None]
-"""Called with the stage, how much of it is done, and of how much."""
+"""Called with the stage, the number of completed steps, and their total number."""

@@ -1,8 +1,8 @@
-"""Tables that a user writes: every key known, every value of its type and within its range.
+"""Validation of tables written by users: known keys, and values of the right type and range.
 
 Devices, datasets' descriptions, populations to simulate, effects and priors are all checked by the functions here. A
-default must never stand in for a key that was misspelt, so that unknown keys are refused (or, where a table may hold
-notes of others, told) with the known key that looks most like them.
+misspelt key must not silently fall back to a default. Unknown keys are therefore refused (or, where other programs'
+keys are allowed, reported) together with the most similar known key.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 from bayes_impedance.errors import InputError
 
 _LONGEST_SHOWN = 60
-"""Characters of a value or name that a message repeats."""
+"""Most characters of a value or name quoted in a message. By choice: a message stays one readable sentence."""
 
 
 def similar(name: str, candidates: Iterable[str]) -> str | None:
@@ -26,13 +26,13 @@ def similar(name: str, candidates: Iterable[str]) -> str | None:
 
 
 def hint(name: str, candidates: Collection[str]) -> str:
-    """What somebody who wrote `name` may have meant, as the end of a sentence."""
+    """End of a sentence that suggests the intended name."""
     guess = similar(name, candidates)
     return f'did you mean "{guess}"?' if guess else f"known are {', '.join(candidates)}"
 
 
 def shown(value: object) -> str:
-    """A value as a message repeats it: short, in one line, whatever it is."""
+    """A value as quoted in a message: shortened, in one line."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, int) and value.bit_length() > 64:
@@ -47,7 +47,7 @@ def shown(value: object) -> str:
 
 
 def in_one_line(text: str) -> str:
-    """A message without line breaks and control characters, whatever names of files and people stand in it."""
+    """A message without line breaks and control characters, which names of files and subjects may contain."""
     return "".join(c if c.isprintable() else " " if c.isspace() else "?" for c in text)
 
 
@@ -74,14 +74,14 @@ def number_in(
     ----------
     value : object
     what : str
-        Where it stands and what it is, the subject of the message's sentence.
+        Location and name of the value, the subject of the message's sentence.
     above, at_least, below, at_most : float, optional
         Range, in the value's unit.
 
     Raises
     ------
     InputError
-        If it is something else.
+        If it is not a finite number within the range.
     """
     bounds = [
         f"{word} {bound:g}"
@@ -113,7 +113,7 @@ def text_in(value: object, what: str) -> str:
     Raises
     ------
     InputError
-        If it is something else.
+        If it is not text.
     """
     if not isinstance(value, str):
         raise InputError(f"{what} is {shown(value)}, but must be text; put it in quotation marks")
@@ -121,12 +121,12 @@ def text_in(value: object, what: str) -> str:
 
 
 def choice_in(value: object, what: str, choices: Collection[str]) -> str:
-    """Return a value that must be one of some words.
+    """Return a value that must be one of several words.
 
     Raises
     ------
     InputError
-        If it is something else, with the choice that looks most like it.
+        If it is none of them; the message names the most similar one.
     """
     if isinstance(value, str) and value in choices:
         return value
@@ -136,23 +136,23 @@ def choice_in(value: object, what: str, choices: Collection[str]) -> str:
 
 
 class UserTable:
-    """A table whose keys are known.
+    """A table with a fixed set of keys.
 
     Parameters
     ----------
     content : object
-        What was read.
+        The parsed content.
     where : str or callable
-        Where it stands, for messages; a function of a key can name its line.
+        Location for messages; a function of a key can name its line.
     known : collection of str
-        Keys that it may have.
+        Allowed keys.
     tolerant : bool
-        Whether other keys are allowed; they are in :attr:`unknown`.
+        Whether other keys are allowed; they are listed in :attr:`unknown`.
 
     Raises
     ------
     InputError
-        If it is no table, or has a key that is not known and must be.
+        If it is not a table, or has an unknown key and `tolerant` is false.
     """
 
     def __init__(
@@ -168,18 +168,18 @@ class UserTable:
             raise InputError(self.about_unknown(self.unknown[0]))
 
     def where(self, key: str) -> str:
-        """Where a key stands."""
+        """Location of a key."""
         return self._where if isinstance(self._where, str) else self._where(key)
 
     def about_unknown(self, key: str) -> str:
-        """Sentence about a key that is not known."""
+        """Message about an unknown key."""
         return f"{self.where(key)}: key {_quoted(key)} is not used; {hint(key, self._known)}"
 
     def __contains__(self, key: str) -> bool:
         return key in self._content
 
     def __getitem__(self, key: str) -> Any:
-        """Value of a key that must be there.
+        """Value of a required key.
 
         Raises
         ------
@@ -191,11 +191,11 @@ class UserTable:
         return self._content[key]
 
     def get(self, key: str, default: Any) -> Any:
-        """Value of a key, whatever it is, or the default."""
+        """Value of a key, of any type, or the default."""
         return self._content.get(key, default)
 
     def text(self, key: str, default: str | None = None) -> str:
-        """Text of a key, or the default; without one the key must be there."""
+        """Text of a key, or the default; without a default the key is required."""
         if default is not None and key not in self:
             return default
         return text_in(self[key], f"{self.where(key)}: {key}")

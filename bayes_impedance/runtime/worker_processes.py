@@ -1,14 +1,14 @@
 """Processes of this machine as an executor that survives the loss of some of them.
 
-Somebody, or the system when memory runs out, may kill a process. A pool of the standard library is broken then, with
-all it was given; and because its processes share their queues, one that dies while it sends may block the others. Here
-each process has a pipe of its own and a thread of this process that hands it one task after the other. If the pipe
-ends, the thread starts another process and gives it the lost task again: nobody else is disturbed, and the results are
-the same because a task depends on its arguments alone.
+A process may be killed by a user, or by the system when memory runs out. A pool of the standard library then fails with
+all its tasks; and because its processes share queues, one that dies while sending may block the others. Here each
+process has its own pipe, and a thread of this process sends it one task after the other. If the pipe closes, the thread
+starts another process and repeats the lost task: other tasks are not affected, and the results are the same because a
+task depends on its arguments alone.
 
-Processes are started afresh (``spawn``), never forked: a fork of a process with threads may hang. They do not look for
-modules in the working directory: a file that lies there by the name of a module is nobody's code. What is compiled is
-taken from numba's files on disk, and libraries of linear algebra have one thread in each process.
+Processes are started by ``spawn``, never forked: a fork of a process with threads may hang. They do not search the
+working directory for modules: a file there with a module's name must not be run. Compiled functions are loaded from
+numba's files on disk, and linear algebra libraries use one thread in each process.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from typing import Any
 from bayes_impedance.errors import WorkerError
 
 _REPEATS = 3
-"""A task that has lost its process more often than this is given up: it is likely what kills them."""
+"""Repeats of a task that has lost its process. By choice: after more losses the task itself is the likely cause."""
 
 _CONTEXT = get_context("spawn")
 
 _SAFE_PATH = "PYTHONSAFEPATH"
-"""Set for a new process, which imports modules of the standard library before it is told the path of the process that
-has started it: its interpreter would look for them in the working directory first."""
+"""Environment variable set for a new process: it imports modules of the standard library before it receives its
+parent's path, and would otherwise search the working directory first."""
 _STARTING = Lock()
 """Held while :data:`_SAFE_PATH` is set."""
 
@@ -49,14 +49,14 @@ class _Task:
 
 
 class Processes(Executor):
-    """Processes of this machine; a task whose process dies is done again by a new one.
+    """Processes of this machine; a task whose process dies is repeated by a new one.
 
-    A script that uses it needs ``if __name__ == "__main__":`` around what it does: processes import the script.
+    A script that uses it needs ``if __name__ == "__main__":`` around its code, because processes import the script.
 
     Parameters
     ----------
     workers : int
-        Processes, which start when they are needed.
+        Number of processes, which start when they are needed.
 
     Raises
     ------
@@ -71,11 +71,11 @@ class Processes(Executor):
 
     @property
     def pids(self) -> tuple[int, ...]:
-        """Numbers of the processes that run now."""
+        """Process numbers (PIDs) of the running processes."""
         return tuple(w.process.pid for w in self._workers if w.process is not None and w.process.pid is not None)
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """A task for the next process that is free; function, arguments and result must be able to travel."""
+        """Submit a task to the next free process; function, arguments and result must be picklable."""
         with self._lock:
             if self._closed:
                 raise RuntimeError("these processes were told to end")
@@ -84,7 +84,7 @@ class Processes(Executor):
         return task.future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End the processes when they have done what was submitted, or only what they are at."""
+        """End the processes after all submitted tasks, or after the running ones only."""
         with self._lock:
             if not self._closed:
                 self._closed = True
@@ -97,7 +97,7 @@ class Processes(Executor):
                 worker.thread.join()
 
     def __exit__(self, kind: object, *_: object) -> None:
-        """After an error nobody waits for what is left to do."""
+        """Shut down; after an error the remaining tasks are not awaited."""
         if kind is not None:
             self._abandoned.set()
             self.shutdown(wait=False, cancel_futures=True)
@@ -110,13 +110,13 @@ class Processes(Executor):
             while True:
                 task = self._tasks.get_nowait()
                 if task is not None and task.future.cancel():
-                    task.future.set_running_or_notify_cancel()  # who waits for it hears of it
+                    task.future.set_running_or_notify_cancel()  # notifies those waiting for it
         except Empty:
             return
 
 
 class _Worker:
-    """A process, and the thread of this process that looks after it."""
+    """A process, and the thread of this process that controls it."""
 
     def __init__(self, tasks: SimpleQueue[_Task | None], abandoned: Event) -> None:
         self.process: Any = None
@@ -126,7 +126,7 @@ class _Worker:
         self.thread.start()
 
     def stop(self) -> None:
-        """Kill the process, whatever it is at."""
+        """Kill the process, even during a task."""
         with self._lock:
             if self.process is not None:
                 self.process.kill()
@@ -136,13 +136,13 @@ class _Worker:
             if task.future.set_running_or_notify_cancel():
                 try:
                     done, result = self._done(pickle.dumps(task.call, pickle.HIGHEST_PROTOCOL))
-                except BaseException as error:  # whoever waits must hear of it
+                except BaseException as error:  # must reach those waiting for the result
                     done, result = False, error
                 if done:
                     task.future.set_result(result)
                 else:
                     task.future.set_exception(result)
-            del task  # else the last one's data stay until the next comes
+            del task  # else its data stay in memory until the next task
         self._end()
 
     def _done(self, call: bytes) -> tuple[bool, Any]:
@@ -169,7 +169,7 @@ class _Worker:
                 raise WorkerError("the work was given up")
             self.process = _CONTEXT.Process(target=_work, args=(there,), daemon=True)
             _start_isolated(self.process)
-        there.close()  # so that the pipe ends with the process
+        there.close()  # so that the pipe closes with the process
         self._connection = here
         return here
 
@@ -200,7 +200,7 @@ def _start_isolated(process: Any) -> None:
 
 
 def _work(connection: Connection) -> None:
-    """Do what comes until the pipe ends: at the end of the work, or with the process at its other end."""
+    """Run tasks until the pipe closes: after the last task, or when the process at its other end ends."""
     _prepare()
     while True:
         try:
@@ -224,17 +224,17 @@ def _failure(error: Exception) -> bytes:
     try:
         answer = pickle.dumps((False, error))
         pickle.loads(answer)
-    except Exception:  # of any kind: classes of exceptions fail to leave or to arrive in ways of their own
+    except Exception:  # pickling and unpickling of exceptions can raise any exception
         answer = pickle.dumps((False, RuntimeError(traceback.format_exc())))
     return answer
 
 
 def _prepare() -> None:
-    """One thread for linear algebra, and an interrupted command leaves the farewell to the first process."""
+    """Use one thread for linear algebra, and leave the handling of interrupts to the parent process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for name in _ONE_THREAD_EACH:
         os.environ[name] = "1"
-    import numpy  # noqa: F401  (libraries can be told what to do once they are loaded)
+    import numpy  # noqa: F401  (libraries must be loaded before threads can be limited)
     import scipy.linalg  # noqa: F401
     from threadpoolctl import threadpool_limits
 
