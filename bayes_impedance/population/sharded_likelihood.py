@@ -1,9 +1,10 @@
 """The population likelihood, computed in batches of persons where their draws are kept; workers send back only sums.
 
 The memory for draws grows with the number of persons, a few hundred kilobytes for each. They are kept in parts
-(batches) of some dozens to hundreds of persons, in this process or by the workers of a cluster, which evaluate the likelihood on
-them: a set of population parameters is sent there and one number is returned. The division into parts depends only on
-the number of persons, and parts are summed in order, so the result does not depend on the number of workers.
+(batches) of some dozens to hundreds of persons, in this process or by the workers of a cluster, which evaluate the
+likelihood on them: a set of population parameters is sent there and one number is returned. The division into parts
+depends only on the number of persons, and parts are summed in order, so the result does not depend on the number of
+workers.
 """
 
 from __future__ import annotations

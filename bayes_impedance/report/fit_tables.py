@@ -259,7 +259,7 @@ def outlier_rows(result: Result) -> list[tuple[str, str, str, str, str]]:
 
 
 _ORDINAL = {1: "second", 2: "third"}
-"""Words for the number of a repeated attempt, counted from zero."""
+"""Words for a subject's rank in a criterion, counted from zero; the first needs none."""
 
 
 def checks(result: Result) -> list[Check]:
