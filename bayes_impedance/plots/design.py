@@ -137,7 +137,7 @@ def _limits(axes: Axes, answer: DesignAnswer) -> None:
 
 
 def worst_user(answer: DesignAnswer, population: UserPopulation) -> Figure:
-    """Bode plot of the open loop at the worst user's limit, for this user and the centre; the elements that cause it."""
+    """Bode plot of the open loop for the worst user and the centre at the worst user's limit, and the causes of it."""
     figure = new_figure(8.2, 8.2)
     top, middle, bottom = figure.subplots(3, 1, height_ratios=[3, 3, 2.2])
     m, limit = answer.map, answer.limit

@@ -69,7 +69,7 @@ def curves(figure: Figure, result: Result) -> Figure:
 def bands(figure: Figure, result: Result) -> Figure:
     """Predicted bands of a new recording with the measured recordings, and the population centre.
 
-    The middle panel is the magnitude divided by that of the centre: over several decades a factor of 1.5 is not visible.
+    The middle panel is the magnitude divided by the centre's: over several decades a factor of 1.5 is not visible.
 
     Parameters
     ----------
