@@ -7,9 +7,9 @@ next point (a belt, a flexible arm). A `lever` scales the velocity of the next p
     Device("one arm", (Section("beside", "m1|r1", {"m1": 0.05, "r1": 0.01}), Section("between", "n1|r1", {...}),
                        Section("beside", "m1", {"m1": 0.02})), period_s=1e-3, delay_s=0.5e-3)
 
-Seen from the actuator, the parts behind a section are its load. With load z, the input impedance of `beside` b is b + z,
-of `between` b 1/(1/b + 1/z), and of a lever of ratio q (velocity behind / velocity before) q² z. So device and user
-together are a single one-port; :mod:`bayes_impedance.design.circuits.state_space` gives its state space.
+Seen from the actuator, the parts behind a section are its load. With load z, the input impedance of `beside` b is
+b + z, of `between` b 1/(1/b + 1/z), and of a lever of ratio q (velocity behind / velocity before) q² z. So device and
+user together are a single one-port; :mod:`bayes_impedance.design.circuits.state_space` gives its state space.
 
 The controller reads the actuator's position x once a period T, and holds the force
 

@@ -5,9 +5,9 @@ The desired impedance is :math:`z_w = K/s + B`. A user with the impedance :math:
 
 .. math:: v = \frac{F_0}{z_u + z_t} \quad\text{instead of}\quad \frac{F_0}{z_u + z_w} .
 
-Sampling is treated exactly. With the motor off the user's force moves the actuator by the phasor :math:`x_o`. Samples of
-a sinusoid have its phasor, so in the loop the samples are :math:`x_o / (1 + C(z) G(z))` with :math:`z = e^{j\omega T}`,
-the controller :math:`C = K + B (1 - z^{-1})/T` and the exact pulse transfer function G of
+Sampling is treated exactly. With the motor off the user's force moves the actuator by the phasor :math:`x_o`. Samples
+of a sinusoid have its phasor, so in the loop the samples are :math:`x_o / (1 + C(z) G(z))` with
+:math:`z = e^{j\omega T}`, the controller :math:`C = K + B (1 - z^{-1})/T` and the exact pulse transfer function G of
 :mod:`bayes_impedance.design.loop.sampled_loop`. The component of the held force at the same frequency is
 
 .. math:: f = -C\, \frac{x_o}{1 + C G}\; \frac{1 - e^{-sT}}{sT}\, e^{-s\tau} .
