@@ -245,7 +245,7 @@ def write_diagnosis_pictures(
 
 
 def save_figure(figure: Figure, folder: Path, name: str, formats: Sequence[str] = ("svg", "png")) -> Path:
-    """Write a figure, as PNG and as SVG if nothing else is asked for; the same figure gives the same bytes.
+    """Write a figure, as PNG and as SVG by default; the same figure gives the same bytes.
 
     Parameters
     ----------

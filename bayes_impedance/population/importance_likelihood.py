@@ -237,7 +237,7 @@ class ImportanceLikelihood:
         log_likelihood : ndarray, shape (W, N)
             Up to a constant for each person.
         effective : ndarray, shape (W, N)
-            Effective number of draws; empty unless asked for.
+            Effective number of draws; empty if not requested.
         """
         n_sets, n_persons = parameters.mu.shape[0], self.reference_means.shape[0]
         result = np.empty((n_sets, n_persons))

@@ -65,7 +65,7 @@ def checked_model(
 
 
 def network_of(recordings: Recordings, network: Network | str | None) -> Network:
-    """The network asked for, or the dataset's own.
+    """The requested network, or the dataset's own.
 
     Raises
     ------

@@ -75,7 +75,7 @@ class EffectCard:
 
 
 def kind_of_verdict(verdict: Verdict) -> str:
-    """Which of ``nothing``, ``found``, ``unknown`` and ``refused`` (it cannot be relied on) a verdict is."""
+    """Kind of a verdict: ``nothing``, ``found``, ``unknown`` or ``refused`` (not reliable)."""
     if not verdict.reliable:
         return "refused"
     if not verdict.mismatch:
