@@ -13,23 +13,24 @@ from bayes_impedance.runtime.user_table import number_in, shown
 from bayes_impedance.units import HIGHEST_HZ, LOWEST_HZ
 
 LARGEST_SEED = 2**63 - 1
-"""Results keep the seed as a 64-bit integer."""
+"""Largest signed 64-bit integer, the type in which results keep the seed."""
 MOST_WORKERS = 1024
-"""Each is a process of some hundred megabytes; no single machine has more processors."""
+"""Most worker processes. By choice: each takes some hundred megabytes, and few machines have more processors."""
 MOST_PEOPLE, MOST_REPETITIONS, MOST_POINTS = 1_000_000, 10_000, 1_000_000
-"""Of a simulation, each by itself; their product has a limit of its own."""
+"""Limits on each number of a simulation. By choice: far above any study; their product has a separate limit."""
 MOST_USERS, MOST_GAINS = 1_000_000, 1000
-"""Virtual users of an export, and gains on each axis of its map: every pair of gains is decided for every user."""
+"""Most virtual users of an export, and most gains on each axis of its map. By choice: stability is computed for every
+pair of gains and every user."""
 LARGEST_NOISE = 100.0
-"""Relative: a hundred times the impedance. Recordings of more noise than that say nothing at any length."""
+"""Largest relative noise. By choice: at a hundred times the impedance, recordings hold practically no information."""
 LARGEST_DAMPING = 1e6
-"""N s/m: a thousand times what any device renders."""
+"""Largest virtual damping in N s/m. By choice: far above what devices can render."""
 
 
 def parser_of_commands() -> argparse.ArgumentParser:
-    """Parser of all commands; the name of the one given is `command` of what it returns.
+    """Parser of all commands; the name of the given command is the attribute `command` of the parsed arguments.
 
-    It raises :class:`InputError` where arguments cannot be used.
+    It raises :class:`InputError` if arguments cannot be used.
     """
     parser = _Parser(
         prog="bayes-impedance",
@@ -146,7 +147,7 @@ def _overwrite(parser: argparse.ArgumentParser) -> None:
 
 
 def _worker_arguments(parser: argparse.ArgumentParser) -> None:
-    """Who does what is done person by person; the result is the same."""
+    """Add the arguments for parallel computation over persons, which do not change the result."""
     parser.add_argument(
         "--workers",
         type=_whole(MOST_WORKERS),
@@ -209,7 +210,7 @@ def _whole(at_most: int, at_least: int = 1) -> Callable[[str], int]:
     """Reader of a whole number within a range."""
 
     def read(text: str) -> int:
-        # Twenty digits hold every number that is allowed; Python refuses to read thousands of them.
+        # Every allowed number has at most twenty digits; Python refuses to convert thousands of digits.
         digits = text.strip().removeprefix("+")
         value = int(digits) if digits.isascii() and digits.isdigit() and len(digits) <= 20 else -1
         if not at_least <= value <= at_most:
@@ -236,14 +237,14 @@ def _number(**bounds: float) -> Callable[[str], float]:
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser whose errors are told in one line, as those of all other input are."""
+    """A parser that reports errors in one line, like those of all other input."""
 
     def error(self, message: str) -> NoReturn:
         raise InputError(f"{message}; see {self.prog} --help")
 
 
 class _Version(argparse.Action):
-    """Print the version; looking it up costs time that other commands need not spend."""
+    """Print the version; it is looked up only here, because that takes time."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
         from importlib.metadata import version

@@ -1,4 +1,4 @@
-"""The command line: one job for each command, and a short text. Nothing heavy is imported before it is needed."""
+"""The command line: one job for each command, and a short text. Large modules are imported only when needed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from bayes_impedance.results.result import Result
 
 DONE, FAILED, BAD_INPUT = 0, 1, 2
-"""Exit status; arguments that are wrong are bad input."""
+"""Exit status; wrong arguments count as bad input."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -236,7 +236,7 @@ def _fit_options(options: argparse.Namespace) -> Any:
 
 
 def _finish(result: Result, last: str) -> int:
-    """Print what matters: problems first, then remarks, then the table."""
+    """Print the result: problems first, then remarks, then the table."""
     summary = result.summary
     for problem in summary["problems"]:
         tell(f"NOT RELIABLE: {problem}")

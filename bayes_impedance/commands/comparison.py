@@ -28,9 +28,9 @@ def compare_dataset(
     out : Path
         Folder for the results.
     options : FitOptions
-        Of the population fit, which is left in ``out/fit``.
+        Options of the population fit, which is written to ``out/fit``.
     result : Path or None
-        Folder of a finished fit of the same recordings, which is taken instead.
+        Folder of a finished fit of the same recordings, which is used instead.
     resume : bool
         Continue an interrupted fit.
     progress : callable

@@ -24,40 +24,40 @@ FILES = {
     "stability": ("stability.json", "stability.csv", "limits.csv", "transparency.csv"),
 }
 PICTURES = {"users": ("users",), "stability": ("stability", "worst_user", "transparency")}
-"""What each product consists of: files, and names of pictures."""
+"""Files and names of pictures of each product."""
 PRODUCTS = tuple(FILES)
 _POINTS = 201
-"""Logarithmic grid of exported curves: 67 to a decade of the paper's band."""
+"""Points of the logarithmic grid of exported curves. By choice: 67 per decade of the paper's band."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExportOptions:
-    """What a user may choose about an export.
+    """Options of an export.
 
     Attributes
     ----------
     what : tuple of str
-        Of :data:`PRODUCTS`.
+        Names from :data:`PRODUCTS`.
     users : int
         Virtual users to draw.
     seed : int
     spanning : int
         Size of the set that spans the 95 % region.
     repetitions : bool
-        Users who put down the finger once, not the mean of many times.
+        Users are single repetitions, not means over many repetitions.
     assume : mapping of str to float
         Values of elements that the recordings do not determine.
     device : Path or None
         TOML file; None for the PHANTOM.
     damping, share : float
-        Virtual damping in N s/m, and share of users, of the limit.
+        Virtual damping in N s/m, and share of users, for the stability limit.
     grid : int
         Gains on each axis of the stability map.
     pictures : bool
     workers : int
         Threads.
     overwrite : bool
-        Replace files of these names that this package has not made.
+        Replace files of these names that this package did not write.
     unreliable : bool
         Export a fit that must not be used; every file says so.
     """
@@ -94,7 +94,7 @@ def export_result(result: Path, out: Path, options: ExportOptions, progress: Pro
     -------
     files : list of Path
     answer : str or None
-        The sentence of the stability analysis, if it was asked for.
+        The sentence of the stability analysis, if it was requested.
 
     Raises
     ------
@@ -155,7 +155,7 @@ def _written(
     if "stability" in options.what:
         answer = design_answer(
             population,
-            # Weights of populations are those of persons, not of single repetitions.
+            # Importance weights are defined for persons, not for single repetitions.
             users if not options.repetitions else population.draw(options.users, options.seed),
             device,
             damping=options.damping,

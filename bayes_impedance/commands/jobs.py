@@ -1,8 +1,8 @@
-"""What the commands do: whole jobs from a dataset on disk to files in a folder.
+"""The work of the commands: whole jobs from a dataset on disk to files in a folder.
 
-Every file is complete or absent: it is written to a temporary name and renamed. While a fit runs, first fits, rounds of
-the point estimate and chains are kept in ``checkpoint`` inside the output folder; a killed run continues from there if
-it is started again with the same arguments, and gives the same numbers as one that was not interrupted.
+Every file is complete or absent: it is written under a temporary name and renamed. While a fit runs, first fits,
+iterations of the point estimate and chains are saved in ``checkpoint`` inside the output folder; a killed run continues
+from there if it is started again with the same arguments, and gives the same numbers as an uninterrupted run.
 """
 
 from __future__ import annotations
@@ -44,16 +44,17 @@ if TYPE_CHECKING:
     from bayes_impedance.runtime.progress import Progress
 
 _MOST_CHECKED = 1000
-"""Subjects up to whom a fit checks its recordings, which takes them all into memory; of more, ``check`` tells."""
+"""Most subjects for which a fit checks its recordings. By choice: the check loads all of them into memory; for more
+subjects use the command ``check``."""
 
 _THREADS = 2
-"""Of this process, if nothing is said: two cores are what a machine has at least, and the shipped dataset is done
-sooner than processes have started."""
+"""Default number of threads of this process. By choice: most machines have at least two cores, and for the shipped
+dataset starting processes takes longer than it saves."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FitOptions:
-    """What a user may choose about a fit.
+    """Options of a fit.
 
     Attributes
     ----------
@@ -63,17 +64,17 @@ class FitOptions:
         ``full`` or ``diagonal``.
     covariates : tuple of str
     subjects : tuple of str
-        Whom to use; empty for all.
+        Names of the subjects to use; empty for all.
     seed : int
     quick : bool
         Fewer draws and shorter chains: for a first look.
     workers : int or None
-        Processes of this machine that do what is done person by person, and threads of this process that sample; None
-        for two threads that do all. Does not change the result.
+        Number of processes of this machine for the computations of single persons, and of threads of this process for
+        sampling; None for two threads that do both. Does not change the result.
     scheduler : str or None
-        Address of a Dask scheduler whose workers do what is done person by person; does not change the result.
+        Address of a Dask scheduler whose workers run the computations of single persons; does not change the result.
     overwrite : bool
-        Replace files of the results' names that this package has not made.
+        Replace files with the names of the results that this package did not write.
     """
 
     network: str | None = None
@@ -88,7 +89,7 @@ class FitOptions:
 
     @property
     def threads(self) -> int:
-        """Threads of this process, which sample: ensembles share what is in its memory."""
+        """Number of threads of this process for sampling: ensembles share its memory."""
         return _THREADS if self.workers is None else self.workers
 
     def settings(self) -> FitSettings:
@@ -116,9 +117,9 @@ def fit_dataset(dataset: Path, out: Path, options: FitOptions, resume: bool, pro
     Raises
     ------
     InputError
-        If the input cannot be used, or `resume` meets the checkpoint of another fit.
+        If the input cannot be used, or `resume` finds the checkpoint of another fit.
     WorkerError
-        If processes or a cluster's workers die again and again; what was sampled is kept for `resume`.
+        If processes or a cluster's workers fail repeatedly; samples drawn so far are kept for `resume`.
     """
     recordings, clock = _read(dataset, options)
     pages = page_files() if (out / PICTURE_FOLDER).exists() or (out / REPORT_FILE).exists() else []
@@ -134,7 +135,7 @@ def run_dataset(
     progress: Progress,
     helper: Executor | None = None,
 ) -> Result:
-    """Everything: check, fit, pictures and report.
+    """The whole analysis: check, fit, pictures and report.
 
     Parameters
     ----------
@@ -162,14 +163,14 @@ def report_result(out: Path, progress: Progress, dataset: Path | None = None, ov
         Folder with ``result.nc`` and ``summary.json``.
     progress : callable
     dataset : Path, optional
-        The recordings, if the report is to tell what is odd about them.
+        The recordings, if the report is to list their anomalies.
     overwrite : bool
-        Replace pages that this package has not made.
+        Replace pages that this package did not write.
 
     Raises
     ------
     InputError
-        If the folder holds no fit, or `dataset` is not what was fitted.
+        If the folder holds no fit, or `dataset` is not the dataset that was fitted.
     """
     from bayes_impedance.results.result import load_result
 
@@ -199,7 +200,7 @@ def diagnose_dataset(
     resume: bool,
     progress: Progress,
 ) -> Diagnosis:
-    """What the network leaves out; writes ``verdict.json``, the report and its pictures.
+    """Diagnose what the network leaves out; writes ``verdict.json``, the report and its pictures.
 
     Parameters
     ----------
@@ -211,17 +212,17 @@ def diagnose_dataset(
     simulation : Path or None
         Dataset of a simulated population that claims to describe the recordings.
     resume : bool
-        Take up the network's fit of a diagnosis that was interrupted.
+        Continue the fit of the network in an interrupted diagnosis.
     progress : callable
 
     Raises
     ------
     InputError
-        If the input cannot be used, or `resume` meets the checkpoint of another diagnosis.
+        If the input cannot be used, or `resume` finds the checkpoint of another diagnosis.
     BusyError
         If another process writes to the folder.
     WorkerError
-        If processes or a cluster's workers die again and again.
+        If processes or a cluster's workers fail repeatedly.
     """
     from bayes_impedance.recordings.files import read_recordings
 
@@ -277,7 +278,7 @@ def diagnose_dataset(
 
 
 def check_dataset(dataset: Path) -> tuple[dict[str, Any], tuple[str, ...], tuple[Finding, ...]]:
-    """What a dataset holds, what was changed on reading it, and what is odd about it."""
+    """Contents of a dataset, changes made when it was read, and its anomalies."""
     from bayes_impedance.quality.checks import check_recordings, describe
     from bayes_impedance.recordings.files import read_recordings
 
@@ -303,7 +304,7 @@ def _fit(
     findings: Sequence[Finding],
     helper: Executor | None = None,
 ) -> Result:
-    """Fit, predict, save; pages of an earlier fit are removed before the new numbers are there."""
+    """Fit, predict, save; pages of an earlier fit are removed before the new numbers are written."""
     from bayes_impedance.diagnosis.examine import examine
     from bayes_impedance.population.fit import fit_population
     from bayes_impedance.results.predictive import predict
@@ -347,14 +348,14 @@ def _fit(
 
 
 def _findings(recordings: Recordings) -> tuple[Finding, ...]:
-    """What is odd about recordings, unless they are so many that they had to be read one after the other."""
+    """Anomalies of the recordings; none are searched for if there are too many recordings to hold in memory."""
     from bayes_impedance.quality.checks import check_recordings
 
     return check_recordings(recordings.in_memory()) if len(recordings.subjects) <= _MOST_CHECKED else ()
 
 
 def selected(recordings: Recordings, options: FitOptions) -> Recordings:
-    """The recordings of whom the options name, or of everybody."""
+    """The recordings of the subjects named in the options, or of all subjects."""
     return recordings.select(options.subjects) if options.subjects else recordings
 
 

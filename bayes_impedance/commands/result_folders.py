@@ -1,4 +1,4 @@
-"""The folders of results while a command works: what belongs there, what is removed, what an interruption leaves."""
+"""Folders of results while a command runs: their files, what is removed, and what remains after an interruption."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ FIT_FILES = ("result.nc", "summary.json", "seconds.json")
 def fit_folder(
     out: Path, names: Iterable[str], recordings: Recordings, options: FitOptions, resume: bool
 ) -> Iterator[None]:
-    """Hold the folder of a fit whose options are sound: nothing is touched before they have been looked at."""
+    """Lock the folder of a fit. The options are checked first; until then nothing in the folder is changed."""
     from bayes_impedance.population.requirements import checked_model
     from bayes_impedance.runtime.checkpoint import discard, require_own
 
@@ -42,7 +42,7 @@ def fit_folder(
 
 @contextmanager
 def discarded_if_useless(checkpoint: Path, resume: bool) -> Iterator[None]:
-    """Keep what was computed if the work ends early, except where the input turns out to be unusable."""
+    """Keep the checkpoint if the work ends early, unless the input turns out to be unusable."""
     from bayes_impedance.runtime.checkpoint import discard
 
     try:
@@ -55,7 +55,7 @@ def discarded_if_useless(checkpoint: Path, resume: bool) -> Iterator[None]:
 
 @contextmanager
 def interrupted(words: str) -> Iterator[None]:
-    """What an interruption leaves, in words for whoever has interrupted; the innermost are the ones that hold."""
+    """Attach a message for the user to an interruption: what remains. With nested contexts the innermost is used."""
     try:
         yield
     except KeyboardInterrupt as stop:
@@ -64,18 +64,18 @@ def interrupted(words: str) -> Iterator[None]:
 
 
 def page_files() -> list[str]:
-    """The report of a fit and its pictures."""
+    """File names of a fit's report and its pictures."""
     from bayes_impedance.plots import PICTURES
 
     return [REPORT_FILE, *pictures(picture.name for picture in PICTURES)]
 
 
 def pictures(names: Iterable[str]) -> list[str]:
-    """Files of the pictures of these names."""
+    """File names of the pictures with these names."""
     return [f"{PICTURE_FOLDER}/{name}.{kind}" for name in names for kind in PICTURE_KINDS]
 
 
 def remove(out: Path, names: Iterable[str]) -> None:
-    """Remove files of a folder that is held, so that none of them contradicts what is written now."""
+    """Remove files from a locked folder, so that no old file contradicts the new results."""
     for name in names:
         (out / name).unlink(missing_ok=True)

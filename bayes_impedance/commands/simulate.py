@@ -27,15 +27,15 @@ def simulate_dataset(
     seed: int,
     overwrite: bool = False,
 ) -> dict[str, Any]:
-    """Write a virtual population as a dataset, the truth beside it.
+    """Write recordings of a virtual population as a dataset, with the true parameters in a separate file.
 
     Parameters
     ----------
     out : Path
         Folder of the new dataset.
     population : Path or None
-        ``summary.json`` of a fit or ``truth.json`` of a simulation whose population is to be drawn from; None for the
-        virtual fingertips.
+        ``summary.json`` of a fit or ``truth.json`` of a simulation that describes the population; None for the virtual
+        fingertips.
     n_subjects, n_repetitions, n_points : int
     band_hz : (float, float)
         Lowest and highest frequency.
@@ -43,12 +43,12 @@ def simulate_dataset(
         Relative noise; None for the population's own.
     seed : int
     overwrite : bool
-        Replace a dataset that this package has not made.
+        Replace a dataset that this package did not write.
 
     Returns
     -------
     dict
-        The truth.
+        The true parameters.
     """
     from dataclasses import replace
 
@@ -71,7 +71,7 @@ def simulate_dataset(
 
 
 def _population(file: Path) -> VirtualPopulation:
-    """A population to draw from, as a fit or an earlier simulation describes it."""
+    """The population described by a fit or by an earlier simulation."""
     from bayes_impedance.population.simulate import population_from
 
     return population_from(read_json(file, "a summary.json or truth.json"), str(file))

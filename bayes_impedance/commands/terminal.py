@@ -1,4 +1,4 @@
-"""Where text goes out: one line at a time, without control codes, whatever the terminal is and whether it is there."""
+"""Text output: one line at a time, without control codes, on any terminal and also if there is none."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ import unicodedata
 from typing import Any
 
 _SEQUENCE = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]|\x1b\][^\x07\x1b]*(?:\x07|\x1b\\)?|[\x1b\x9b].?")
-"""What a terminal takes as a command: control sequences, operating system commands, and other escapes."""
+"""Text that a terminal interprets as a command: control sequences, operating system commands, and other escapes."""
 _INVISIBLE = frozenset({"Cc", "Cf"})
-"""Categories of Unicode that a terminal obeys: control codes, and marks that change the direction of the text."""
+"""Unicode categories that a terminal interprets: control codes, and marks that change the direction of the text."""
 _SPACES = frozenset("\t\n\v\f\r\x85\u2028\u2029")
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
-"""No space on the disk, none in the user's share, none in the longest file that is allowed."""
+"""Error numbers: no space on the disk, quota of the user exceeded, largest allowed file size exceeded."""
 
 
 def prepare_streams() -> None:
-    """Let no character that the terminal's encoding lacks end a command."""
+    """Replace characters that the terminal's encoding lacks, so that they do not end a command with an error."""
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
 
 
 def tell(line: str = "") -> None:
-    """Write a line to standard output; where it is closed, or nobody reads it any more, nothing happens.
+    """Write a line to standard output; nothing happens if it is closed or no longer read.
 
     Raises
     ------
@@ -37,7 +37,7 @@ def tell(line: str = "") -> None:
 
 
 def complain(line: str) -> None:
-    """Write a line to standard error; where that is impossible, nothing happens."""
+    """Write a line to standard error; nothing happens if that is impossible."""
     try:
         _write(line, sys.stderr)
     except OSError:
@@ -45,13 +45,13 @@ def complain(line: str) -> None:
 
 
 def printable(text: str) -> str:
-    """Text without what a terminal would obey: names and titles come from files that others have written."""
+    """Text without terminal control codes, because names and titles come from the user's files."""
     spaced = "".join(" " if c in _SPACES else c for c in _SEQUENCE.sub("", text))
     return "".join(c for c in spaced if unicodedata.category(c) not in _INVISIBLE)
 
 
 def sentence_of(error: OSError) -> str:
-    """What the system has refused, where, and what to do."""
+    """A system error as a sentence: what was refused, where, and what to do."""
     where = "" if error.filename is None else os.fsdecode(error.filename)
     what = error.strerror or str(error) or type(error).__name__
     if error.errno in _FULL:
@@ -62,22 +62,22 @@ def sentence_of(error: OSError) -> str:
 
 
 def _write(line: str, stream: Any) -> None:
-    if stream is None:  # closed when the process began
+    if stream is None:  # closed when the process started
         return
     try:
         stream.write(printable(line) + "\n")
         stream.flush()
-    except BrokenPipeError:  # `| head` has seen enough
+    except BrokenPipeError:  # the reader, for example `| head`, has ended
         _silence(stream)
     except OSError as error:
         _silence(stream)
         raise OSError(error.errno, error.strerror, "standard output") from None
-    except ValueError:  # closed since
+    except ValueError:  # closed in the meantime
         return
 
 
 def _silence(stream: Any) -> None:
-    """Send to nowhere what is still in the stream's buffer: the interpreter would try again at its end."""
+    """Discard the rest of the stream's buffer: the interpreter would try to write it again when it ends."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(nowhere, stream.fileno())

@@ -1,9 +1,9 @@
-"""Design inputs: a population as something a device can be designed against.
+"""Design inputs: virtual users, circuits and stability limits from a population, for the design of haptic devices.
 
-In comes a result; out come users, circuits, stability limits and files. Open :mod:`.users` first (virtual users, and
-the populations of the posterior that they may come from), then :mod:`.representatives` (few users who stand for many),
-``circuits`` (a user as a circuit), ``loop`` (a device in a user's hands), :mod:`.answer` (all of it in one sentence)
-and :mod:`.files` (all of it written down).
+The input is a result; the output is users, circuits, stability limits and files. Open :mod:`.users` first (virtual
+users, and the posterior draws of the population), then :mod:`.representatives` (a few representative users),
+``circuits`` (a user as a circuit), ``loop`` (a device held by a user), :mod:`.answer` (a summary in one sentence) and
+:mod:`.files` (the output files).
 """
 
 from bayes_impedance.design.answer import DesignAnswer, design_answer

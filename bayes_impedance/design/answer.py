@@ -1,4 +1,4 @@
-"""The design answer for a population and a device: stability limit, its reasons and transparency in one sentence."""
+"""Design summary for a population and a device: stability limit, its causes and transparency, in one sentence."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from bayes_impedance.runtime.progress import Progress
 from bayes_impedance.units import rounded
 
 _GRID_LOW = 0.02
-"""Lowest stiffness of the map as a share of the highest, where no stiffness is known at which all are stable. By
-choice."""
+"""Lowest stiffness of the map relative to the highest, if no stiffness is known at which all users are stable. By
+choice: a lower one shows more of the stable region at a coarser grid."""
 
 _DAMPINGS = 400
-"""Dampings that are scanned for the widest stable one: neighbours of eight decades differ by 5 %."""
+"""Number of dampings scanned for the largest stable one. By choice: over eight decades neighbours differ by 5 %."""
 
 _LARGEST = 1e4
 """Largest damping that is scanned, in N s/m. By choice, far above what sampled devices can render."""
@@ -39,7 +39,7 @@ _HIGHEST = 1e7
 
 @dataclass(frozen=True)
 class DesignAnswer:
-    """What a population means for a device.
+    """Stability and transparency of a device over a population.
 
     Attributes
     ----------
@@ -47,9 +47,9 @@ class DesignAnswer:
     limit : Limit
         At the chosen virtual damping.
     reason : Reason
-        What makes the worst user the worst.
+        Elements that make the worst user's limit the lowest.
     transparency : Transparency or None
-        At half of the limit; None if there is no limit above zero.
+        At half the limit; None if there is no limit above zero.
     """
 
     map: StabilityMap
@@ -118,7 +118,7 @@ def design_answer(
     workers: int = 2,
     progress: Progress | None = None,
 ) -> DesignAnswer:
-    """Everything about a device in a population's hands.
+    """Stability map, limit, causes and transparency of a device over a population.
 
     Parameters
     ----------
@@ -127,11 +127,11 @@ def design_answer(
         Drawn from it.
     device : Device
     damping : float
-        Virtual damping B in N s/m of the limit.
+        Virtual damping B in N s/m at which the limit is computed.
     share : float
-        Of users with whom it must be stable.
+        Share of users with whom the loop must be stable.
     grid : int
-        Gains on each axis of the map, which spans what is stable with the population's centre.
+        Gains on each axis of the map, which spans the stable gains of the population's centre.
     seed : int
     workers : int
         Threads.
@@ -149,7 +149,7 @@ def design_answer(
 
 
 def gains(population: UserPopulation, device: Device, grid: int, lowest: float) -> tuple[np.ndarray, np.ndarray]:
-    """Gains that span what is stable with the population's centre.
+    """Grid that spans the stable gains of the population's centre.
 
     Parameters
     ----------
@@ -158,14 +158,14 @@ def gains(population: UserPopulation, device: Device, grid: int, lowest: float) 
     grid : int
         Number on each axis.
     lowest : float
-        Stiffness in N/m that must be in the picture, if it is above zero.
+        Stiffness in N/m that the grid must include, if it is above zero.
 
     Returns
     -------
     stiffness : ndarray, shape (grid,)
         In N/m, logarithmic.
     damping : ndarray, shape (grid,)
-        In N s/m, quadratic: denser where there is little.
+        In N s/m, quadratic spacing: denser at low damping.
     """
     centre = loop_of(device, population.median_user())
     scan = np.concatenate([[0.0], np.geomspace(1e-4, _LARGEST, _DAMPINGS)])

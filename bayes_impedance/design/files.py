@@ -1,4 +1,4 @@
-"""Design inputs as files: tables that a spreadsheet, a control toolbox or a circuit simulator reads."""
+"""Design inputs as files for spreadsheets, control toolboxes and circuit simulators."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ def write_users(
     users : Users
         Drawn from it.
     chosen : Representatives
-        Those who stand for all.
+        Representative users.
     frequency_hz : ndarray, shape (F,)
-        Of the curves.
+        Frequencies of the curves.
 
     Returns
     -------
@@ -89,12 +89,12 @@ def write_users(
 
 
 def write_transfer(folder: Path, users: Users, chosen: Users) -> list[Path]:
-    """``transfer.json`` of everybody and ``transfer.txt`` of those who stand for all.
+    """``transfer.json`` of all users and ``transfer.txt`` of the representative ones.
 
     Raises
     ------
     InputError
-        If what would be written is not passive.
+        If a transfer function to be written is not passive.
     """
     everybody = chosen + users
     table = described(everybody)
@@ -132,7 +132,7 @@ def write_spice(
 
 
 def write_stability(folder: Path, answer: DesignAnswer) -> list[Path]:
-    """``stability.json``, ``stability.csv`` (the map), ``limits.csv`` (everybody) and ``transparency.csv``."""
+    """``stability.json``, ``stability.csv`` (the map), ``limits.csv`` (each user) and ``transparency.csv``."""
     import pandas as pd
 
     m, limit = answer.map, answer.limit
@@ -171,18 +171,18 @@ def write_stability(folder: Path, answer: DesignAnswer) -> list[Path]:
 
 
 _COMMENT = {".lib": "* ", ".cir": "* ", ".csv": "# "}
-"""How a line of such a file is marked as a comment; other text files have none."""
+"""Prefix of a comment line in these files; other text files have no comments."""
 
 
 def warned(file: Path, warnings: Sequence[str]) -> Path:
-    """Write warnings into a file of design inputs, where its readers and people see them.
+    """Write warnings into a file of design inputs, where programs and people that read it find them.
 
     Parameters
     ----------
     file : Path
         Complete.
     warnings : sequence of str
-        Why its numbers must be used with care or not at all.
+        Reasons why its numbers must be used with care or not at all.
 
     Returns
     -------
@@ -193,7 +193,7 @@ def warned(file: Path, warnings: Sequence[str]) -> Path:
     if file.suffix == ".json":
         return write_json(file, {"warnings": list(warnings)} | json.loads(text), indent=1)
     told = "".join(f"{_COMMENT.get(file.suffix, '')}WARNING: {warning}\n" for warning in warnings)
-    # The first line of a deck is its title, whatever stands there.
+    # SPICE takes the first line of a deck as its title, whatever it contains.
     title, rest = text.split("\n", 1) if file.suffix == ".cir" else ("", text)
     return write_text(file, f"{title}\n{told}{rest}" if title else told + rest)
 
@@ -206,7 +206,7 @@ def _over_frequency(frequency_hz: np.ndarray, values: np.ndarray, names: list[st
 
 
 def _csv(table: pd.DataFrame) -> str:
-    """All digits of a double; an empty cell for what is not finite."""
+    """CSV text with all digits of double precision; values that are not finite are empty cells."""
     named = table if table.index.name is None else table.reset_index()
     finite = named.replace([np.inf, -np.inf], np.nan)
     return finite.to_csv(index=False, float_format="%.17g", lineterminator="\n")

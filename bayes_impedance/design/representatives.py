@@ -1,19 +1,19 @@
 r"""Representative users of a population, chosen by stated rules so that the choice is reproducible.
 
 **Named users.** With the population's centre c and the covariance S of a new user's log elements, the most probable
-user among those in whom a property q has a given value lies, to first order, along :math:`S g` with g the gradient of
+user among those with a given value of a property q lies, to first order, along :math:`S g` with g the gradient of
 ln q:
 
 .. math:: \theta = c \pm t\,\frac{S g}{\sqrt{g^T S g}}, \qquad t = \Phi^{-1}(0.95) = 1.645 .
 
 Such a user is stiffer (or softer, ...) than 95 % of people and otherwise the most probable: elements that are
-correlated with stiffness change with it. `stiff` and `soft`: q = abs(Im z) where in the band the centre's phase is
-lowest; `heavy` and `light`: where it is highest. A centre that is nowhere like a spring, or nowhere like a mass, has no
-such pair.
+correlated with stiffness change with it. For `stiff` and `soft`, q = abs(Im z) at the frequency in the band where the
+centre's phase is lowest; for `heavy` and `light`, where it is highest. If the centre is nowhere spring-like, or
+nowhere mass-like, it has no such pair.
 
-**A set that spans.** Of the drawn users inside the 95 % ellipsoid :math:`(\theta - c)^T S^{-1} (\theta - c) \le
-\chi^2_P(0.95)`, first the one nearest to the centre, then again and again the one farthest from all chosen so far
-([1]_: no set of the same size covers with less than half the radius). Distances are Mahalanobis distances.
+**Spanning set.** Of the drawn users inside the 95 % ellipsoid :math:`(\theta - c)^T S^{-1} (\theta - c) \le
+\chi^2_P(0.95)`, first the one nearest to the centre, then repeatedly the one farthest from all chosen so far
+([1]_: no set of the same size covers them with less than half the radius). Distances are Mahalanobis distances.
 
 References
 ----------
@@ -32,20 +32,20 @@ from bayes_impedance.design.users import UserPopulation, Users
 from bayes_impedance.network.kernel import Kernel
 
 LEVEL = 0.95
-"""Share of people whom a named user exceeds, and whom the ellipsoid of the spanning set holds. By choice: the
-designers' usual 95th percentile."""
+"""Share of people whom a named user exceeds, and probability of the ellipsoid of the spanning set. By choice: the 95th
+percentile is usual in design."""
 
 
 @dataclass(frozen=True)
 class Representatives:
-    """Users who stand for many.
+    """Representative users.
 
     Attributes
     ----------
     users : Users
         Those with names (``median``, ``stiff``, ...) first, then ``span_1``, ``span_2``, ...
     rules : tuple of str
-        A sentence for each: how it was chosen.
+        The rule of choice of each user, as a sentence.
     radius : float
         Largest Mahalanobis distance of a drawn user inside the ellipsoid from the nearest of the spanning set.
     """
@@ -66,7 +66,7 @@ def representatives(
     users : Users
         Drawn from it: candidates of the spanning set.
     band_hz : (float, float)
-        Where stiffness and inertia are looked for.
+        Band in which stiffness and inertia are evaluated.
     number : int
         Size of the spanning set; fewer if there are not so many candidates.
     """
@@ -95,7 +95,7 @@ def representatives(
 
 
 def spanning(population: UserPopulation, users: Users, number: int) -> tuple[np.ndarray, float]:
-    """Rows of a set of users that spans the 95 % ellipsoid, and how far from it the others are at most.
+    """Rows of a set of users that spans the 95 % ellipsoid, and the largest distance of the others from the set.
 
     Returns
     -------

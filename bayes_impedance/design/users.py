@@ -1,17 +1,17 @@
-r"""Virtual users: people whom nobody measured, drawn from what is known of the population.
+r"""Virtual users: new people, drawn from the posterior predictive distribution of the population.
 
-A user's log elements are drawn in two steps, as the posterior predictive distribution has it: a population from the
-posterior, then a person from that population,
+A user's log elements are drawn in two steps: population parameters from the posterior, then a person from that
+population,
 
 .. math:: (\mu, \Sigma) \sim p(\cdot\,|\,\text{recordings}), \qquad \theta \sim N(\mu,\ \Sigma + B B^T),
 
-so that elements vary together as they do in people, and doubt about the population is part of the spread. (B holds
-the effects of standardised covariates, if the fit had any: a new user's are not known.) With `repetitions`, the
-finger is also put down once: :math:`\theta + \delta`, :math:`\delta \sim N(0, \operatorname{diag}\rho^2)`.
+so that elements are correlated as between people, and the uncertainty of the population is part of the spread. (B holds
+the effects of standardised covariates, if the fit had any: a new user's covariates are not known.) With `repetitions`,
+the deviation of one repetition is added: :math:`\theta + \delta`, :math:`\delta \sim N(0, \operatorname{diag}\rho^2)`.
 
-:class:`UserPopulation` keeps the posterior's draws of :math:`(\mu, \Sigma)`. A set of users can thus be seen as a
-sample from any of these populations, by weights (:meth:`UserPopulation.weights`), which is how probabilities get
-credible intervals without drawing new users for each.
+:class:`UserPopulation` keeps the posterior's draws of :math:`(\mu, \Sigma)`. By importance weights
+(:meth:`UserPopulation.weights`) one set of users serves as a sample from each of these populations. So probabilities
+have credible intervals without drawing new users for each population.
 """
 
 from __future__ import annotations
@@ -34,15 +34,16 @@ if TYPE_CHECKING:
     import pandas as pd
 
 PERCENTILES = (0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
-"""Of the curves that are exported."""
+"""Percentiles of the exported curves. By choice: median, quartiles and the usual 5 % and 1 % tails."""
 
 _MIXED = 2000
-"""Most draws of the posterior over which users are weighted. By choice."""
+"""Most posterior draws in the mixture for the users' weights. By choice: computing time against its Monte-Carlo
+error."""
 
 
 @dataclass(frozen=True)
 class Users:
-    """People as elements of one network.
+    """Users, described by the elements of one network.
 
     Attributes
     ----------
@@ -86,7 +87,7 @@ class Users:
         return dict(zip(self.elements, np.exp(self.log_elements[row]).tolist(), strict=True))
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Elements of everybody: one row for each user, whose name is the index; ``attrs["units"]`` holds units."""
+        """Elements of all users: one row for each, with the name as index; ``attrs["units"]`` holds units."""
         import pandas as pd
 
         values = np.exp(self.log_elements)
@@ -95,7 +96,7 @@ class Users:
         return frame
 
     def impedance(self, frequency_hz: npt.ArrayLike) -> np.ndarray:
-        """Z of everybody, complex, shape (N, F)."""
+        """Impedance of each user, complex, shape (N, F)."""
         return Kernel(self.network).impedance(self.log_elements, frequency_hz)
 
     def __add__(self, other: Users) -> Users:
@@ -105,7 +106,7 @@ class Users:
 
 @dataclass(frozen=True, kw_only=True)
 class UserPopulation:
-    """What the posterior says of the population: S draws of its parameters.
+    """Posterior of the population: S draws of its parameters.
 
     Attributes
     ----------
@@ -116,9 +117,9 @@ class UserPopulation:
     factor : ndarray, shape (S, P, P)
         Lower Cholesky factor of the covariance between persons, effects of covariates included.
     between_repetitions : ndarray, shape (S, P)
-        Standard deviations of one putting down of the finger.
+        Standard deviations between repetitions.
     fixed : tuple of str
-        Elements with an assumed value that is the same for everybody.
+        Elements with an assumed value that is the same for all users.
     """
 
     network: Network
@@ -135,7 +136,7 @@ class UserPopulation:
 
     @property
     def covariance(self) -> np.ndarray:
-        """Covariance of a new user's log elements: between persons and of what is not known of mu, shape (P, P)."""
+        """Covariance of a new user's log elements: between persons plus posterior covariance of mu, shape (P, P)."""
         away = self.mu - self.mu.mean(axis=0)
         between = np.mean(self.factor @ np.swapaxes(self.factor, 1, 2), axis=0)
         return np.asarray(between + away.T @ away / len(away))
@@ -153,12 +154,12 @@ class UserPopulation:
             How many; posterior draws are used evenly.
         seed : int
         repetitions : bool
-            Let each of them put down the finger once, instead of being the mean over many times.
+            Add the deviation of one repetition to each user; otherwise each is the mean over many repetitions.
 
         Raises
         ------
         InputError
-            If nobody is asked for.
+            If `number` is less than one.
         """
         if number < 1:
             raise InputError(f"{number} users cannot be drawn: ask for one at least")
@@ -171,17 +172,17 @@ class UserPopulation:
         return Users(self.network, self.unit, tuple(f"user_{i + 1:0{width}d}" for i in range(number)), theta)
 
     def weights(self, users: Users, number: int) -> np.ndarray:
-        r"""How to see users drawn from the posterior predictive as a sample of single populations of the posterior.
+        r"""Importance weights of users from the posterior predictive, for single populations of the posterior.
 
-        For population s, user i counts
-        :math:`N(\theta_i; \mu_s, \Sigma_s) / \tfrac1S \sum_r N(\theta_i; \mu_r, \Sigma_r)`, the sum being over all S.
+        For population s the weight of user i is proportional to
+        :math:`N(\theta_i; \mu_s, \Sigma_s) / \tfrac1S \sum_r N(\theta_i; \mu_r, \Sigma_r)`, with the sum over all S.
 
         Parameters
         ----------
         users : Users
             Drawn without repetitions.
         number : int
-            How many populations R, spread evenly over the posterior's draws.
+            Number R of populations, spread evenly over the posterior's draws.
 
         Returns
         -------
@@ -190,7 +191,7 @@ class UserPopulation:
         """
         everything = np.unique(np.linspace(0, len(self.mu) - 1, _MIXED).astype(int))
         rows = np.unique(np.linspace(0, len(self.mu) - 1, number).astype(int))
-        # The mean is over what the users were drawn from, whatever part of it is asked for.
+        # The mean is over all populations from which the users were drawn, not only over the requested ones.
         drawn_from = np.full(len(users), -np.inf)
         for row in everything:
             drawn_from = np.logaddexp(drawn_from, self._log_density(users, int(row)))
@@ -199,7 +200,7 @@ class UserPopulation:
         return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
     def _log_density(self, users: Users, row: int) -> np.ndarray:
-        """Of users in one population, up to a constant, shape (N,)."""
+        """Log density of users in one population, up to a constant, shape (N,)."""
         free = [i for i, e in enumerate(self.network.elements) if e not in self.fixed]
         factor = self.factor[row][np.ix_(free, free)]
         white = solve_triangular(factor, (users.log_elements[:, free] - self.mu[row, free]).T, lower=True)
@@ -217,7 +218,7 @@ def population_of(
     assume : mapping of str to float, optional
         Values for elements that the recordings do not determine, in their units.
     unreliable : bool
-        Take a fit that must not be used; what is made of it must say so.
+        Accept a fit that must not be used; the outputs made from it must say so.
 
     Raises
     ------
@@ -273,7 +274,7 @@ def population_of(
 
 
 def _flat(posterior: Mapping[str, np.ndarray], name: str) -> np.ndarray:
-    """Draws of all ensembles in one row; zeros for a dispersion that the fit did not have."""
+    """Draws of all ensembles along one axis; zeros for a dispersion that the fit does not have."""
     values = np.array(posterior[name] if name in posterior else np.zeros_like(posterior["mu"]), dtype=float)
     return values.reshape(-1, *values.shape[2:])
 

@@ -1,4 +1,4 @@
-"""Pictures of a finished run. Nothing is computed here: pictures show the numbers of the result.
+"""Pictures of a finished run. They show the numbers of the result and compute no new ones.
 
 Each picture is a function that draws into the matplotlib Figure or Axes it is given, and returns it. Draw inside
 :func:`style`, which sets their common style and restores matplotlib's settings afterwards::
@@ -7,8 +7,8 @@ Each picture is a function that draws into the matplotlib Figure or Axes it is g
         figure = bands(new_figure(8, 8), result)
         figure.savefig("bands.png")
 
-:func:`write_pictures` writes all that apply to a run. Those of :mod:`bayes_impedance.plots.paper` show people's curves
-beside models of any origin and need no run; :func:`save_figure` writes them. matplotlib is imported when the first
+:func:`write_pictures` writes all that apply to a run. Those of :mod:`bayes_impedance.plots.paper` show measured curves
+with models from any source and need no run; :func:`save_figure` writes them. matplotlib is imported when the first
 picture is drawn.
 """
 
@@ -72,8 +72,9 @@ _METADATA: dict[str, dict[str, Any]] = {
 }
 """Metadata of each file format, without dates and versions: the same figure gives the same bytes."""
 _DPI = 130
+"""Dots per inch of PNG files. By choice: sharpness against file size."""
 _WIDTH = 8.2
-"""Inches: about the width of a page, so that letters on the screen are as large as its text."""
+"""Width of a figure in inches. By choice: about a page, so that letters in pictures are as large as the page's text."""
 
 
 @dataclass(frozen=True)
@@ -83,15 +84,15 @@ class Picture:
     Attributes
     ----------
     name : str
-        Of its files.
+        Name of its files, without suffix.
     draw : callable
-        Of a figure and a result.
+        Draws a result into a figure.
     size : callable
-        Width and height in inches, of a result.
+        Returns width and height in inches for a result.
     applies : callable
-        Whether the result has what the picture shows.
+        Returns whether the result has the quantities that the picture shows.
     constrained : bool
-        Whether matplotlib arranges the panels.
+        Whether matplotlib's constrained layout arranges the panels.
     """
 
     name: str
@@ -130,7 +131,7 @@ def _dispersed(result: Result) -> bool:
 
 
 def _correlated(result: Result) -> bool:
-    # A diagonal model has correlations of zero, and they need no picture.
+    # In a diagonal model all correlations are zero: no picture is needed.
     return result.attributes.get("covariance") != "diagonal" and _dispersed(result) and _known(result) > 1
 
 
@@ -152,10 +153,12 @@ PICTURES: tuple[Picture, ...] = (
     Picture("traces", traces, _per_element(0.9, 0.8), lambda r: _known(r) > 0),
     Picture("priors", priors, _per_element(1.2, 0.55)),
 )
+"""All pictures of a run. Heights and sizes are in inches. By choice, for legibility."""
 
 
 _HERE = ("corner_central", "corner_dispersion", "curves", "bands", "noise")
-"""Pictures drawn in this process if there is a helper: half of the work, and those that need arviz, loaded here."""
+"""Pictures drawn in this process if there is a helper: half of the work, including those that need ArviZ, which is
+already imported here."""
 
 
 def write_pictures(result: Result, folder: Path, helper: Executor | None = None) -> dict[str, Path]:
@@ -169,7 +172,7 @@ def write_pictures(result: Result, folder: Path, helper: Executor | None = None)
     folder : Path
         Made if it does not exist.
     helper : Executor, optional
-        Another process, which draws some of them; threads would wait for each other.
+        Another process, which draws some of them; threads would block each other.
 
     Returns
     -------
@@ -186,7 +189,7 @@ def write_pictures(result: Result, folder: Path, helper: Executor | None = None)
 
 
 def prepare() -> None:
-    """Import what drawing needs: half of what a process has to do for its first picture."""
+    """Import the modules for drawing, which takes half the time of a process's first picture."""
     import matplotlib.backends.backend_agg
     import matplotlib.backends.backend_svg  # noqa: F401
 
@@ -242,7 +245,7 @@ def write_diagnosis_pictures(
 
 
 def save_figure(figure: Figure, folder: Path, name: str, formats: Sequence[str] = ("svg", "png")) -> Path:
-    """Write a figure, as PNG and as SVG if nothing else is asked for; the same figure gives the same bytes.
+    """Write a figure, as PNG and as SVG by default; the same figure gives the same bytes.
 
     Parameters
     ----------

@@ -10,7 +10,7 @@ from bayes_impedance.results.result import Result
 from bayes_impedance.units import Scale, scale_for
 
 INTERVAL = (0.05, 0.5, 0.95)
-"""Quantiles of every interval that is shown: 90 %, and the median."""
+"""Quantiles of every interval that is shown: the ends of the 90 % interval, and the median."""
 
 
 def variable(result: Result, name: str) -> np.ndarray | None:
@@ -47,7 +47,7 @@ def frequency(result: Result) -> np.ndarray:
 
 
 def observed(result: Result) -> tuple[np.ndarray, np.ndarray]:
-    """Magnitude, and phase in degrees, of everybody's mean recording; each (N, F), NaN where there is none."""
+    """Magnitude, and phase in degrees, of each subject's mean recording; each (N, F), NaN where there is none."""
     z = needed(result, "observed_re") + 1j * needed(result, "observed_im")
     phase = np.angle(z, deg=True)
     phase[~np.isfinite(z)] = np.nan
@@ -73,7 +73,7 @@ def element_scale(result: Result, element: int) -> Scale:
 
 
 def is_electrical(result: Result) -> bool:
-    """Whether the recordings are of an electrical one-port, by the analogy of force and voltage."""
+    """Whether the recordings are of an electrical one-port, described by the force-voltage analogy."""
     return str(result.attributes["unit"]) == "ohm"
 
 
@@ -83,7 +83,7 @@ def is_simulated(result: Result) -> bool:
 
 
 def who(result: Result, number: int = 2) -> str:
-    """Word for those who were measured: a battery is not a person."""
+    """Word for the subjects: recordings of batteries, for example, are not of people."""
     if is_electrical(result):
         return "subject" if number == 1 else "subjects"
     return "person" if number == 1 else "people"

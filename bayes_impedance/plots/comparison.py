@@ -1,4 +1,4 @@
-"""The paper's three figures of one comparison of methods, each from functions that draw into one axes."""
+"""The paper's three figures for a comparison of methods, made with functions that draw into one axes each."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BODE_METHODS = ("sit", "vector_fitting_mean", "vector_fitting_median", "populati
 
 
 def recordings_figure(comparison: MethodComparison) -> Figure:
-    """Fig. 3: everybody's curve; call inside :func:`~bayes_impedance.plots.style`."""
+    """Fig. 3: each subject's curve; call inside :func:`~bayes_impedance.plots.style`."""
     figure = new_figure(8.2, 6.0)
     for axes, part in zip(figure.subplots(2, 1, sharex=True), ("magnitude", "phase"), strict=True):
         all_curves(axes, comparison.frequency_hz, comparison.observed, comparison.unit, part)
@@ -55,4 +55,4 @@ COMPARISON_PICTURES: dict[str, Callable[[MethodComparison], Figure]] = {
     "recordings": recordings_figure,
     "bode": bode_figure,
 }
-"""Name of the file to what draws it."""
+"""Name of each file and the function that draws it."""

@@ -1,4 +1,4 @@
-"""Pictures for a designer: the users' band, the stability map, the worst user, transparency."""
+"""Pictures of design inputs: the users' bands, the stability map, the worst user, transparency."""
 
 from __future__ import annotations
 
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 _NAMED = {"median": INK, "stiff": RED, "soft": ORANGE, "heavy": PURPLE, "light": GREEN}
 _BANDS = ((0.01, 0.99), (0.05, 0.95), (0.25, 0.75))
+"""Quantiles over users that bound the 98 %, 90 % and 50 % bands. By choice: pairs of the exported percentiles."""
 
 
 def users_band(users: Users, chosen: Representatives, frequency_hz: np.ndarray) -> Figure:
@@ -72,7 +73,7 @@ def users_band(users: Users, chosen: Representatives, frequency_hz: np.ndarray) 
 
 
 def stability(answer: DesignAnswer) -> Figure:
-    """Share of stable users over the gains, and everybody's limit at one virtual damping."""
+    """Share of stable users over the gains, and each user's limit at one virtual damping."""
     figure = new_figure(8.2, 7.6)
     top, bottom = figure.subplots(2, 1, height_ratios=[5, 3])
     m, limit = answer.map, answer.limit
@@ -100,7 +101,7 @@ def stability(answer: DesignAnswer) -> Figure:
         top.plot(m.damping[good], m.classical[good], color=INK, lw=1.2, ls=":", label="b > KT/2 + |B|")
     else:
         top.plot([], [], color="none", label=f"b > KT/2 + |B| is below the picture: K < {limit.classical:.3g} N/m")
-    # The grid is quadratic: where there is little damping, users matter most.
+    # The grid is quadratic, because at low damping the users influence stability most.
     top.set_xscale("function", functions=(lambda x: np.sqrt(np.maximum(x, 0.0)), np.square))
     top.set_xlim(m.damping[0], m.damping[-1])
     top.set_xlabel("virtual damping B (N s/m)")
@@ -136,7 +137,7 @@ def _limits(axes: Axes, answer: DesignAnswer) -> None:
 
 
 def worst_user(answer: DesignAnswer, population: UserPopulation) -> Figure:
-    """Bode plot of the open loop for the worst user and the centre at the worst user's limit, and why it is lowest."""
+    """Bode plot of the open loop for the worst user and the centre at the worst user's limit, and the causes of it."""
     figure = new_figure(8.2, 8.2)
     top, middle, bottom = figure.subplots(3, 1, height_ratios=[3, 3, 2.2])
     m, limit = answer.map, answer.limit

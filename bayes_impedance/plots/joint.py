@@ -19,10 +19,11 @@ if TYPE_CHECKING:
 
 Density = Callable[[np.ndarray], np.ndarray]
 
-# The scales of the default prior (population.parameters.Prior): they are fixed, and no result carries them.
 PRIOR_CENTRE_SD, PRIOR_DISPERSION_SD = 3.0, 1.0
+"""Scales of the default prior (population.parameters.Prior). They are fixed, and results do not contain them."""
 _WIDE = 8.0
-"""A posterior whose 90 % interval spans more than this factor is shown by its logarithm."""
+"""A posterior whose 90 % interval spans more than this factor is shown on a logarithmic scale. By choice: on a linear
+one its lower part cannot be read."""
 
 
 def corner_central(figure: Figure, result: Result) -> Figure:
@@ -107,12 +108,12 @@ def _corner(
 ) -> Figure:
     """Draw columns (S, K) against each other; contours hold 50 % and 90 %."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # ArviZ, which corner imports, announces its next version at import
+        warnings.simplefilter("ignore")  # ArviZ, imported by corner, warns of its next version at import
         import corner
 
     number = columns.shape[1]
     spread = np.ptp(columns, axis=0)
-    # A column without any spread has no range of its own.
+    # A constant column has no range.
     limits = [
         tuple(np.quantile(x, (0.002, 0.998))) if s > 0 else (x[0] - 0.5, x[0] + 0.5)
         for x, s in zip(columns.T, spread, strict=True)
@@ -136,13 +137,13 @@ def _corner(
     )
     grid = np.array(figure.axes).reshape(number, number)
     for axes in grid[np.triu_indices(number, 1)]:
-        axes.set_visible(False)  # it is empty, but drawing it would take time
+        axes.set_visible(False)  # empty, but drawing it would take time
     for axes in grid[np.tril_indices(number)]:
         axes.grid(False)
         axes.tick_params(labelsize=8, length=2.5)
         axes.spines[:].set_visible(True)
         for axis in (axes.xaxis, axes.yaxis):
-            # A label at a corner of a panel runs into that of the next one.
+            # A label at the corner of a panel would overlap that of the next one.
             low, high = sorted(axis.get_view_interval())
             room = 0.1 * (high - low)
             inner = [tick for tick in axis.get_majorticklocs() if low + room < tick < high - room]

@@ -1,12 +1,12 @@
-r"""Pictures of a diagnosis: where model and recordings differ, before and after the missing physics is modelled.
+r"""Pictures of a diagnosis: differences between model and recordings, before and after the missing physics is added.
 
 Whitened residuals :math:`r_{if}` of N people have unit variance if nothing is missing, and so has the pooled residual
 
 .. math:: R_f = \frac{1}{\sqrt{N_f}} \sum_i r_{if} ,
 
-which is their mean times the root of their number :math:`N_f`. It shows effects far below one person's noise.
+which is their mean times the square root of their number :math:`N_f`. It shows effects far below one person's noise.
 
-Each function draws one picture of one diagnosis, and returns None where there is nothing to show. Call inside
+Each function draws one picture of one diagnosis, and returns None if there is nothing to show. Call inside
 :func:`~bayes_impedance.plots.style`.
 """
 
@@ -43,28 +43,30 @@ if TYPE_CHECKING:
     from bayes_impedance.diagnosis.types import Diagnosis, Snapshot
 
 _WIDTH = 8.2
+"""Width of a figure in inches. By choice: about the width of a page."""
 _LIMIT = 4.0
-"""Residuals beyond this many standard deviations have the same colour."""
+"""End of the colour scale in standard deviations. By choice: larger residuals have the same colour."""
 _NAMED = 25
-"""Up to so many people there is room for their names."""
+"""Most people whose names are shown. By choice: for more there is no room."""
 _PLACES = 4
-"""One-ports that are shown."""
+"""Most one-ports that are shown. By choice: completeness against the figure's height."""
 _WIDE = 4.0
-"""A ribbon so many times wider than the median may leave the picture."""
+"""A ribbon this many times wider than the median width may be cut at the axis. By choice: otherwise poorly known
+frequencies would determine the axis."""
 _BAND = "#f7d99a"
 _PARTS = ("magnitude", "phase")
 _COLOURS = (RED, BLUE)
-"""Of before and after."""
+"""Colours of before and after."""
 
 
 def people(diagnosis: Diagnosis, number: int = 2) -> str:
-    """Word for those who were measured: a battery is not a person."""
+    """Word for the subjects: recordings of batteries, for example, are not of people."""
     plural, single = ("subjects", "subject") if diagnosis.unit == "ohm" else ("people", "person")
     return single if number == 1 else plural
 
 
 def residual_map(diagnosis: Diagnosis) -> Figure | None:
-    """Everybody's residuals over frequency before and after; one person has no map.
+    """Map of the residuals of all people over frequency, before and after; None for one person.
 
     Parameters
     ----------
@@ -109,9 +111,9 @@ def residual_map(diagnosis: Diagnosis) -> Figure | None:
 
 
 def bands(diagnosis: Diagnosis) -> Figure:
-    """Predicted 90 % bands before and after over everybody's recordings.
+    """Predicted 90 % bands, before and after, with the recordings of all people.
 
-    The middle row is the magnitude divided by the model's median, because decades hide a factor of 1.5.
+    The middle row is the magnitude divided by the model's median: over several decades a factor of 1.5 is not visible.
 
     Parameters
     ----------
@@ -157,7 +159,7 @@ def bands(diagnosis: Diagnosis) -> Figure:
 
 
 def pooled_residual(diagnosis: Diagnosis) -> Figure:
-    """The residual pooled over people against frequency, before and after.
+    """Residual pooled over people, as a function of frequency, before and after.
 
     Parameters
     ----------
@@ -187,7 +189,7 @@ def pooled_residual(diagnosis: Diagnosis) -> Figure:
 
 
 def one_ports(diagnosis: Diagnosis) -> Figure | None:
-    """The missing one-port at the best places, relative to what stands there.
+    """The missing one-port at the best places, relative to the impedance of the part at that place.
 
     Parameters
     ----------
@@ -211,7 +213,7 @@ def one_ports(diagnosis: Diagnosis) -> Figure | None:
             axes.plot(port.frequency_hz, values, color=BLUE, lw=1.4)
             frequency_axis(axes, f, label=i == len(shown) - 1)
         row[0].set_ylim(*_inner_limits(port.ratio, port.sd))
-        # Without a mismatch its explained share has no meaning.
+        # Without a mismatch there is no share of it to explain.
         known = diagnosis.verdict.mismatch and np.isfinite(port.share)
         share = f": explains {100 * port.share:.0f} %" if known else ""
         row[0].set_title(f"at {_drawable(port.place, 60)}{share}", parse_math=False)
@@ -222,7 +224,7 @@ def one_ports(diagnosis: Diagnosis) -> Figure | None:
 
 
 def improvement(diagnosis: Diagnosis) -> Figure | None:
-    """Eq. 5, everybody's own error and the bands' coverage, before and after; nothing without an after.
+    """Eq. 5, each person's error and the coverage of the bands, before and after; None if there is no model after.
 
     Parameters
     ----------
@@ -273,14 +275,14 @@ DIAGNOSIS_PICTURES: dict[str, Callable[[Diagnosis], Figure | None]] = {
     "diagnosis_one_ports": one_ports,
     "diagnosis_improvement": improvement,
 }
-"""Name of the file to what draws it."""
+"""Name of each file and the function that draws it."""
 
 
 # -------------------------------------------------------------------- arrangement
 
 
 def pooled(residual: np.ndarray) -> np.ndarray:
-    """Mean over people times the root of their number: (N, F) to (F,), NaN where nobody was measured."""
+    """Mean over people times the square root of their number: (N, F) to (F,), NaN at frequencies without data."""
     present = np.isfinite(residual)
     number = present.sum(axis=0)
     total = np.where(present, residual, 0.0).sum(axis=0)
@@ -293,7 +295,7 @@ def pattern_order(rows: np.ndarray) -> np.ndarray:
     Parameters
     ----------
     rows : ndarray, shape (N, G)
-        NaN where there is none; it counts as zero.
+        NaN for missing values, which count as zero.
 
     Returns
     -------
@@ -303,7 +305,7 @@ def pattern_order(rows: np.ndarray) -> np.ndarray:
     left, size, right = np.linalg.svd(filled - filled.mean(axis=0), full_matrices=False)
     if size[0] <= 1e-12:
         return np.arange(len(rows))
-    # A component's sign is a convention: the largest loading is taken as positive.
+    # The sign of a component is arbitrary: the largest loading is made positive.
     sign = np.sign(right[0, np.argmax(np.abs(right[0]))])
     return np.argsort(-sign * left[:, 0], kind="stable")
 
@@ -326,12 +328,12 @@ def _residuals(snapshot: Snapshot) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _heading(diagnosis: Diagnosis, snapshot: Snapshot) -> str:
-    """Which of the two it is; nothing if there is only one."""
+    """Heading that says whether a snapshot is before or after; empty if there is only one."""
     return "" if diagnosis.after is None else _drawable(snapshot.label, 60).capitalize()
 
 
 def _drawable(text: str, longest: int = 14) -> str:
-    """A name as the pictures' font can draw it: what it has no letters for becomes a question mark."""
+    """A name that the pictures' font can draw: characters that it lacks become question marks."""
     plain = "".join(c if c.isprintable() else " " for c in text).encode("latin-1", "replace").decode("latin-1")
     return plain if len(plain) <= longest else plain[: longest - 3] + "..."
 
@@ -345,7 +347,7 @@ def _edges(f: np.ndarray) -> np.ndarray:
 
 
 def _mismatch_bands(diagnosis: Diagnosis, f: np.ndarray) -> list[tuple[float, float]]:
-    """Bands of the mismatch as far as they are inside of the grid."""
+    """Frequency bands of the mismatch, clipped to the grid."""
     found = diagnosis.verdict.where.bands_hz
     inside = [(max(low, float(f[0])), min(high, float(f[-1]))) for low, high in found]
     return [(low, high) for low, high in inside if high > low]
@@ -357,14 +359,14 @@ def _shade_bands(axes: Axes, diagnosis: Diagnosis, f: np.ndarray) -> None:
 
 
 def _mark_bands_above(axes: Axes, diagnosis: Diagnosis, f: np.ndarray) -> None:
-    """A bar above the map, which shading would hide."""
+    """Mark the bands by bars above the map: shading would hide it."""
     for low, high in _mismatch_bands(diagnosis, f):
         (bar,) = axes.plot([low, high], [1.025, 1.025], color=ORANGE, lw=3.5, transform=axes.get_xaxis_transform())
         bar.set(clip_on=False, solid_capstyle="butt")
 
 
 def _inner_limits(ratio: np.ndarray, sd: np.ndarray) -> tuple[float, float]:
-    """Limits of an axis around a ratio and its ribbon, cut where much less is known than elsewhere."""
+    """Limits of an axis around a ratio and its ribbon, without the frequencies at which the ribbon is much wider."""
     parts = np.stack([ratio.real, ratio.imag])
     known = np.isfinite(parts).all(axis=0) & np.isfinite(sd)
     known &= sd <= _WIDE * np.median(sd[known]) if known.any() else known
@@ -377,7 +379,7 @@ def _inner_limits(ratio: np.ndarray, sd: np.ndarray) -> tuple[float, float]:
 
 
 def _own_errors(axes: Axes, diagnosis: Diagnosis, before: Snapshot, after: Snapshot) -> None:
-    """Everybody's own error before and after, in the order of before."""
+    """Each person's error before and after, in ascending order of the error before."""
     order = np.argsort(before.subject_rms_relative)
     first, second = 100 * before.subject_rms_relative[order], 100 * after.subject_rms_relative[order]
     x = np.arange(order.size)

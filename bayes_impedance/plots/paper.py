@@ -1,4 +1,4 @@
-"""The paper's figures 3, 4 and 5: everybody's curves, the errors of several methods, and models over the data.
+"""The paper's figures 3, 4 and 5: measured curves, the errors of several methods, and models over the data.
 
 They take arrays, not a result, because most of the models that they compare do not come from a run. Each draws into one
 Axes; a magnitude and a phase side by side, or one above the other, are two calls::
@@ -46,24 +46,26 @@ if TYPE_CHECKING:
 PARTS = ("magnitude", "phase")
 
 _COLOURS = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY)
-# Curves of good models lie on each other: dashes let the one below show.
 _DASHES: tuple[object, ...] = ("-", (0, (6, 2)), (0, (2, 1.2)), (0, (6, 1.5, 1.5, 1.5)))
+"""Line styles, lengths in line widths. By choice: curves of good models coincide, and through dashes the curve below
+remains visible."""
 _DEGREES = ("°", "deg")
 _CLIPPED = 5.0
-"""What is longer than this many times the median bar is cut, so that the other bars can be compared."""
+"""Bars longer than this multiple of the median bar are cut. By choice: the other bars then remain comparable."""
 _BEYOND = 10.0
-"""A model's magnitude is shown up to this factor outside of the data's range."""
+"""Factor outside the data's range up to which a model's magnitude is shown. By choice: further out, the data would
+take too little of the axis."""
 
 
 def all_curves(axes: Axes, frequency_hz: np.ndarray, z: np.ndarray, unit: str, part: str) -> Axes:
-    """Everybody's curve, as in the paper's fig. 3.
+    """Each subject's curve, as in the paper's fig. 3.
 
     Parameters
     ----------
     axes : Axes
     frequency_hz : ndarray, shape (F,)
     z : ndarray, complex, shape (N, F)
-        NaN where somebody has no data.
+        NaN where a subject has no data.
     unit : str
         Of `z`.
     part : str
@@ -96,7 +98,7 @@ def bode(
     *,
     legend: bool = True,
 ) -> Axes:
-    """Models over the range in which nine of ten people lie, as in the paper's fig. 5.
+    """Models and the central 90 % range of people's curves, as in the paper's fig. 5.
 
     Parameters
     ----------
@@ -105,13 +107,13 @@ def bode(
     curves : mapping of str to ndarray, complex, shape (F,)
         Label to model, NaN where it has no value; drawn in this order.
     observed : ndarray, complex, shape (N, F)
-        People's curves, NaN where somebody has no data.
+        Measured curves, NaN where a subject has no data.
     unit : str
         Of all impedances.
     part : str
         ``magnitude`` or ``phase``.
     legend : bool
-        Whether to put a legend above the axes; otherwise the labelled artists wait for one.
+        Whether to put a legend above the axes; otherwise the caller can make one from the labelled artists.
 
     Returns
     -------
@@ -157,22 +159,22 @@ def error_bars(
 ) -> Axes:
     """Mean errors of several methods with their standard deviation over frequency, as in the paper's fig. 4.
 
-    The first method is on top, and its numbers stand to the right of the axes. A bar many times as long as most is cut
-    and marked, because a logarithmic axis would hide what matters between the good methods; so is a deviation that
-    leaves the axes. No deviation goes below zero, which no error does.
+    The first method is on top, and the numbers are to the right of the axes. A bar much longer than most is cut and
+    marked, because a logarithmic axis would hide the differences between the good methods; so is an error bar that
+    leaves the axes. Error bars end at zero, because errors are not negative.
 
     Parameters
     ----------
     axes : Axes
     labels : sequence of str, length M
     mean, sd : sequence of float or ndarray, shape (M,)
-        In `unit`; a mean that is not finite is shown as missing, such a deviation is not shown.
+        In `unit`. A mean that is not finite is shown as missing; a standard deviation that is not finite is not shown.
     families : sequence of str, length M, optional
         Kind of every method; methods of one kind share a colour.
     unit : str
         Of an impedance, or ``°`` (``deg``) for a phase.
     legend : bool
-        Whether to put a legend of the families above the axes; otherwise the labelled bars wait for one.
+        Whether to put a legend of the families above the axes; otherwise the caller can make one from the bars.
 
     Returns
     -------
@@ -214,7 +216,7 @@ def error_bars(
 
 
 def _decorate(axes: Axes, row: int, value: float, deviation: float, limit: float) -> None:
-    """Deviation, mark of a cut and numbers of one bar."""
+    """Draw the standard deviation, the mark of a cut and the numbers of one bar."""
     if not math.isfinite(value):
         axes.text(0.01, row, "no value", transform=axes.get_yaxis_transform(), va="center", color=GREY, fontsize=8.5)
         return
@@ -247,7 +249,7 @@ def _decorate(axes: Axes, row: int, value: float, deviation: float, limit: float
 
 
 def _numbers(value: float, deviation: float) -> str:
-    """Mean and deviation with the same decimals."""
+    """Mean and standard deviation with the same number of decimals."""
     if not math.isfinite(deviation):
         return significant(value)
     if max(value, deviation) >= 1e5 or value < 1e-3:
@@ -257,7 +259,7 @@ def _numbers(value: float, deviation: float) -> str:
 
 
 def _limit(values: np.ndarray, deviations: np.ndarray) -> float:
-    """Right end of the axis: room for every bar and deviation but those many times longer than most bars."""
+    """Right end of the axis: room for all bars and error bars except those much longer than most bars."""
     finite = np.isfinite(values)
     if not np.any(values[finite] > 0):
         return 1.0
@@ -280,7 +282,7 @@ def _scale(z: np.ndarray, unit: str) -> Scale:
 
 
 def _rows(z: np.ndarray, part: str, scale: Scale) -> np.ndarray:
-    """Magnitude in the unit of the scale, or phase in degrees; NaN where there is none."""
+    """Magnitude in the unit of the scale, or phase in degrees; NaN where there are no data."""
     if part not in PARTS:
         raise InputError(f"An impedance has no part '{part}': choose 'magnitude' or 'phase'.")
     rows = np.abs(z) * scale.factor if part == "magnitude" else np.angle(z, deg=True)
@@ -288,7 +290,7 @@ def _rows(z: np.ndarray, part: str, scale: Scale) -> np.ndarray:
 
 
 def _is_lowest(axes: Axes) -> bool:
-    """Whether no panel below shares the frequencies."""
+    """Whether no panel below shares the frequency axis."""
     place = axes.get_subplotspec()
     return place is None or place.is_last_row() or len(axes.get_shared_x_axes().get_siblings(axes)) == 1
 
@@ -302,7 +304,7 @@ def _value_axis(axes: Axes, part: str, scale: Scale, low: float, high: float) ->
 
 
 def _quantile(rows: np.ndarray, percent: float) -> np.ndarray:
-    """Quantile over people, NaN where nobody was measured: (N, F) to (F,)."""
+    """Quantile over people, NaN at frequencies without data: (N, F) to (F,)."""
     result = np.full(rows.shape[1], np.nan)
     some = np.isfinite(rows).any(axis=0)
     result[some] = np.nanpercentile(rows[:, some], percent, axis=0)
@@ -310,7 +312,7 @@ def _quantile(rows: np.ndarray, percent: float) -> np.ndarray:
 
 
 def _continuous(phase_deg: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """Phase without jumps over ±180°, moved by whole turns to lie near a reference."""
+    """Phase unwrapped (without jumps at ±180°) and shifted by multiples of 360° to lie near a reference."""
     result = phase_deg.copy()
     present = np.isfinite(phase_deg)
     result[present] = np.unwrap(phase_deg[present], period=360.0)

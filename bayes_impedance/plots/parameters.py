@@ -1,4 +1,4 @@
-"""Pictures of the elements: values, dispersions, correlations, everybody's own values, prior against posterior."""
+"""Pictures of the elements: values, dispersions, correlations, each person's values, prior against posterior."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 MISSING = "not determined by these recordings"
 _MANY = 12
-"""Above this number of elements, a heat map has no room for numbers."""
+"""Above this number of elements the heat map shows no numbers. By choice: there is no room for them."""
 
 
 def overview(figure: Figure, result: Result) -> Figure:
@@ -82,7 +82,7 @@ def factor_axis(axes: Axes, top: float) -> None:
     limit = 1.06 * top if top > 0 else 0.1
     if limit < 0.7:
         factors = np.asarray(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]).tick_values(1.0, math.exp(limit)))
-    else:  # equal steps of the factor would crowd at the upper end
+    else:  # ticks at equal steps of the factor would be too close at the upper end
         factors = np.array([1.0, 1.5, 2, 3, 5, 8, 20, 50, 150, 500])
     factors = factors[(factors >= 1) & (factors <= math.exp(limit))]
     axes.xaxis.set_major_locator(FixedLocator(np.log(factors).tolist()))
@@ -91,7 +91,7 @@ def factor_axis(axes: Axes, top: float) -> None:
 
 
 def forest(figure: Figure, result: Result) -> Figure:
-    """Everybody's own value of each element, sorted, with the population's median and one standard deviation about it.
+    """Each person's value of each element, sorted, with the population's median and one standard deviation about it.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ def traces(figure: Figure, result: Result) -> Figure:
             f"{name}\n({scale.unit})" if scale.unit else name, rotation=0, ha="right", va="center"
         )
     figure.supxlabel("draw (each colour is one independent ensemble)", fontsize=10)
-    figure.align_ylabels(panels[:, 0])  # the others have none, and each would be asked for at every drawing
+    figure.align_ylabels(panels[:, 0])  # only this column has labels; aligning all panels takes time at every drawing
     return figure
 
 
@@ -272,14 +272,14 @@ def priors(figure: Figure, result: Result) -> Figure:
 
 
 def _ridge(axes: Axes, row: int, x: np.ndarray, density: np.ndarray, colour: str, label: str) -> None:
-    """A density standing on its row, scaled to the row's height: widths are compared, not heights."""
+    """A density drawn upwards from its row and scaled to the row's height: widths are compared, not heights."""
     height = row - 0.85 * density / density.max()
     lw = 0.0 if colour == LIGHT else 0.8  # a posterior may be narrower than a pixel
     axes.fill_between(x, row, height, facecolor=colour, edgecolor=colour, alpha=0.9, lw=lw, label=label)
 
 
 def _grid(figure: Figure, number: int, columns: int) -> list[Axes]:
-    """Panels in rows, without those that would stay empty."""
+    """Panels in rows, without those that would be empty."""
     columns = min(columns, number)
     rows = math.ceil(number / columns)
     panels = list(np.array(figure.subplots(rows, columns, squeeze=False)).flat)

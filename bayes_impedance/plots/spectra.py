@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 def curves(figure: Figure, result: Result) -> Figure:
-    """Everybody's mean recording, with the pointwise median.
+    """Each person's mean recording, with the pointwise median.
 
     Parameters
     ----------
@@ -67,9 +67,9 @@ def curves(figure: Figure, result: Result) -> Figure:
 
 
 def bands(figure: Figure, result: Result) -> Figure:
-    """Predicted bands of a new recording over those that were measured, with the population centre.
+    """Predicted bands of a new recording with the measured recordings, and the population centre.
 
-    The middle panel is the magnitude divided by the centre's, because decades hide a factor of 1.5.
+    The middle panel is the magnitude divided by the centre's: over several decades a factor of 1.5 is not visible.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def errors(figure: Figure, result: Result) -> Figure:
     for part, (axes, factor) in enumerate(zip(panels, (scale.factor, 1.0), strict=True)):
         shown = replicated[part] * factor
         axes.fill_between(f, shown[0], shown[2], color=SKY, alpha=0.45, lw=0, label=f"replicated {kind}, 5–95 %")
-        if n > 1:  # the look-up table of one recording is that recording
+        if n > 1:  # with one recording the look-up table is that recording
             axes.plot(f, tables[0][part] * factor, color=ORANGE, lw=1.4, ls="--", label="look-up table, mean")
             axes.plot(f, tables[1][part] * factor, color=GREEN, lw=1.4, ls="-.", label="look-up table, median")
         axes.plot(f, network[part] * factor, color=BLUE, lw=1.6, label="population network" if n > 1 else "network")
@@ -149,7 +149,7 @@ def errors(figure: Figure, result: Result) -> Figure:
 
 
 def coverage(figure: Figure, result: Result) -> Figure:
-    """Share of people inside of the predicted bands, and its range by chance alone.
+    """Share of people inside the predicted bands, and its range by chance alone.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def coverage(figure: Figure, result: Result) -> Figure:
 
 
 def noise(figure: Figure, result: Result) -> Figure:
-    """Relative noise over frequency; below it, everybody's noise scale and residual.
+    """Relative noise over frequency; below it, each person's noise scale and residual.
 
     Parameters
     ----------
@@ -224,12 +224,12 @@ def _noise_curves(axes: Axes, f: np.ndarray, relative: np.ndarray, name: str) ->
 
 
 def _legend_above(axes: Axes) -> None:
-    """Put the legend outside of the axes: curves may be anywhere inside."""
+    """Put the legend outside the axes, because curves may be anywhere inside."""
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.2)
 
 
 def ranked(axes: Axes, values: np.ndarray, label: str) -> Axes:
-    """Dots in rising order, one for each person.
+    """One dot for each person, in ascending order.
 
     Parameters
     ----------

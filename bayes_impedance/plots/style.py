@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
-# Okabe and Ito's colours, which people with any kind of colour vision can tell apart.
+# Okabe and Ito's colours, which can also be distinguished with colour vision deficiency.
 BLUE, ORANGE, GREEN, RED, PURPLE, SKY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9"
 INK, GREY, LIGHT = "#222222", "#7a7a7a", "#d4d4d4"
 OUTER, INNER = "#cfe3f0", "#8dbddc"
-"""Of the 90 % and the 50 % band of anything blue."""
+"""Fill colours of the 90 % and of the 50 % band of a blue curve."""
 
 ENSEMBLES = (BLUE, ORANGE, GREEN, PURPLE, SKY, RED)
 
@@ -49,6 +49,7 @@ _RC: Any = {
     "svg.hashsalt": "bayes_impedance",
     "path.simplify": True,
 }
+"""Settings of matplotlib; sizes in points. By choice, for legibility at the width of a page."""
 
 
 @contextmanager
@@ -57,13 +58,13 @@ def style() -> Iterator[None]:
     import matplotlib
 
     with matplotlib.rc_context():
-        matplotlib.rcdefaults()  # a reader's own matplotlibrc must not change the pictures
+        matplotlib.rcdefaults()  # the user's own matplotlibrc must not change the pictures
         matplotlib.rcParams.update(_RC)
         yield
 
 
 def new_figure(width: float, height: float, *, constrained: bool = True) -> Figure:
-    """A figure without a window and outside of pyplot's global state; sizes in inches."""
+    """A figure without a window and independent of pyplot's global state; sizes in inches."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained" if constrained else None)
@@ -77,7 +78,7 @@ def _text(value: float) -> str:
 
 
 def log_axis(axis: Axis, low: float, high: float, *, ticks: int = 6) -> None:
-    """Make an axis logarithmic between two limits, with few, round and labelled ticks whatever its span.
+    """Make an axis logarithmic between two limits, with a few labelled ticks at round values for any span.
 
     Parameters
     ----------
@@ -85,7 +86,7 @@ def log_axis(axis: Axis, low: float, high: float, *, ticks: int = 6) -> None:
     low, high : float
         Limits, both above zero.
     ticks : int
-        About as many labels as there is room for.
+        Approximate number of labels for which there is room.
     """
     from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
@@ -114,7 +115,7 @@ def log_axis(axis: Axis, low: float, high: float, *, ticks: int = 6) -> None:
 
 
 def log_limits(*values: np.ndarray, margin: float = 0.05) -> tuple[float, float]:
-    """Limits around all positive values, with a margin that is a share of the logarithmic span."""
+    """Limits around all positive values, with a margin given as a fraction of the logarithmic span."""
     flat = np.concatenate([np.ravel(v) for v in values])
     flat = flat[np.isfinite(flat) & (flat > 0)]
     if not flat.size:
@@ -134,7 +135,7 @@ def frequency_axis(axes: Axes, frequency_hz: np.ndarray, *, label: bool = True) 
 
 
 def phase_axis(axes: Axes) -> None:
-    """Phase in degrees, with ticks at round parts of a quarter turn; call when everything has been drawn."""
+    """Phase axis in degrees, with ticks at round fractions of 90°; call after everything has been drawn."""
     from matplotlib.ticker import MultipleLocator
 
     low, high = axes.get_ylim()
@@ -144,12 +145,12 @@ def phase_axis(axes: Axes) -> None:
 
 
 def many_lines(axes: Axes, x: np.ndarray, rows: np.ndarray, **kwargs: Any) -> None:
-    """One thin line for each row of (N, F), as a single artist that an SVG holds as an image if there are many."""
+    """One thin line for each row of (N, F), as a single artist; many lines are rasterised in an SVG."""
     from matplotlib.collections import LineCollection
 
     lines = [np.column_stack([x, row])[np.isfinite(row)] for row in rows]
     axes.add_collection(LineCollection(lines, rasterized=rows.size > 2000, **kwargs))
-    # Collections of a logarithmic axis are not always counted in its limits.
+    # On a logarithmic axis collections are not always included in the automatic limits.
     finite = rows[np.isfinite(rows)]
     if finite.size:
         axes.update_datalim(np.array([[x[0], finite.min()], [x[-1], finite.max()]]))
@@ -157,7 +158,7 @@ def many_lines(axes: Axes, x: np.ndarray, rows: np.ndarray, **kwargs: Any) -> No
 
 
 def row_median(rows: np.ndarray) -> np.ndarray:
-    """Median over people at every frequency: (N, F) to (F,), NaN where nobody was measured."""
+    """Median over people at every frequency: (N, F) to (F,), NaN at frequencies without data."""
     result = np.full(rows.shape[1], np.nan)
     some = np.isfinite(rows).any(axis=0)
     result[some] = np.nanmedian(rows[:, some], axis=0)
@@ -165,5 +166,5 @@ def row_median(rows: np.ndarray) -> np.ndarray:
 
 
 def line_alpha(number: int) -> float:
-    """Opacity at which a number of overlapping lines remains readable."""
+    """Opacity at which this number of overlapping lines remains readable."""
     return float(np.clip(14.0 / max(number, 1), 0.12, 0.9))

@@ -1,9 +1,9 @@
-"""The population: centres and dispersions of the elements, from everybody's likelihood.
+"""The population: centres and dispersions of the elements, from the likelihoods of all persons.
 
-In come recordings and a network; out comes :class:`PopulationFit`: chains of the population's parameters, draws of
-everybody. Open :mod:`.fit` first: it calls, in order, :mod:`.starting_fits`, :mod:`.em` (with :mod:`.e_step`),
-:mod:`.sharded_likelihood` (on :mod:`.importance_likelihood`), :mod:`.posterior` and :mod:`.diagnostics`.
-:mod:`.simulate` makes virtual people.
+The input is recordings and a network; the output is :class:`PopulationFit`: chains of the population's parameters, and
+draws of each person's elements. Open :mod:`.fit` first: it calls, in order, :mod:`.starting_fits`, :mod:`.em` (with
+:mod:`.e_step`), :mod:`.sharded_likelihood` (on :mod:`.importance_likelihood`), :mod:`.posterior` and
+:mod:`.diagnostics`. :mod:`.simulate` simulates virtual persons.
 """
 
 from bayes_impedance.population.fit import FitSettings, PopulationFit, fit_population

@@ -1,9 +1,9 @@
-r"""Covariates of a fit: standardised, and refused where they cannot be told apart.
+r"""Covariates of a fit: standardised, and refused if they are collinear.
 
 Slopes B of :math:`\theta_i = \mu + B x_i` are determined by the columns of the standardised design matrix X (N, Q). Its
-condition number, largest over smallest singular value, is the factor by which a combination of slopes is known worse
-than the best known one. Where it is large, only a combination of covariates is seen, and slopes of single ones would be
-the prior's.
+condition number, largest over smallest singular value, is the ratio of the largest to the smallest standard error of a
+normalised combination of slopes. Where it is large, the data determine only a combination of the slopes, and the
+estimates of single slopes would come from the prior.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ LARGEST_CONDITION = 30.0
 Welsch, Regression Diagnostics, Wiley 1980, section 3.2. Two covariates reach it with a correlation of 0.998."""
 
 SHARE_OF_DEPENDENCY = 0.1
-"""A covariate belongs to a dependency if its weight in it is at least this part of the largest weight: columns are
-standardised, so that a smaller weight is a tenth of a standard deviation against one."""
+"""A covariate is named as part of a dependency if its weight is at least this fraction of the largest weight. By
+choice: columns are standardised, so that a smaller weight means less than a tenth of a standard deviation per one."""
 
 
 def standardised_covariates(recordings: Recordings, names: tuple[str, ...]) -> np.ndarray:
@@ -40,8 +40,8 @@ def standardised_covariates(recordings: Recordings, names: tuple[str, ...]) -> n
     Raises
     ------
     InputError
-        If a covariate is unknown, named twice, missing for somebody, the same for everybody, of such a size that people
-        cannot be told apart, or if covariates depend on each other.
+        If a covariate is unknown, named twice, missing for a person, the same for all persons, so large that the
+        differences between persons are lost in rounding, or if covariates depend on each other.
     """
     subjects = recordings.subjects
     known = list(dict.fromkeys(name for subject in subjects for name in subject.covariates))
@@ -69,10 +69,10 @@ def standardised_covariates(recordings: Recordings, names: tuple[str, ...]) -> n
 
 
 def _standardised(values: np.ndarray, what: str, people: tuple[str, ...]) -> np.ndarray:
-    """One column; the largest number is divided out first, because squares of very large numbers are infinite."""
+    """One column, standardised. It is first divided by its largest number: squares of very large numbers overflow."""
     largest = int(np.argmax(np.abs(values)))
     size = np.abs(values[largest])
-    # What differs by less than this part of the largest number differs by rounding.
+    # Differences below this fraction of the largest number are rounding errors.
     resolution = len(values) * np.finfo(float).eps
     if size == 0 or np.ptp(values / size) <= resolution:
         raise InputError(f"{what} is the same for everybody: leave it out")
@@ -88,7 +88,7 @@ def _standardised(values: np.ndarray, what: str, people: tuple[str, ...]) -> np.
 
 
 def _require_independent(design: np.ndarray, names: tuple[str, ...]) -> None:
-    """Refuse columns of which one follows from others."""
+    """Refuse columns that are nearly linearly dependent (collinear)."""
     if design.shape[1] < 2:
         return
     _, singular, rows = np.linalg.svd(design, full_matrices=design.shape[0] < design.shape[1])

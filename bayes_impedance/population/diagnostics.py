@@ -1,4 +1,4 @@
-"""How far a fit can be trusted: limits, and what is said when one is passed."""
+"""Diagnostics of a fit: their limits, and the messages when a limit is exceeded."""
 
 from __future__ import annotations
 
@@ -14,34 +14,38 @@ from bayes_impedance.population.sharded_likelihood import KeptDraws
 from bayes_impedance.recordings.files import Recordings
 
 VARIANCE_LIMIT = 1.0
-"""Above this Monte-Carlo variance of the log likelihood, the posterior is refused: its noise is then as large as the
-differences of about one that make an interval."""
+"""Above this Monte-Carlo variance of the log likelihood, the posterior is refused: the noise is then as large as the
+differences in log likelihood, about one, that determine the width of an interval."""
 
 RHAT_LIMIT = 1.05
-"""Above this disagreement between ensembles, the posterior is refused. The sampler aims at 1.01 (Vehtari et al. 2021);
-between the two a result is shown with its R-hat."""
+"""Above this R-hat between ensembles, the posterior is refused. The sampler aims at 1.01 (Vehtari et al. 2021); between
+the two the result is shown with its R-hat. By choice: a higher limit shows results of less converged chains."""
 
 SHORTEST_CHAIN = 2.0
-"""Ensembles of fewer autocorrelation times than this say little, not even how long their memory is."""
+"""Least length of an ensemble's chain in autocorrelation times. By choice: in shorter chains the autocorrelation time
+itself cannot be estimated."""
 
 FEWEST_EFFECTIVE = 200.0
-"""Fewer effective samples than this give no 5 % quantile worth the name: ten of two hundred lie below it."""
+"""Below this effective sample size the 5 % quantile is not determined well: of 200 samples only ten lie below it."""
 
 CLOSE_RIVAL = 10.0
-"""A solution for the whole population whose log evidence is less than this behind is worth a remark: the evidences are
-of thinned data and normal approximations, and a difference of five is already strong (Kass and Raftery 1995)."""
+"""A remark is made if another mode of the population's posterior has a log evidence within this difference of the best
+one. A difference of five is already strong evidence (Kass and Raftery 1995); the limit is larger because the evidences
+are computed from thinned data with normal approximations."""
 
 FEWEST_DRAWS_BELIEVED = 5.0
-"""Effective draws below which, in one of twenty cases, a likelihood is preferred for where its draws happen to lie.
-Measured with curved posteriors: with 9 and more, central values agreed with an independent integration."""
+"""Least effective number of importance draws at the 5 % quantile over persons and sampled populations. Below it the
+estimated likelihood depends on where the few draws happen to lie. Measured with curved posteriors: with 9 and more,
+central values agreed with an independent integration."""
 
 PARETO_LIMIT = 0.7
-"""Above this tail of a person's weights, the effective number of draws means little (Vehtari et al. 2024)."""
+"""Above this Pareto k (tail index) of a person's importance weights, the effective number of draws is not reliable
+(Vehtari et al. 2024)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Diagnostics:
-    """How far the result can be trusted.
+    """Diagnostics of the sampler and of the importance draws.
 
     Attributes
     ----------
@@ -49,20 +53,19 @@ class Diagnostics:
         Of the worst population coordinate.
     ensembles, steps, walkers : int
     log_likelihood_variance : float
-        Monte-Carlo variance of the population's log likelihood, summed over persons, as far as it differs between
-        populations of the posterior (:func:`~bayes_impedance.population.posterior.noise_within`); mean over the
-        posterior.
+        Monte-Carlo variance of differences of the population's log likelihood within the posterior, summed over
+        persons (:func:`~bayes_impedance.population.posterior.noise_within`); mean over the posterior.
     pareto_k, effective_draws : ndarray, shape (N,)
-        Tail of each person's importance weights under the posterior's centre, and the smallest number of draws that
-        they are worth under its populations.
+        Pareto tail index of each person's importance weights under the posterior's centre, and the smallest effective
+        number of draws under population parameters sampled from the posterior.
     effective_draws_rarely : float
-        Number that is fallen below in one of twenty cases, of persons and populations of the posterior.
+        5 % quantile of the effective number of draws over persons and sampled population parameters.
     unconverged : tuple of str
         Persons whose mode failed the gradient test.
     redrawn : int
         How often the reference population was moved.
     rivals : tuple of float
-        By how much other solutions for the whole population fall short in log evidence.
+        Differences in log evidence between the chosen mode of the population and the other modes found.
     """
 
     rhat_max: float
@@ -82,7 +85,7 @@ class Diagnostics:
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """Reasons not to report numbers, one sentence each; empty if all is well."""
+        """Reasons not to report numbers, one sentence each; empty if there are none."""
         found = []
         if not self.rhat_max <= RHAT_LIMIT:
             found.append(
@@ -124,7 +127,7 @@ class Diagnostics:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What a reader should know although it does not spoil the result."""
+        """Remarks that a reader should know but that do not invalidate the result."""
         found = []
         if self.rivals and min(self.rivals) < CLOSE_RIVAL:
             found.append(
@@ -149,7 +152,7 @@ def assess(
     parameters: PopulationParameters,
     redrawn: int,
 ) -> Diagnostics:
-    """Collect the diagnostics of a fit; without a marginal likelihood (one person) there are no weights to judge."""
+    """Collect the diagnostics of a fit. With one person there is no marginal likelihood: no weights are assessed."""
     n = len(recordings.subjects)
     samples = float(chains.log_probability.size)
     tail, effective, rarely, noise = np.zeros(n), np.full(n, samples), samples, 0.0

@@ -1,9 +1,9 @@
 r"""The E step: each person's fit under a population, and the sums over persons that the M step needs.
 
-Under the current population person i is :math:`N(m_i, C_i)` with :math:`C_i = (H_i + T^{-1})^{-1}`, and the deviations
-of the repetitions are at their conditional mode. A fit stays where it was made
-(:class:`~bayes_impedance.runtime.sharded.Kept`); a part of the persons is asked for sums, whose size does not depend on
-how many they are.
+Under the current population the posterior of person i is taken as :math:`N(m_i, C_i)` with
+:math:`C_i = (H_i + T^{-1})^{-1}`, and the deviations of the repetitions are at their conditional mode. A fit stays in
+the process that computed it (:class:`~bayes_impedance.runtime.sharded.Kept`). Each batch of persons returns only sums,
+whose size does not depend on the number of persons.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from bayes_impedance.population.importance_likelihood import Contrasts
 
 @dataclass(frozen=True)
 class Begun:
-    """Where the search for a person's mode begins.
+    """Starting point of the search for a person's mode.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Begun:
 
 @dataclass(frozen=True)
 class PersonFit:
-    """One person under a population.
+    """Fit of one person under a population.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class PersonFit:
     deviations : ndarray, shape (J, P)
         Of the repetitions, at their conditional mode.
     expanded : ndarray, shape (J, P)
-        The deviations with which mode and equations were computed.
+        Deviations at which the mode, the gradient and the information were computed.
     gradient : ndarray, shape (J, P)
         J^T W r of every repetition.
     information : ndarray, shape (J, P, P)
@@ -64,7 +64,7 @@ class PersonFit:
 
 
 def begin(likelihood: Likelihood, theta: np.ndarray) -> Begun:
-    """A person who has not been fitted yet."""
+    """Starting point of a person who has not been fitted yet; the deviations are those of the likelihood."""
     return Begun(theta, likelihood.deviations)
 
 
@@ -83,16 +83,16 @@ def expect(
     ----------
     kernel : Kernel
     precision : ndarray, shape (P, P)
-        Of the population.
+        Inverse covariance of the population.
     rho : ndarray, shape (P,)
-        Its dispersion between repetitions.
+        The population's dispersion between repetitions.
     likelihood : Likelihood
     before : Begun or PersonFit
-        The first start, and the deviations to begin with.
+        First starting point, and the initial deviations.
     mean : ndarray, shape (P,)
-        The population's for this person.
+        Population mean for this person's covariates.
     starts : ndarray, shape (S, P)
-        Further starts.
+        Further starting points.
     """
     likelihood = likelihood.moved(before.deviations)
     mode = find_mode(kernel, likelihood, np.concatenate([before.theta[None], starts]), mean, precision)
@@ -131,8 +131,8 @@ def contrasts_of(fits: Sequence[PersonFit]) -> dict[int, Contrasts]:
         g, h = np.array([f.gradient for f in group]), np.array([f.information for f in group])
         expanded = np.array([f.expanded for f in group])
         size = rows.shape[0] * h.shape[-1]
-        # Every repetition keeps its own curvature: contrasts of equal curvatures would be independent, but sharing
-        # the mean one makes the dispersion of weakly determined elements 3 % too small.
+        # Each repetition keeps its own curvature. With equal curvatures the contrasts would be independent, but using
+        # the mean curvature for all makes the dispersion of weakly determined elements 3 % too small.
         pairs = np.einsum("cj,dj->cdj", rows, rows)
         information = np.einsum("n,cdj,njpq->cpdqn", w, pairs, h).reshape(size, size, -1)
         pull = np.einsum("njpq,njq->njp", h, expanded) - g
@@ -143,18 +143,18 @@ def contrasts_of(fits: Sequence[PersonFit]) -> dict[int, Contrasts]:
 
 @dataclass(frozen=True)
 class Sums:
-    """What some persons contribute to the M step.
+    """Sums over some persons that the M step needs.
 
     Attributes
     ----------
     design : ndarray, shape (1 + Q, 1 + Q)
-        Squares and products of one and the covariates.
+        X^T X of the regression, where X holds a column of ones and the covariates.
     target : ndarray, shape (P, 1 + Q)
-        Products of log elements, from the prior's centre, with them.
+        Products of the log elements, relative to the prior's centre, with the columns of X.
     uncertainty : ndarray, shape (P, P)
-        Covariances C of the persons.
+        Sum of the persons' posterior covariances C.
     squares : dict
-        By number of repetitions: expected squares of the contrasts, shape (P,), and how many contrasts they are.
+        By number of repetitions: expected sum of squares of the contrasts, shape (P,), and the number of contrasts.
     """
 
     design: np.ndarray
@@ -164,7 +164,7 @@ class Sums:
 
 
 def sums(fits: Sequence[PersonFit], covariates: np.ndarray, centre: np.ndarray, rho: np.ndarray) -> Sums:
-    """Sums over persons whose fits were made with the dispersion rho (P,) between repetitions."""
+    """Sums over persons whose fits were computed with the dispersion rho (P,) between repetitions."""
     theta, design = _stacked(fits), np.hstack([np.ones((len(fits), 1)), covariates])
     target = np.array([design.T @ (theta[:, e] - centre[e]) for e in range(centre.size)])
     uncertainty = np.linalg.inv([f.mode.precision for f in fits]).sum(axis=0)
@@ -181,13 +181,13 @@ def sums(fits: Sequence[PersonFit], covariates: np.ndarray, centre: np.ndarray, 
 
 
 def spread(fits: Sequence[PersonFit], means: np.ndarray) -> np.ndarray:
-    """Squares and products of the persons' distances from the population's means (n, P), shape (P, P)."""
+    """Sum of outer products of the persons' deviations from their population means (n, P), shape (P, P)."""
     offset = _stacked(fits) - means
     return np.asarray(offset.T @ offset)
 
 
 def evidence(fits: Sequence[PersonFit], rho: np.ndarray) -> float:
-    """Laplace's approximation of the persons' log marginal likelihood, without the population's determinant."""
+    """Laplace approximation of the persons' log marginal likelihood, without the population's determinant."""
     objective = sum(f.mode.objective for f in fits)
     determinants = np.linalg.slogdet([f.mode.precision for f in fits])[1].sum()
     of_contrasts = sum(float(group.log_likelihood(rho[None])[0]) for group in contrasts_of(fits).values())
@@ -195,13 +195,13 @@ def evidence(fits: Sequence[PersonFit], rho: np.ndarray) -> float:
 
 
 def information_of_means(fits: Sequence[PersonFit], precision: np.ndarray, begun: np.ndarray) -> np.ndarray:
-    """What the persons tell of the mean of a population of given precision (P, P), added to what has begun (P, P)."""
+    """Information (P, P) on the population mean, given the population's precision (P, P), added to `begun` (P, P)."""
     inverse = np.linalg.inv(np.array([f.mode.information for f in fits]) + precision)
     return np.asarray(np.concatenate([begun[None], precision - precision @ inverse @ precision]).sum(axis=0))
 
 
 def information_of_elements(fits: Sequence[PersonFit], precision: np.ndarray) -> np.ndarray:
-    """What the recordings alone tell of each log element, the others free within the population, shape (P,)."""
+    """Information of the recordings alone on each log element, the others free within the population, shape (P,)."""
     h = np.array([f.mode.information for f in fits])
     result = np.empty(len(precision))
     for p in range(result.size):

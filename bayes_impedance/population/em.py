@@ -1,24 +1,24 @@
-r"""A point estimate of the population, by expectation-maximisation: the anchor of the exact computation.
+r"""A point estimate of the population, by expectation-maximisation: the starting point of the exact computation.
 
-In turn, with everybody's posterior taken as normal around its mode under the current population,
+Two steps alternate. Each person's posterior is approximated by a normal at its mode under the current population:
 
-* E: :math:`\theta_i \sim N(m_i, C_i)` with :math:`C_i = (H_i + T^{-1})^{-1}`; the deviations of the repetitions move to
-  their conditional mode under N(0, diag rho^2), with their sum kept at zero;
+* E: :math:`\theta_i \sim N(m_i, C_i)` with :math:`C_i = (H_i + T^{-1})^{-1}`; the deviations of the repetitions are set
+  to their conditional mode under N(0, diag rho^2), with their sum constrained to zero;
 * M: :math:`\mu = \overline{m_i}`, :math:`T = \overline{(m_i-\mu)(m_i-\mu)^T + C_i}`,
   :math:`\rho^2 = \overline{E\,d^2}` over the contrasts.
 
-This is not the result (a normal approximation per person is off by a posterior standard deviation for weakly determined
-elements), but it is where the exact draws are made, and it tells which elements the recordings determine at all.
-Everybody's fit stays where it was made (:mod:`bayes_impedance.population.e_step`); a round sends a population there,
-and sums come back.
+This is not the result: the normal approximation per person is wrong by a posterior standard deviation for weakly
+determined elements. But importance draws are proposed around it, and it shows which elements the recordings determine.
+Each person's fit stays in the process that computed it (:mod:`bayes_impedance.population.e_step`); an iteration sends
+the population there and receives sums.
 
-**Determined** is a matter of the data alone: a prior that is far away makes a posterior narrow too. For element p the
-information of all recordings together, with the other elements o free within the population, is
+**Determined** is judged from the data alone, because an informative prior makes a posterior narrow too. For element p
+the information of all recordings together, with the other elements o free within the population, is
 
 .. math:: I_p = \sum_i H_{pp} - H_{po}\,(H_{oo} + T_{oo}^{-1})^{-1} H_{op},
 
 and the element is determined if :math:`I_p^{-1/2} < 0.3`: on its natural scale it is then more than three standard
-errors from being absent, so neither a smaller nor a larger value fits as well.
+errors from zero, so neither a smaller nor a larger value fits as well.
 """
 
 from __future__ import annotations
@@ -56,51 +56,51 @@ from bayes_impedance.runtime.progress import Progress
 from bayes_impedance.runtime.sharded import Kept
 
 DETERMINED_SD = 0.3
-"""An element is determined if all recordings together give its logarithm at least this well, without any prior."""
+"""Largest standard error of a determined log element, from all recordings without a prior; derived above."""
 
 _MAX_ROUNDS, _FEWEST_ROUNDS = 60, 6
-"""An anchor need not be exact: sixty rounds end it in any case. Six, as rounds 1 and 4 try others' solutions."""
+"""Iterations. By choice, 60 at most: the estimate need not be exact. At least 6, as 1 and 4 try extra starts."""
 _AT_REST = -1.0
-"""In place of a distance moved, once the last round from many places is made."""
+"""Marks, in place of the distance moved, that the last iteration, from many starting points, is done."""
 _TRIAL_ROUNDS, _TRIAL_POINTS = 10, 100
-"""Rounds from each common solution, and frequencies of a person in them: solutions that compete differ by much."""
+"""Iterations and frequencies per person in comparing modes. By choice: few, as their evidences differ by much."""
 _TOLERANCE = 0.02
-"""Rounds end when the population moves by less than this, in standard deviations of what is known about it."""
+"""Iterations end when the population moves by less than this, in its standard errors. By choice: see `_MAX_ROUNDS`."""
 _PRIOR_PERSONS = 2.0
-"""The covariance counts so many persons more, with elements that vary independently: few give no singular one."""
+"""Pseudo-persons with independent elements, added to the covariance. By choice: few persons stay non-singular."""
 _SMALLEST_DISPERSION = 0.02
-"""Of logarithms between persons, at least: draws under a vanishing one lie in a point that no weight can spread."""
+"""Least sd of logarithms between persons. By choice: reweighting cannot widen draws that lie almost in one point."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """The population as a point estimate, and everybody's mode under it.
+    """Point estimate of the population, and each person's mode under it.
 
     Attributes
     ----------
     mu : ndarray, shape (P,)
     slopes : ndarray, shape (P, Q)
     covariance : ndarray, shape (P, P)
-        Of a person's mean over the repetitions: T.
+        T, between persons, of a person's mean over the repetitions.
     between_repetitions : ndarray, shape (P,)
     data : Kept of Likelihood
-        As they were given.
+        The likelihoods that were given to the estimation.
     fits : Kept of PersonFit
-        Under the population.
+        Each person's fit under this population.
     scale : ndarray, shape (N,)
-        Everybody's noise scale.
+        Each person's noise scale.
     converged : ndarray of bool, shape (N,)
-        Whose mode passes the gradient test.
+        Whether the person's mode passes the gradient test.
     deviations : tuple of ndarray, shape (J, P)
-        Everybody's deviations of the repetitions.
+        Each person's deviations of the repetitions.
     mu_sd : ndarray, shape (P,)
         Approximate posterior standard deviation of mu.
     data_sd : ndarray, shape (P,)
-        Standard error of a common log element from all recordings together, without prior: infinite if unseen, or if
-        other elements can take over whatever it does (:mod:`bayes_impedance.network.redundancy`).
+        Standard error of a common log element from all recordings together, without prior: infinite if they hold no
+        information, or if other elements can replace it exactly (:mod:`bayes_impedance.network.redundancy`).
     rounds : int
     rivals : tuple of float
-        By how much the log evidence of other solutions for the whole population falls short of this one's.
+        Differences in log evidence between this mode of the population and the other modes found.
     """
 
     mu: np.ndarray
@@ -124,21 +124,21 @@ class Estimate:
 
     @property
     def modes(self) -> tuple[Mode, ...]:
-        """Everybody's mode, gathered from where they are."""
+        """Each person's mode, collected from the workers."""
         return tuple(self.fits.gathered(attrgetter("mode")))
 
     @property
     def likelihoods(self) -> tuple[Likelihood, ...]:
-        """Everybody's likelihood with the deviations of the repetitions, gathered from where they are."""
+        """Each person's likelihood at the estimated deviations of the repetitions, collected from the workers."""
         return tuple(d.moved(own) for d, own in zip(self.data.gathered(), self.deviations, strict=True))
 
     @property
     def contrasts(self) -> tuple[Contrasts, ...]:
-        """One for each number of repetitions above one, gathered from where they are."""
+        """One for each number of repetitions above one, collected from the workers."""
         return tuple(contrasts_of(self.fits.gathered()).values())
 
     def forget(self) -> None:
-        """Let go of what there is of each person, which takes memory: the last that need it are the draws."""
+        """Release the persons' likelihoods and fits, which take memory; they are not needed once draws are made."""
         self.data.forget()
         self.fits.forget()
 
@@ -155,13 +155,13 @@ def estimate(
     one_person: bool = False,
     checkpoint: Path | None = None,
 ) -> Estimate:
-    """Expectation-maximisation until the population moves by less than 2 % of what is known about it.
+    """Expectation-maximisation until the population moves by less than 2 % of its standard errors.
 
     Parameters
     ----------
     kernel : Kernel
     data : Kept of Likelihood
-        One per person, N of them. Everybody's fit is kept like these.
+        One per person, N of them. The fits are kept in the same processes.
     first : FirstFits
     prior : Prior
     covariates : ndarray, shape (N, Q)
@@ -169,12 +169,12 @@ def estimate(
     correlated : bool
         Full covariance, or diagonal.
     seed : SeedSequence
-        Of the last round's additional starts.
+        For the additional starting points of the last iteration.
     progress : callable
     one_person : bool
         Leave the population at the broad prior and estimate only the dispersion between repetitions.
     checkpoint : Path, optional
-        File that keeps every round; the estimate continues from there.
+        File that holds the latest iteration; an interrupted estimation continues from it.
     """
     n, p = first.theta.shape
     repeated = max(data.ask(_most_repetitions)) > 1
@@ -204,7 +204,7 @@ def estimate(
         progress("population estimate", rounds, _MAX_ROUNDS)
         keep()
     if moved >= 0:
-        # A last round from many places: nobody may be left in a local optimum of the population's own making.
+        # A last iteration from many starting points, as the population itself may hold a person in a local optimum.
         spread = np.linalg.cholesky(state.covariance) @ np.random.default_rng(seed).normal(size=(n, p, 4))
         state.iterate(state.means[:, None, :] + np.swapaxes(spread, 1, 2))
         moved = _AT_REST
@@ -242,7 +242,7 @@ def _outcome(fit: PersonFit) -> tuple[float, bool, np.ndarray]:
 
 
 def _place(fit: PersonFit) -> tuple[np.ndarray, np.ndarray]:
-    """All of a person that the next round begins with."""
+    """Log elements and deviations of a person, from which the next iteration starts."""
     return fit.theta, fit.deviations
 
 
@@ -253,11 +253,11 @@ def _best_common(
     first: FirstFits,
     progress: Progress,
 ) -> tuple[np.ndarray, tuple[float, ...]]:
-    """Where everybody should begin, (N, P), and by how much the other choices are worse.
+    """Each person's starting point, (N, P), and the differences in log evidence of the alternatives.
 
-    Persons who begin in different optima give a population that spans them all, and whose inflated dispersion keeps
-    everybody where they are. So each solution that all could share is tried as a population of its own, on thinned
-    data, and the one with the highest evidence wins.
+    If persons start in different optima, the estimated population spans all of them, and its inflated dispersion then
+    holds each person in the optimum it started from. So each common solution is tried as a population of its own, on
+    thinned data, and the one with the highest evidence is taken.
     """
     thinned = data.each(methodcaller("thinned", _TRIAL_POINTS))
     found, ends = [], []
@@ -275,12 +275,12 @@ def _best_common(
 
 
 def _by_kind(elements: Sequence[str], theta: np.ndarray) -> np.ndarray:
-    """Log elements in an order that does not change when equal parts of a network change places."""
+    """Log elements sorted within each kind, so that exchanging equal parts of a network changes nothing."""
     return np.asarray(theta[np.lexsort((theta, np.array([ord(e[0]) for e in elements])))])
 
 
 class _State:
-    """The estimate while it moves."""
+    """Current state of the iteration."""
 
     def __init__(
         self,
@@ -307,7 +307,7 @@ class _State:
         self.fits = data.each(begin, theta)
 
     def told(self) -> dict[str, np.ndarray]:
-        """All that the next round depends on."""
+        """Arrays that determine the next iteration, for the checkpoint."""
         places = self.fits.gathered(_place)
         return {
             "mu": self.mu,
@@ -320,7 +320,7 @@ class _State:
         }
 
     def restore(self, told: Mapping[str, np.ndarray]) -> None:
-        """The state that has told this."""
+        """Restore the state from what `told` returned."""
         self.mu, self.slopes, self.covariance, self.rho = (told[k] for k in ("mu", "slopes", "covariance", "rho"))
         own = np.split(told["deviations"], np.cumsum(told["repetitions"])[:-1])
         self.fits = self.data.each(_begun_at, told["theta"], own)
@@ -331,7 +331,7 @@ class _State:
         return np.asarray(self.mu + self.covariates @ self.slopes.T)
 
     def iterate(self, extra_starts: np.ndarray | None) -> float:
-        """One round; how far the population moved, in standard deviations of what is known about it."""
+        """One iteration; returns how far the population moved, in its standard errors."""
         means = self.means
         starts = np.empty((self.n_persons, 0, self.mu.size))
         if extra_starts is not None:
@@ -358,7 +358,7 @@ class _State:
             ridge = variance[e] / np.r_[self.prior.centre_sd**2, np.full(len(design) - 1, self.prior.slope_sd**2)]
             solution = np.linalg.solve(design + np.diag(ridge), target[e])
             self.mu[e], self.slopes[e] = self.prior.centre[e] + solution[0], solution[1:]
-        # A second question, because squares of distances from the new mean keep all digits.
+        # A second pass over the persons: squaring the deviations from the new mean avoids cancellation.
         square = _total(self.fits.ask(spread, columns=[self.means])) + _total(part.uncertainty for part in parts)
         weak = _PRIOR_PERSONS * np.diag(np.clip(variance, _SMALLEST_DISPERSION**2, 1.0))
         covariance = (square + weak) / (self.n_persons + _PRIOR_PERSONS)
@@ -374,7 +374,7 @@ class _State:
         return np.asarray(np.clip(np.sqrt(total / count), 1e-3, 1.0))
 
     def log_evidence(self) -> float:
-        """Laplace's approximation of the log marginal likelihood of the population, with the prior of its centre."""
+        """Laplace approximation of the log marginal likelihood of the population, with the prior of its centre."""
         sign, log_determinant = np.linalg.slogdet(self.covariance)
         prior = -0.5 * float(np.sum(((self.mu - self.prior.centre) / self.prior.centre_sd) ** 2))
         return prior + sum(self.fits.ask(evidence, self.rho)) - 0.5 * self.n_persons * float(sign * log_determinant)

@@ -1,17 +1,17 @@
 r"""The hierarchical model: recordings in, population parameters out.
 
-The route, each step of which is a module:
+The steps, each in a module of its own:
 
-1. :mod:`~bayes_impedance.population.starting_fits`: first fits of everybody, and the noise;
-2. :mod:`~bayes_impedance.population.em`: a point estimate of the population, everybody's mode under it, and which
+1. :mod:`~bayes_impedance.population.starting_fits`: first fits of all persons, and the noise;
+2. :mod:`~bayes_impedance.population.em`: a point estimate of the population, each person's mode under it, and which
    elements the recordings determine;
-3. :mod:`~bayes_impedance.person.importance_draws`: exact draws of everybody's elements under that estimate;
+3. :mod:`~bayes_impedance.person.importance_draws`: importance draws of each person's elements under that estimate;
 4. :mod:`~bayes_impedance.population.importance_likelihood`, :mod:`~bayes_impedance.population.sharded_likelihood` and
-   :mod:`~bayes_impedance.population.posterior`: with them, the density of any population;
+   :mod:`~bayes_impedance.population.posterior`: the posterior density of population parameters, from these draws;
 5. :mod:`~bayes_impedance.mcmc.ensemble`: emcee over :mod:`~bayes_impedance.population.parameters`;
-6. everybody's own posterior, by resampling the draws with the weights that each sampled population gives them.
+6. each person's own posterior, by resampling the draws with their weights under each sampled population.
 
-First fits, rounds of the point estimate and chains are kept as they come, if there is a folder for them.
+If there is a checkpoint folder, first fits, iterations of the point estimate and chains are saved as they are computed.
 """
 
 from __future__ import annotations
@@ -47,24 +47,26 @@ from bayes_impedance.runtime.progress import Progress
 from bayes_impedance.runtime.sharded import Kept
 
 IDENTIFIED_SD = 1.0
-"""A central value is reported if its logarithm is known better than this in the end: within a factor e."""
+"""A central value is reported if the posterior standard deviation of its logarithm is below this: a factor e. By
+choice: a higher limit reports values whose order of magnitude is uncertain."""
 
 _POINT_ESTIMATE = "point_estimate.npz"
 _MOST_NUMBERS, _FEWEST_SETS = 30_000_000, 100
-"""Numbers that describe persons in a result, a quarter of a gigabyte; sets of each ensemble that are kept at least."""
+"""Most numbers of persons in a result, 0.24 GB in double precision, and fewest sets kept of each ensemble. By choice:
+memory against the number of posterior draws."""
 
 
 @dataclass(frozen=True)
 class FitSettings:
-    """What can be chosen about a fit.
+    """Settings of a fit.
 
     Attributes
     ----------
     covariance : str
-        ``full`` (elements vary together between persons) or ``diagonal``, which is also taken if there are fewer
-        persons than two more than elements.
+        ``full`` (elements are correlated between persons) or ``diagonal``, which is also used if the number of persons
+        is less than the number of elements plus two.
     covariates : tuple of str
-        Names of covariates that the mean log elements follow linearly.
+        Names of covariates on which the mean log elements depend linearly.
     draws : int
         Draws for each person, a power of two.
     sampler : SamplerSettings
@@ -83,6 +85,7 @@ class FitSettings:
 
 
 QUICK_SETTINGS = FitSettings(draws=256, sampler=QUICK)
+"""By choice: fewer draws and shorter chains, faster but with a larger Monte-Carlo error."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,9 +98,9 @@ class PopulationFit:
     kernel : Kernel
         With the network and the order of elements.
     written : Network
-        The network as it was given, which has like elements side by side if there are `combinations`.
+        The network as given. It has adjacent elements of one kind if there are `combinations`.
     combinations : tuple of Combination
-        Like elements of the given network of which one stands in the fitted one.
+        Adjacent elements of one kind that were replaced by one equivalent element in the fitted network.
     prior : Prior
     settings : FitSettings
     seed : int
@@ -106,7 +109,7 @@ class PopulationFit:
     n_ensembles : int
     log_probability : ndarray, shape (E, S)
     person_draws : ndarray, shape (E, S, N, P)
-        Everybody's log elements: the mean over the person's repetitions.
+        Each person's log elements: the mean over the person's repetitions.
     person_log_likelihood : ndarray, shape (E, S, N)
         Log marginal likelihood of each person under the population draws, up to a constant for each person.
     deviations : tuple of ndarray, shape (J, P)
@@ -114,7 +117,7 @@ class PopulationFit:
     noise : tuple of ndarray, shape (J, F)
         Standard deviation of the noise of each recording, the person's scale included.
     noise_scale : ndarray, shape (N,)
-        By how much the residuals exceed the noise estimate: near one if the network describes the person.
+        Ratio of the residuals to the noise estimate: near one if the network describes the person.
     identified : ndarray of bool, shape (P,)
     diagnostics : Diagnostics
     seconds : dict
@@ -147,7 +150,7 @@ class PopulationFit:
 
     @property
     def repeated(self) -> bool:
-        """Whether anybody was recorded more than once."""
+        """Whether at least one person was recorded more than once."""
         return any(len(s.repetitions) > 1 for s in self.recordings.subjects)
 
 
@@ -167,22 +170,22 @@ def fit_population(
     Parameters
     ----------
     recordings : Recordings
-        One person or more. With one, that person's posterior under the broad prior is found and no dispersion.
+        One person or more. With one, the result is that person's posterior under the broad prior, without dispersions.
     network : Network or str, optional
-        The network that everybody is described by; the dataset's own if not given.
+        The network that describes each person; the dataset's own if not given.
     settings : FitSettings, optional
     seed : int
         The same seed and data give the same numbers on one machine.
     workers : int
-        Threads of this process; the result does not depend on their number. Ensembles are always sampled by them.
+        Number of threads of this process; the result does not depend on it. They always sample the ensembles.
     progress : callable, optional
         Called with stage, done, total.
     checkpoint : Path, optional
-        Folder where first fits, point estimate and chains are kept as they come; an interrupted fit with the same
-        arguments continues from there.
+        Folder where first fits, point estimate and chains are saved as they are computed; an interrupted fit with the
+        same arguments continues from there.
     executor : Executor, optional
-        Does what is done person by person: processes, a cluster's workers, whatever has the standard interface. Threads
-        of this process if not given; the result is the same.
+        Runs the computations for single persons: processes, a cluster's workers, or any standard executor. Threads of
+        this process if not given; the result is the same.
 
     Returns
     -------
@@ -192,8 +195,8 @@ def fit_population(
     Raises
     ------
     InputError
-        If there is no network, a covariate is unknown, incomplete or follows from others, somebody has fewer points
-        than elements, or `checkpoint` is of another fit.
+        If there is no network, a covariate is unknown, incomplete or collinear with others, a person has fewer points
+        than elements, or `checkpoint` belongs to another fit.
     """
     from threadpoolctl import threadpool_limits
 
@@ -211,7 +214,7 @@ def fit_population(
         claim(checkpoint, (s.digest for s in recordings.subjects), *others)
     clock = Clock()
     one = len(recordings.subjects) == 1
-    # The linear algebra library must not start threads of its own inside ours.
+    # The linear algebra library must not start its own threads inside ours.
     own = executor_of(workers) if executor is None else nullcontext(executor)
     with threadpool_limits(1), own as executor:
         with clock.measure("modes"):
@@ -354,7 +357,7 @@ def _one_person(
 
 
 def _kept_sets(chains: Chains, numbers_each: int) -> np.ndarray:
-    """Which draws of each ensemble are kept: all, or as many as everybody's elements under them leave memory for."""
+    """Indices of the draws kept of each ensemble: all, or as many as memory allows for the elements of all persons."""
     available = chains.coordinates.shape[1]
     most = max(_MOST_NUMBERS // (numbers_each * chains.coordinates.shape[0]), _FEWEST_SETS)
     return np.unique(np.linspace(0, available - 1, min(available, most)).astype(int))
@@ -363,15 +366,15 @@ def _kept_sets(chains: Chains, numbers_each: int) -> np.ndarray:
 def too_few_for_correlations(n_persons: int, n_elements: int) -> bool:
     """Whether even a sample covariance of the elements would be singular.
 
-    The posterior of a full one then piles up at singular matrices, held back by nothing but the prior.
+    The posterior of a full covariance matrix then concentrates at singular matrices; only the prior limits it.
     """
     return n_persons < n_elements + 2
 
 
 def initial_likelihoods(recordings: Recordings, first: FirstFits, n_elements: int, executor: Executor) -> Kept:
-    """Everybody's likelihood with the noise of the first fits, and no deviations between repetitions yet.
+    """Each person's likelihood with the noise of the first fits, and deviations between repetitions of zero.
 
-    They are made where the executor keeps them, by whoever has or reads the recordings there.
+    Each likelihood is made in the process where the executor keeps it, from the recordings available or read there.
     """
     return Kept.of(executor, recordings.subjects).each(partial(_likelihood, first.model, n_elements))
 

@@ -1,22 +1,23 @@
-r"""The likelihood of population parameters, with every person's own elements integrated out.
+r"""The likelihood of population parameters, with each person's elements integrated out by importance sampling.
 
 **Between persons.** Let :math:`\bar\theta_i` be the mean of a person's log elements over J repetitions. Given the
-population it is :math:`N(\mu_i, T_J)` with :math:`T_J = \Sigma + \operatorname{diag}(\rho^2)/J`, and with the draws of
-:mod:`bayes_impedance.person.importance_draws`
+population its distribution is :math:`N(\mu_i, T_J)` with :math:`T_J = \Sigma + \operatorname{diag}(\rho^2)/J`. With
+the draws of :mod:`bayes_impedance.person.importance_draws`
 
 .. math:: p(z_i\,|\,\mu, T) \approx \frac1K \sum_k \frac{L_i(\theta_{ik})}{q_i(\theta_{ik})}\,
           N(\theta_{ik}; \mu_i, T_J) .
 
-The same draws serve every call, so the estimate is a smooth function, and its logarithm's variance, about
-1/(effective draws) - 1/K per person, is summed and reported. In coordinates u in which the reference population is a
-standard normal the log density is a quadratic polynomial in u: the draws' monomials are computed once, and a set of
-population parameters is one row of coefficients. All walkers times all draws is then one matrix product (in single
-precision: the coordinates are of order one, and the rounding, 1e-6 per draw, is far below the Monte-Carlo error).
+The same draws serve every call, so the estimate is a smooth function of the population parameters. The variance of its
+logarithm, about 1/(effective draws) - 1/K per person, is summed and reported. In coordinates u in which the reference
+population is a standard normal the log density is a quadratic polynomial in u: the draws' monomials are computed once,
+and a set of population parameters is one row of coefficients. All walkers times all draws is then one matrix product
+(in single precision: the coordinates are of order one, and the rounding, 1e-6 per draw, is far below the Monte-Carlo
+error).
 
 **Between repetitions.** Given a person's mean, the J - 1 orthonormal contrasts d of the deviations
-:math:`\delta_{ij}` are N(0, diag rho^2). A repetition differs little from the person's mean, so the data see them
-through a curvature H, in which every repetition has its own, and a gradient b at zero deviation. The Gaussian integral
-is closed,
+:math:`\delta_{ij}` are N(0, diag rho^2). A repetition differs little from the person's mean, so the log likelihood of d
+is taken as quadratic, with gradient b and curvature H at zero deviation; each repetition has its own curvature. The
+Gaussian integral has a closed form,
 
 .. math:: \ln p = -\tfrac12 \ln\left|I + D H D\right| + \tfrac12\, b^T D\,(I + D H D)^{-1} D\, b, \qquad D =
           \operatorname{diag}\rho,
@@ -37,24 +38,25 @@ from bayes_impedance.person.importance_draws import Draws
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.runtime.compiled_functions import kept_njit
 
-_BLOCK = 4  # persons per matrix product: W x 4 x K single-precision numbers stay in the processor's cache
+_BLOCK = 4
+"""Persons per matrix product. By choice: W x 4 x K single-precision numbers stay in the processor's cache."""
 
 _summing: Any = kept_njit(nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
-"""Decorator of sums that the compiler may reorder, and so use vector instructions."""
+"""Decorator that lets the compiler reorder sums, so that it can use vector instructions."""
 
 
 @dataclass(frozen=True)
 class Contrasts:
-    """What the repetitions of persons with equally many of them tell about the deviations.
+    """Likelihood of the contrasts between repetitions, for persons with the same number of repetitions.
 
-    With C contrasts of P elements each, an index runs over contrasts and, within, elements.
+    With C contrasts of P elements each, the combined index runs over contrasts and, within each, over elements.
 
     Attributes
     ----------
     information : ndarray, shape (C P, C P, n)
-        Curvature of each of n persons' likelihood.
+        Negative second derivative of the log likelihood of each of n persons.
     gradient : ndarray, shape (C P, n)
-        Its gradient at zero deviation, upwards.
+        Gradient of the log likelihood at zero deviation.
     """
 
     information: np.ndarray
@@ -109,19 +111,22 @@ def _contrast_likelihood(information: np.ndarray, gradient: np.ndarray, rho: np.
 
 
 _LOG2_E, _LOWEST = np.float32(1 / np.log(2)), np.float32(-126.0)
-# 2^r = c0 + c1 r + ... + c5 r^5 for |r| <= 1/2, least squares of the relative error, which is below 1e-7.
+"""Factor from natural to binary logarithms, and smallest exponent of a normal single-precision number (IEEE 754)."""
 _C0, _C1, _C2 = np.float32(1.00000007), np.float32(0.69314695), np.float32(0.24022122)
 _C3, _C4, _C5 = np.float32(0.05550743), np.float32(0.00967546), np.float32(0.0013267)
+"""2^r = c0 + c1 r + ... + c5 r^5 for |r| <= 1/2, by least squares of the relative error, which is below 1e-7."""
 _HALF, _BIAS, _MANTISSA = np.float32(0.5), np.int32(127), np.int32(23)
+"""One half, to round to the nearest integer; bias of the exponent, and bits of the mantissa, of IEEE 754 singles."""
 _SIGN, _REST, _LEAST = np.int32(31), np.int32(0x7FFFFFFF), np.int32(-0x80000000)
+"""Of 32-bit integers: position of the sign bit, mask of the other bits, and the smallest value."""
 
 
 @compiled
 def _largest(row: np.ndarray) -> np.float32:
     """Largest of single-precision numbers; nan if there is one.
 
-    Floats sort like the integers that their bits are, if those of negative ones are flipped. Of integers the compiler
-    compares several with one instruction; of floats it does not, for fear of nan.
+    Floating-point numbers sort like the integers with the same bits, if all bits but the sign are flipped for negative
+    numbers. The compiler vectorises comparisons of integers, but not of floats, because of nan.
     """
     bits = row.view(np.int32)
     most = _LEAST
@@ -133,14 +138,14 @@ def _largest(row: np.ndarray) -> np.float32:
 
 @_summing
 def _exponentials(row: np.ndarray, peak: np.float32) -> tuple[np.float32, np.float32]:
-    """Sum of exp(row - peak) and of its squares; terms below 1e-38 count as that.
+    """Sum of exp(row - peak) and of its squares; terms below 1e-38 are replaced by that value.
 
-    In base two: the whole part of the exponent is put into the bits of the result, the rest is a polynomial. Unlike a
-    call to the library it is done for several numbers at a time, without writing anything.
+    In base two: the integer part of the exponent is written into the exponent bits of the result, and the fractional
+    part is evaluated by a polynomial. Unlike a library call this is vectorised, and it needs no temporary array.
     """
     total, squares = np.float32(0), np.float32(0)
     for k in range(row.size):
-        y = (row[k] - peak) * _LOG2_E  # the difference first: however large both are, nothing is above zero
+        y = (row[k] - peak) * _LOG2_E  # the difference first, so that y is never above zero, however large both are
         y = _LOWEST if y < _LOWEST else y
         whole = np.floor(y + _HALF)
         r = y - whole
@@ -153,7 +158,7 @@ def _exponentials(row: np.ndarray, peak: np.float32) -> tuple[np.float32, np.flo
 
 @compiled
 def _sums(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of log weights (W, B, K): their largest, sum of exp(value - largest), and of its squares; each (W, B)."""
+    """Largest of the log weights (W, B, K), sum of exp(value - largest), and sum of its squares; each (W, B)."""
     shape = values.shape[:2]
     peaks, totals, squares = np.empty(shape), np.empty(shape), np.empty(shape)
     for w in range(shape[0]):
@@ -172,7 +177,7 @@ class ImportanceLikelihood:
     draws : sequence of Draws
         One for each of N persons, all with K draws.
     reference_means : ndarray, shape (N, P)
-        Means of the reference population under which they were made.
+        Means of the reference population from which the draws were proposed.
     reference_covariance : ndarray, shape (P, P)
     repetitions : ndarray of int, shape (N,)
         Number J of repetitions of each person.
@@ -208,7 +213,7 @@ class ImportanceLikelihood:
 
     @property
     def nbytes(self) -> int:
-        """Memory that it takes, nearly all of it for the draws."""
+        """Memory in bytes, nearly all of it for the draws."""
         arrays = [features for _, _, features in self._blocks] + [c.information for c in self.contrasts]
         return sum(array.nbytes for array in arrays)
 
@@ -232,7 +237,7 @@ class ImportanceLikelihood:
         log_likelihood : ndarray, shape (W, N)
             Up to a constant for each person.
         effective : ndarray, shape (W, N)
-            Effective number of draws; empty unless asked for.
+            Effective number of draws; empty if not requested.
         """
         n_sets, n_persons = parameters.mu.shape[0], self.reference_means.shape[0]
         result = np.empty((n_sets, n_persons))
@@ -277,10 +282,10 @@ class ImportanceLikelihood:
                 shared[j] = self._coefficients(parameters, *populations[j], persons)
             coefficients, constants = shared[j]
             shape = coefficients.shape[0], persons.size, self.n_draws
-            if values.shape != shape:  # a new array for every product would cost more than the product
+            if values.shape != shape:  # allocating an array for every product would take longer than the product
                 values = np.empty(shape, dtype=np.float32)
             if coefficients.ndim == 2:  # the same for every person: one product
-                with np.errstate(over="ignore"):  # a population of no spread: minus infinity, which is refused
+                with np.errstate(over="ignore"):  # overflow if the dispersion vanishes: minus infinity, refused later
                     np.matmul(coefficients, features, out=values.reshape(shape[0], -1))
             else:
                 own = features.reshape(features.shape[0], persons.size, self.n_draws)

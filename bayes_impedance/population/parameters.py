@@ -13,10 +13,10 @@ with covariates x standardised. The default priors need no knowledge of unit or 
 * correlations C ~ LKJ(2), through partial correlations (Lewandowski, Kurowicka and Joe 2009): in a P-dimensional
   C-vine the partial correlation of level j is Beta(b, b) on (-1, 1) with :math:`b = \eta + (P - 2 - j)/2`.
 
-**Coordinates.** A sampler should meet something close to a normal distribution. Centres are standardised. A dispersion
-is the probit of its prior probability, :math:`u = \Phi^{-1}(F(\tau))`: it is normal under the prior, unlike a logarithm
-has no exponential tail where the data cannot tell a small dispersion from none, and is locally linear where they can.
-Partial correlations go through atanh.
+**Coordinates.** The sampled distribution should be close to normal. Centres are standardised. A dispersion is
+represented by the probit of its prior probability, :math:`u = \Phi^{-1}(F(\tau))`. It is normal under the prior and,
+where the data determine tau, locally linear in it; unlike a logarithm it has no exponential tail where the data cannot
+distinguish a small dispersion from zero. Partial correlations are transformed by atanh.
 """
 
 from __future__ import annotations
@@ -117,8 +117,8 @@ class Coordinates:
     """The map between population parameters and the real vector that is sampled.
 
     The vector holds, in this order: centres (P), dispersions between persons (P), those between repetitions (P,
-    if `repetitions`), slopes (P Q), partial correlations (P (P - 1) / 2, if `correlated`). Elements that are `held`
-    keep the given population parameters and have no coordinates: the data cannot see them.
+    if `repetitions`), slopes (P Q), partial correlations (P (P - 1) / 2, if `correlated`). Elements that are not `free`
+    keep the given population parameters and have no coordinates: the data hold no information on them.
 
     Attributes
     ----------
@@ -212,14 +212,14 @@ class Coordinates:
         return np.concatenate(parts)
 
     def _dispersion(self, u: np.ndarray) -> np.ndarray:
-        # Half-normal quantile of Phi(u), written with the upper tail so that large values keep their digits.
+        # Half-normal quantile of Phi(u), written with the upper tail so that large values do not lose digits.
         return np.asarray(-self.prior.dispersion_sd * ndtri(0.5 * ndtr(-u)))
 
     def _probit(self, dispersion: np.ndarray) -> np.ndarray:
         return np.asarray(-ndtri(2 * ndtr(-np.asarray(dispersion) / self.prior.dispersion_sd)))
 
     def _levels(self) -> np.ndarray:
-        """Shape b of the beta distribution of each partial correlation, in the order of the lower triangle's rows."""
+        """Parameter b of the Beta(b, b) prior of each partial correlation, by rows of the lower triangle."""
         n = len(self.free)
         _, column = np.tril_indices(n, -1)
         return np.asarray(self.prior.concentration + (n - 2 - column) / 2)
@@ -245,7 +245,7 @@ def _cholesky_from_partial(partial: np.ndarray, n: int) -> np.ndarray:
 
 
 def _partial_from_cholesky(factor: np.ndarray) -> np.ndarray:
-    """Partial correlations of one Cholesky factor, shape (n, n): the inverse of the above."""
+    """Partial correlations of one Cholesky factor, shape (n, n): inverse of `_cholesky_from_partial`."""
     n = factor.shape[0]
     partial = []
     for i in range(1, n):

@@ -1,8 +1,9 @@
-r"""The posterior of the population's parameters, as a sampler meets it.
+r"""The posterior density of the population's parameters, in the coordinates that are sampled.
 
-Prior times marginal likelihood, in the coordinates of :mod:`bayes_impedance.population.parameters`, with the draws that
-the likelihood rests on. Elements that nobody's recording shows are held at a population of their own: the draws cover
-it, so that the others are averaged over it, but no coordinate has it and no number is reported.
+Prior times marginal likelihood, in the coordinates of :mod:`bayes_impedance.population.parameters`, with the importance
+draws from which the likelihood is computed. Elements that the recordings do not determine have a fixed population
+distribution, independent of the others. The draws cover it, so that the other elements are averaged over it, but it has
+no sampled coordinate and no number is reported.
 """
 
 from __future__ import annotations
@@ -22,22 +23,25 @@ from bayes_impedance.population.sharded_likelihood import KeptDraws
 from bayes_impedance.runtime.progress import Progress
 
 VARIANCE_WANTED = 0.25
-"""Monte-Carlo variance of the log likelihood (a noise of half a unit) below which draws are enough; a quarter of what
-is refused (:data:`bayes_impedance.population.diagnostics.VARIANCE_LIMIT`)."""
+"""Monte-Carlo variance of the log likelihood (a standard deviation of 0.5) below which draws are enough. By choice: a
+quarter of the variance that is refused (:data:`bayes_impedance.population.diagnostics.VARIANCE_LIMIT`)."""
 FEWEST_DRAWS, RARELY = 50.0, 0.05
-"""Effective draws that a person's likelihood must rest on in all but one of twenty cases, of the persons and of the
-populations near the posterior. With 50 its Monte-Carlo error is 14 %, and the estimate of that error can be believed.
-Measured: where draws missed parts of curved posteriors, and central values were up to 4 standard deviations off an
-independent integration, the number was 2 to 46; where they held, 119 and more."""
+"""Least effective number of draws, and the quantile at which it is required, over persons and populations near the
+posterior. With 50 the Monte-Carlo error is 14 %, and the estimate of that error is reliable. Measured: where draws
+missed parts of curved posteriors, and central values differed by up to 4 standard deviations from an independent
+integration, the number was 2 to 46; where the draws were sufficient, 119 and more."""
 _MORE_DRAWS = (1, 4, 8, 8)
-"""How many times the draws of the settings are made, attempt by attempt: variance falls as one over the number, and the
-reference has moved to the posterior between attempts. Where draws hold, the first or the second attempt is the last."""
+"""Factor on the number of draws of the settings in each attempt: the variance falls as one over the number, and the
+reference is moved to the posterior between attempts. By choice: the largest factors are needed for difficult data only,
+elsewhere the first or the second attempt is the last."""
 _WIDER = 2.0
-"""Factor on the spread of the reference where draws do not hold, as populations that it does not reach are wider."""
+"""Factor on the reference population's standard deviations if the effective number of draws is too small: the
+populations not covered are wider than the reference. By choice."""
 _PILOT = SamplerSettings(ensembles=2, burn_in=(60, 60), chunk=60, longest=60)
-"""Finds where the reference must move, which is a mean and a covariance: convergence is not asked for."""
+"""Short chains that give the mean and the covariance to which the reference is moved. By choice: convergence is not
+required."""
 _LARGEST_COORDINATE = 8.0
-"""Coordinates are standard normal under the prior, of which one part in 1e15 lies beyond eight."""
+"""Limit on the coordinates. Most are standard normal under the prior, with a probability of 1e-15 beyond eight."""
 
 
 class Posterior:
@@ -54,18 +58,18 @@ class Posterior:
     n_draws : int
         Draws for each person to begin with.
     point : Estimate
-        The anchor.
+        Point estimate, from which the first reference population is taken.
     covariates : ndarray, shape (N, Q)
         Standardised.
 
     Attributes
     ----------
     coordinates : Coordinates
-        Of what is sampled.
+        Of the sampled vector.
     marginal : KeptDraws
-        The likelihood that rests on everybody's draws, once they are made.
+        Marginal likelihood from the draws of all persons; available after :meth:`draw`.
     mode, normal_covariance : ndarray, shape (D,) and (D, D)
-        A normal approximation, where sampling may start.
+        Normal approximation of the posterior, from which sampling may start.
     redrawn : int
         How often the reference population was moved.
 
@@ -88,7 +92,7 @@ class Posterior:
         self.kernel, self.n_draws, self.point, self.covariates = kernel, n_draws, point, covariates
         self.repetitions = repetitions
         determined = point.determined
-        # Elements that nobody's recording shows keep a population of their own: draws cover it, no coordinate has it.
+        # Undetermined elements keep a fixed population distribution: draws cover it, but it is not sampled.
         self.covariance = point.covariance.copy()
         held = ~determined
         self.covariance[held, :] = 0
@@ -111,7 +115,7 @@ class Posterior:
     def log_probability(self, u: np.ndarray) -> np.ndarray:
         """Log posterior density of coordinates (W, D), up to a constant: shape (W,)."""
         value = np.full(u.shape[0], -np.inf)
-        # Beyond this no prior mass is left and dispersions are zero in rounding.
+        # Beyond this the prior probability is negligible and dispersions are rounded to zero.
         inside = np.all(np.abs(u) < _LARGEST_COORDINATE, axis=1)
         if np.any(inside):
             value[inside] = self._inside(u[inside])
@@ -120,7 +124,7 @@ class Posterior:
     def _inside(self, u: np.ndarray) -> np.ndarray:
         try:
             return np.asarray(self.marginal(self.coordinates.unpack(u)) + self.coordinates.log_prior(u))
-        except np.linalg.LinAlgError:  # one correlation matrix is singular in rounding: it is refused, not the others
+        except np.linalg.LinAlgError:  # one correlation matrix is singular by rounding: refuse it, not the others
             if len(u) == 1:
                 return np.array([-np.inf])
             return np.concatenate([self._inside(row) for row in np.array_split(u, 2)])
@@ -145,16 +149,17 @@ class Posterior:
         return np.concatenate([centre, *(np.full(k, w) for k, w in zip(sizes[1:], widths, strict=True))])
 
     def draw(self, seed: np.random.SeedSequence, executor: Executor, progress: Progress) -> None:
-        """Draws for everybody; while the weights are poor, moves the reference population and draws more.
+        """Draw for all persons; while the effective number of draws is too small, move the reference and draw more.
 
-        Weights are poor where the population's spread in some direction is smaller than a person's uncertainty there:
-        no reference suits both a small and a vanishing spread, so numbers have to help. They collapse where a person's
-        posterior is a curved valley that one t covers a stretch of: then the valley is followed
-        (:mod:`bayes_impedance.person.valley`) under a wider reference, until draws hold for all populations nearby.
+        The effective number is small if the population's spread in some direction is smaller than a person's
+        uncertainty there: no reference suits both a small and a vanishing spread, so more draws are needed. It
+        collapses if a person's posterior is a curved valley of which one t distribution covers only a part. The
+        proposals then follow the valley (:mod:`bayes_impedance.person.valley`) under a wider reference, until the
+        draws suffice for all populations near the mode.
         """
         mu, covariance, slopes = self.point.mu, self.covariance, self.point.slopes
         rounds = seed.spawn(len(_MORE_DRAWS))
-        # Few persons leave the population uncertain, and their draws are cheap: the product of the two stays the same.
+        # With few persons the population is uncertain and draws are cheap: persons times draws is kept about constant.
         few = 2 ** int(np.clip(np.round(np.log2(64 / self.repetitions.size)), 0, 3))
         n_persons = self.repetitions.size
         reach, holds = widening(n_persons), True
@@ -197,15 +202,15 @@ class Posterior:
 def noise_within(variance: float, n_persons: int, n_coordinates: int) -> float:
     """Monte-Carlo variance of log-likelihood differences inside the posterior.
 
-    The same draws serve every population, so what matters is how their error changes from one to another. It changes
-    where a population moves by its own spread; the posterior of N persons is narrower than that by the root of N, in
-    each of its D coordinates: V D/N of the variance V are left.
+    The same draws serve every population, so only the change of their error between populations matters. The error
+    changes when a population moves by its own dispersion. The posterior of N persons is narrower than the dispersion by
+    the square root of N, in each of its D coordinates: of the variance V, V D/N remains.
     """
     return variance * min(1.0, n_coordinates / n_persons)
 
 
 def _positive(matrix: np.ndarray) -> np.ndarray:
-    """The nearest matrix with variances of at least 1e-4 and correlations that are not extreme."""
+    """A nearby covariance matrix with variances of at least 1e-4 and correlations that are not extreme."""
     variance = np.maximum(np.diag(matrix), 1e-4)
     correlation = matrix / np.sqrt(np.outer(variance, variance))
     values, vectors = np.linalg.eigh(correlation)

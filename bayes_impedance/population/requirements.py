@@ -1,4 +1,4 @@
-"""What recordings and a network must be like so that something can be estimated: refused before any work is done."""
+"""Requirements on recordings and network, checked before any computation starts."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.units import LARGEST_IMPEDANCE, SMALLEST_IMPEDANCE
 
 MOST_ELEMENTS = 24
-"""Elements of a network that is estimated. Measured with 40 people, few draws and two processors: 53 s for 14 elements,
-255 s for 24, and for 60 no end within 300 s. The paper's network has 8."""
+"""Most elements of a network that can be estimated. Measured with 40 people, few draws and two processors: 53 s for 14
+elements, 255 s for 24, and for 60 not finished within 300 s. The paper's network has 8."""
 
 FURTHEST_PERSON = 1e6
-"""Factor between the average magnitude of one person and of the median person. People of one kind differ by factors of
-ten; a million is a prefix that is missing in a unit twice over. Measured: with a person at 1e-20 of the others the
-chains hold not-a-number."""
+"""Largest ratio between the average magnitudes of one person and of the median person. People differ by factors of ten;
+a factor of a million is two missing unit prefixes of a thousand. Measured: with a person at 1e-20 of the others the
+chains contain not-a-number."""
 
 
 @dataclass(frozen=True)
 class CheckedModel:
-    """What is fitted to recordings that can be.
+    """The checked model that is fitted.
 
     Attributes
     ----------
     kernel : Kernel
-        Of the network with one element in place of like elements side by side.
+        Of the network in which adjacent elements of one kind are replaced by one equivalent element.
     written : Network
-        As it was given.
+        The network as given.
     combinations : tuple of Combination
-        Of what was put together.
+        The elements that were replaced.
     covariates : ndarray, shape (N, Q)
         Standardised.
     """
@@ -49,12 +49,12 @@ class CheckedModel:
 def checked_model(
     recordings: Recordings, network: Network | str | None, covariates: tuple[str, ...] = ()
 ) -> CheckedModel:
-    """Everything that is decided before a fit begins.
+    """Check the model and prepare it for a fit.
 
     Raises
     ------
     InputError
-        If network, covariates and recordings do not go together.
+        If network, covariates and recordings are not consistent.
     """
     written = network_of(recordings, network)
     fitted, combinations = merged(written)
@@ -65,7 +65,7 @@ def checked_model(
 
 
 def network_of(recordings: Recordings, network: Network | str | None) -> Network:
-    """The network asked for, or the dataset's own.
+    """The requested network, or the dataset's own.
 
     Raises
     ------
@@ -88,12 +88,12 @@ def network_of(recordings: Recordings, network: Network | str | None) -> Network
 
 
 def require_usable(recordings: Recordings, kernel: Kernel) -> None:
-    """Refuse recordings of nobody, people with fewer numbers than elements, and impedances of no possible size.
+    """Refuse empty recordings, persons with fewer data than elements, and impedances of implausible size.
 
     Raises
     ------
     InputError
-        Which person, and where.
+        Names the person and the place.
     """
     if not recordings.subjects:
         raise InputError("there are no recordings of anybody: give at least one subject")

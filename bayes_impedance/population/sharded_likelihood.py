@@ -1,9 +1,10 @@
-"""Everybody's draws, where they were made: a likelihood of many persons of which only sums travel.
+"""The population likelihood, computed in batches of persons where their draws are kept; workers send back only sums.
 
-Draws are what grows with the number of persons, a few hundred kilobytes for each. They are kept in parts of some dozens
-to hundreds of persons, in this process or by the workers of a cluster, which evaluate the population's likelihood on
-them: a set of population parameters goes there and one number comes back. Parts depend on the number of persons alone
-and are summed in order, so the result does not depend on who has worked.
+The memory for draws grows with the number of persons, a few hundred kilobytes for each. They are kept in parts
+(batches) of some dozens to hundreds of persons, in this process or by the workers of a cluster, which evaluate the
+likelihood on them: a set of population parameters is sent there and one number is returned. The division into parts
+depends only on the number of persons, and parts are summed in order, so the result does not depend on the number of
+workers.
 """
 
 from __future__ import annotations
@@ -29,20 +30,20 @@ from bayes_impedance.runtime.progress import Progress
 from bayes_impedance.runtime.sharded import Kept, parts_of
 
 _SETS_AT_ONCE = 50
-"""Populations for which a part's draws are weighted at once, about half as many as the sampler's walkers: weights of
-a block of four persons are then below a megabyte."""
+"""Sets of population parameters for which a part's draws are weighted at once. By choice: about half the number of the
+sampler's walkers; the weights of a block of four persons then take less than a megabyte."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """Some persons' draws and their likelihood.
+    """Draws of some persons and the likelihood computed from them.
 
     Attributes
     ----------
     theta : ndarray, shape (n, K, P)
-        Everybody's draws.
+        Each person's draws.
     log_ratio : ndarray, shape (n, K)
-        ln L - ln q of each.
+        ln L - ln q of each draw.
     marginal : ImportanceLikelihood
     """
 
@@ -51,13 +52,13 @@ class Part:
     marginal: ImportanceLikelihood
 
     def __sizeof__(self) -> int:
-        """Bytes: a cluster that knows them does not copy a part to a worker who has nothing to do for a moment."""
+        """Size in bytes: a scheduler that knows it does not copy a large part to an idle worker."""
         return self.theta.nbytes + self.log_ratio.nbytes + self.marginal.nbytes
 
 
 @dataclass(frozen=True)
 class _Plan:
-    """What all persons' draws are made with."""
+    """Settings common to the draws of all persons."""
 
     kernel: Kernel
     rho: np.ndarray
@@ -72,9 +73,9 @@ class KeptDraws:
     Parameters
     ----------
     parts : sequence
-        Parts, or what a cluster knows them by.
+        Parts, or the cluster's handles (futures) of them.
     executor : Executor
-        Which keeps them.
+        Keeps the parts.
     """
 
     def __init__(self, parts: Sequence[Any], executor: Executor) -> None:
@@ -94,13 +95,13 @@ class KeptDraws:
         progress: Progress,
         along_valley: bool = False,
     ) -> KeptDraws:
-        """Draw for everybody under a reference population.
+        """Draw for all persons under a reference population.
 
         Parameters
         ----------
         kernel : Kernel
         point : Estimate
-            With everybody's mode and likelihood.
+            With each person's mode and likelihood.
         means : ndarray, shape (N, P)
             Of the reference population.
         covariance : ndarray, shape (P, P)
@@ -112,7 +113,7 @@ class KeptDraws:
         executor : Executor
         progress : callable
         along_valley : bool
-            Propose along everybody's valley, where one t has missed parts of it.
+            Propose along each person's curved valley, because one t distribution missed parts of it.
         """
         n = len(means)
         plan = _Plan(kernel, point.between_repetitions, covariance, n_draws, along_valley)
@@ -142,20 +143,20 @@ class KeptDraws:
         return np.asarray(np.sum(self._kept.ask(_variance, parameters), axis=0))
 
     def effective(self, parameters: PopulationParameters) -> np.ndarray:
-        """Everybody's effective number of draws under W sets, shape (W, N)."""
+        """Each person's effective number of draws under W sets, shape (W, N)."""
         return np.concatenate(self._kept.ask(_effective, parameters), axis=1)
 
     def pareto_k(self, parameters: PopulationParameters) -> np.ndarray:
-        """Tail of everybody's weights under the first set, shape (N,)."""
+        """Pareto k of each person's weights under the first set, shape (N,)."""
         return np.concatenate(self._kept.ask(_pareto_k, parameters[:1]))
 
     def gathered(self) -> tuple[np.ndarray, np.ndarray]:
-        """Everybody's draws, (N, K, P), and their ln L - ln q, (N, K): all of them travel."""
+        """Draws of all persons, (N, K, P), and their ln L - ln q, (N, K): all are sent to this process."""
         both = self._kept.ask(_draws_and_ratios)
         return np.concatenate([a for a, _ in both]), np.concatenate([b for _, b in both])
 
     def persons(self, parameters: PopulationParameters, seed: np.random.SeedSequence) -> tuple[np.ndarray, np.ndarray]:
-        """One draw of everybody's log elements for each set, (W, N, P), and everybody's log likelihood, (W, N)."""
+        """For each set, one draw of each person's log elements, (W, N, P), and each log likelihood, (W, N)."""
         n_sets, n_elements = parameters.mu.shape
         rows = [(parameters, child) for child in seed.spawn(len(self._kept.parts))]
         sizes = self._kept.ask(_size)
@@ -180,7 +181,7 @@ def _drawn_part(
 
 
 def _told(fits: Sequence[PersonFit]) -> tuple[np.ndarray, tuple[Contrasts, ...]]:
-    """Numbers of repetitions, and what these tell."""
+    """Numbers of repetitions, and the contrasts between them."""
     return np.array([len(fit.deviations) for fit in fits]), tuple(contrasts_of(fits).values())
 
 
@@ -192,7 +193,7 @@ def _part(
     means: np.ndarray,
     covariates: np.ndarray,
 ) -> Part:
-    """A part of as many persons as there are means; their draws are taken as they come, so that none is held twice."""
+    """A part with one person per row of `means`; draws are consumed one by one, so that none is in memory twice."""
     theta = np.empty((len(means), plan.n_draws, means.shape[1]))
     log_ratio = np.empty(theta.shape[:2])
     kept = []
@@ -208,7 +209,7 @@ def _draws_of(
     plan: _Plan, likelihood: Likelihood, fit: PersonFit, mean: np.ndarray, seed: np.random.SeedSequence
 ) -> Draws:
     likelihood = likelihood.moved(fit.deviations)
-    # The ridge holds rho at the estimate; the contrasts carry the likelihood of other values.
+    # The ridge fixes rho at the estimate; the contrasts give the likelihood of other values of rho.
     ridge = find_ridge(plan.kernel, likelihood, fit.theta, fit.mode.scale, plan.rho)
     reference = Reference(mean, plan.covariance)
     return draw(plan.kernel, likelihood, fit.mode, ridge, reference, plan.n_draws, seed, plan.along_valley)

@@ -1,7 +1,7 @@
-r"""Virtual persons: recordings whose truth is known.
+r"""Virtual persons: simulated recordings with known true parameters.
 
-A :class:`VirtualPopulation` says how elements are distributed; :func:`simulate_recordings` makes people of it and
-records them the way the paper did: several repetitions with the finger put down again, contact force held within a
+A :class:`VirtualPopulation` is the distribution of the elements; :func:`simulate_recordings` draws persons from it and
+simulates recordings as in the paper: several repetitions with the finger repositioned, contact force held within a
 tolerance band, and noise that grows towards low frequencies, where the force of the shaker is small.
 
 .. math::
@@ -29,18 +29,20 @@ from bayes_impedance.runtime.user_table import UserTable, hint, number_in, shown
 from bayes_impedance.units import HIGHEST_HZ, LARGEST_ELEMENT, LARGEST_IMPEDANCE, LOWEST_HZ, SMALLEST_IMPEDANCE
 
 _PERSON_FORCE = 0.07
+"""Half width of the uniform relative contact-force error of a person. The division of the 10 % is by choice."""
 _REPETITION_FORCE = 0.03
-"""Half widths of the uniform contact-force errors of a person and of one repetition: together the paper's 10 %."""
+"""Half width of that of one repetition. With `_PERSON_FORCE` it adds up to the paper's 10 %."""
 
 _SCALE_SPREAD = 0.15
-"""Standard deviation of the logarithm of each person's size of noise: an assumption."""
+"""Standard deviation of the logarithm of each person's noise scale. By choice: an assumption, not a measured value."""
 
 MOST_NUMBERS = 20_000_000
-"""Impedances of one simulation: 200 times the paper's recordings. Numbers, noise and text take some hundred bytes of
-memory each."""
+"""Most impedances of one simulation. By choice: 200 times the paper's recordings; each takes some hundred bytes of
+memory, with its noise and its text."""
 
 LARGEST_DISPERSION = 10.0
-"""Standard deviation of a logarithm: two people would usually differ by a factor of a million."""
+"""Largest standard deviation of a log element. By choice: at ten, two people typically differ by a factor of a
+million."""
 
 _UNIT = "N s/m"
 _ELEMENT_KEYS = ("central", "dispersion_between_persons", "dispersion_between_repetitions", "contact_force_exponent")
@@ -56,7 +58,7 @@ class VirtualPopulation:
     network : str
         Notation.
     central : mapping of str to float
-        Population median of each element in its unit, at a contact force of 1 N.
+        Population median of each element in the element's unit, at a contact force of 1 N.
     between_persons, between_repetitions : mapping of str to float
         Standard deviations of the natural logarithms, without the effect of the contact force.
     correlation : mapping of (str, str) to float
@@ -79,7 +81,7 @@ class VirtualPopulation:
     noise_corner_hz: float = 8.0
 
     def vector(self, values: Mapping[str, float]) -> np.ndarray:
-        """Values in the order of the network's elements, zero where there is none, shape (P,)."""
+        """Values in the order of the network's elements, zero for an element that is not named, shape (P,)."""
         return np.array([values.get(e, 0.0) for e in parse(self.network).elements])
 
     def correlation_matrix(self) -> np.ndarray:
@@ -102,13 +104,13 @@ class VirtualPopulation:
 
 @dataclass(frozen=True)
 class Simulation:
-    """Virtual recordings and what they were made from.
+    """Virtual recordings and the true parameters.
 
     Attributes
     ----------
     recordings : Recordings
     log_elements : ndarray, shape (N, P)
-        Each person's log elements, mean over repetitions excluded: what a person is.
+        Each person's true log elements, without the deviations of the repetitions.
     truth : dict
         Central values, dispersions (contact force included) and correlations, ready for JSON.
     """
@@ -126,7 +128,7 @@ def simulate_recordings(
     seed: int,
     title: str = "simulated recordings",
 ) -> Simulation:
-    """Draw people from a population and record them.
+    """Draw persons from a population and simulate their recordings.
 
     Parameters
     ----------
@@ -142,7 +144,7 @@ def simulate_recordings(
     Raises
     ------
     InputError
-        If a central value is missing or not positive, or there is nobody to record.
+        If a central value is missing or not positive, or the number of subjects or repetitions is zero.
     """
     _require_usable(population)
     if n_subjects < 1 or n_repetitions < 1:
@@ -171,7 +173,7 @@ def simulate_recordings(
     force = 1 + person_force[:, None] + repetition_force
     deviation = rho * rng.normal(size=(n_subjects, n_repetitions, p))
     theta = person[:, None] + deviation + exponent * np.log(force)[..., None]
-    with np.errstate(all="ignore"):  # what is not finite is refused below
+    with np.errstate(all="ignore"):  # values that are not finite are refused below
         z = kernel.impedance(theta, frequency_hz)
     scale = np.exp(_SCALE_SPREAD * rng.normal(size=n_subjects))
     noise = population.noise * np.sqrt(1 + (population.noise_corner_hz / frequency_hz) ** 4)
@@ -211,7 +213,7 @@ def simulate_recordings(
 
 
 def _require_usable(population: VirtualPopulation) -> None:
-    """Refuse a population of which no people can be drawn: element by element, in one sentence."""
+    """Refuse a population from which no persons can be drawn; the message names the element."""
     elements = parse(text_in(population.network, "a population's network")).elements
     for what, values, bounds in (
         ("central value", population.central, {"at_least": 1 / LARGEST_ELEMENT, "at_most": LARGEST_ELEMENT}),
@@ -238,17 +240,18 @@ def _require_usable(population: VirtualPopulation) -> None:
 
 
 _DISPERSION = {"at_least": 0.0, "at_most": LARGEST_DISPERSION}
+"""Limits of every dispersion: a standard deviation is not negative; for the upper limit see `LARGEST_DISPERSION`."""
 
 
 def _truth(population: VirtualPopulation, seed: int) -> dict[str, Any]:
-    """Parameters of the population that a fit without covariates should find: the force's spread belongs to it."""
+    """True parameters that a fit without covariates should find: dispersions include the effect of contact force."""
     elements = parse(population.network).elements
     tau, rho = population.vector(population.between_persons), population.vector(population.between_repetitions)
     exponent = population.vector(population.force_exponent)
     shift_person, shift_repetition = _PERSON_FORCE / np.sqrt(3), _REPETITION_FORCE / np.sqrt(3)
     covariance = np.outer(tau, tau) * population.correlation_matrix() + np.outer(exponent, exponent) * shift_person**2
     total = np.sqrt(np.diag(covariance))
-    alike = np.where(total > 0, total, 1.0)  # elements that are the same in everybody correlate with nothing
+    alike = np.where(total > 0, total, 1.0)  # elements without dispersion have no correlation
     correlation = covariance / np.outer(alike, alike)
     return {
         "seed": seed,
@@ -310,9 +313,9 @@ FINGERTIP = VirtualPopulation(
     },
     force_exponent={"n3": -0.35, "r3": 0.35, "n1": -0.35, "r1": 0.35},
 )
-"""A virtual fingertip population centred on what both published curves (the paper's appendix A) say of the elements:
-the geometric mean of the two fits of the corrected eq. 4 where both curves determine an element, and the fit of the
-one that does where only one does (``analyses/fingertip_71/centre.py`` computes them)."""
+"""A virtual fingertip population. Its central values come from both published curves (the paper's appendix A): the
+geometric mean of the two fits of the corrected eq. 4 if both curves determine an element, otherwise the fit of the one
+curve that determines it (``analyses/fingertip_71/centre.py`` computes them)."""
 
 
 def population_from(described: Mapping[str, Any], where: str) -> VirtualPopulation:
@@ -328,9 +331,9 @@ def population_from(described: Mapping[str, Any], where: str) -> VirtualPopulati
     Raises
     ------
     InputError
-        If it describes none, or leaves elements undetermined.
+        If it does not describe a population, or leaves elements undetermined.
     """
-    # A fit's summary holds much besides; what a person writes like a truth.json has these keys and no others.
+    # A fit's summary has many other keys; a file written by hand in the form of truth.json has only these.
     table = UserTable(described, where, _TRUTH_KEYS, tolerant=isinstance(described, Mapping) and "schema" in described)
     elements = table["elements"]
     if not isinstance(elements, Mapping) or not elements:
@@ -338,7 +341,7 @@ def population_from(described: Mapping[str, Any], where: str) -> VirtualPopulati
     rows = {
         str(name): UserTable(row, f"{where}: element {shown(str(name))}", _ELEMENT_KEYS, tolerant="schema" in described)
         for name, row in elements.items()
-        if not (isinstance(row, Mapping) and row.get("combined_in"))  # another element stands in the network for it
+        if not (isinstance(row, Mapping) and row.get("combined_in"))  # replaced in the network by another element
     }
     central = {name: _middle(row, "central") for name, row in rows.items()}
     unknown = [name for name, value in central.items() if value is None]

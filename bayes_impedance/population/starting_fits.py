@@ -1,9 +1,9 @@
-"""First fits: where the search for every person's mode begins, and the size of the noise.
+"""First fits: starting points of the search for each person's mode, and the size of the noise.
 
-An impedance has many local optima (in one of the paper's published curves the best one is reached from one random
-start in two hundred), so random starts are spent on a few persons with thinned data, where they cost microseconds.
-What they find is tried on everybody, and the solution that serves the population best is preferred: persons of one
-population are alike, and parts of a network that could change places should be called the same in everybody.
+An objective has many local optima (for one of the paper's published curves the best one is reached from one random
+start in two hundred), so random starts are made for a few persons with thinned data, where they cost microseconds.
+The optima found are tried for all persons, and the solution that is best for the population is preferred: persons of
+one population are similar, and equal parts of a network that can be exchanged should have the same names for all.
 """
 
 from __future__ import annotations
@@ -40,41 +40,43 @@ Result = TypeVar("Result")
 
 
 _PROVISIONAL_NOISE = 0.05
-"""Relative noise of the searches: larger than most recordings have, so that optima are wide enough to be found."""
+"""Relative noise assumed in the searches. By choice: larger than in most recordings, so that optima are wide enough to
+be found."""
 _THINNED_POINTS = 64
-"""Frequencies that a search from many starts uses: eight to an element of the paper's network."""
+"""Frequencies that a search from many starts uses. By choice: eight per element of the paper's network."""
 _SEARCHED_PERSONS = 8
-"""Persons searched from random starts; what they find is tried on everybody."""
+"""Persons searched from random starts; the optima found are tried for all persons. By choice: more cost time."""
 _RANDOM_STARTS = 768
-"""In total, shared between the persons searched: 96 each for eight, all for one, whose best optimum may be reached from
-one start in two hundred."""
+"""Total number, divided between the persons searched: 96 each for eight persons, all for one. The best optimum may be
+reached from only one start in two hundred."""
 _START_SPREAD = 2.5
-"""Standard deviation of the starts' logarithms, somewhat less than the prior's 3."""
+"""Standard deviation of the starts' log elements. By choice: somewhat less than the prior's 3."""
 _KEPT = 4
-"""Optima of each search that are tried on others."""
+"""Optima of each search that are tried for the other persons. By choice: more cost time."""
 _FIRST_STEPS, _FOLLOWED, _APART = 15, 24, 1.0
-"""All starts go so many steps; so many ends are followed, which differ by a factor e in some element. Without that
-difference 14 of the 71 single curves of ``data/fingertip_71`` ended in a local optimum, with it none (measured)."""
+"""First steps of all starts; number of end points that are followed; least difference between these in some log
+element. Without that difference 14 of the 71 single curves of ``data/fingertip_71`` ended in a local optimum, with it
+none (measured)."""
 _COMMON = 5
-"""Solutions for the whole population that are compared, the best on average first."""
+"""Solutions common to all persons that are compared, the best on average first. By choice: more cost time."""
 
 _WHOLE = "first_fits.npz"
 
 
 @dataclass(frozen=True)
 class FirstFits:
-    """What is known before the population is looked at.
+    """Fits of each person before the population is estimated.
 
     Attributes
     ----------
     theta : ndarray, shape (N, P)
-        Everybody's log elements in the common solution.
+        Each person's log elements in the common solution.
     alternatives : ndarray, shape (N, A, P)
-        Everybody's best other solutions.
+        Each person's best other solutions.
     common : ndarray, shape (C, N, P)
-        Solutions that everybody could share, the most promising first: in each, all searches began at one point.
+        Candidate common solutions, the most promising first: in each, the searches of all persons began at one point.
     model : NoiseModel or None
-        The common noise; None if every recording came with its own. :func:`noise_of` has that of one person.
+        The common noise model; None if every recording has its own noise. :func:`noise_of` gives that of one person.
     """
 
     theta: np.ndarray
@@ -83,13 +85,13 @@ class FirstFits:
     model: NoiseModel | None
 
     def save(self, file: Path) -> None:
-        """Keep for a run that is resumed."""
+        """Save for a run that is resumed."""
         model = {} if self.model is None else {f"noise_{name}": value for name, value in vars(self.model).items()}
         save_arrays(file, {"theta": self.theta, "alternatives": self.alternatives, "common": self.common, **model})
 
     @classmethod
     def load(cls, file: Path) -> FirstFits | None:
-        """What was kept; None if there is nothing, or it is damaged."""
+        """Read what was saved; None if there is no file, or it is damaged."""
         kept = load_arrays(file)
         if kept is None:
             return None
@@ -117,7 +119,7 @@ def first_fits(
     progress: Progress,
     checkpoint: Path | None = None,
 ) -> FirstFits:
-    """Fit everybody under the broad prior and estimate the noise.
+    """Fit each person under the broad prior and estimate the noise.
 
     Parameters
     ----------
@@ -126,12 +128,12 @@ def first_fits(
         N persons.
     prior : Prior
     seed : SeedSequence
-        Of the random starts.
+        For the random starts.
     executor : Executor
-        Runs what can be done person by person.
+        Runs the computations for single persons.
     progress : callable
     checkpoint : Path, optional
-        Folder where everybody's fits are kept as they come, and from which they are taken up.
+        Folder where the fits are saved as they are computed, and from which an interrupted run continues.
     """
     if checkpoint is not None and (whole := FirstFits.load(checkpoint / _WHOLE)) is not None:
         return whole
@@ -146,7 +148,7 @@ def first_fits(
     def everybody(
         stage: str, function: Callable[..., tuple[np.ndarray, ...]], persons: Sequence[Any], *others: np.ndarray
     ) -> list[tuple[np.ndarray, ...]]:
-        """One column for each array that the function returns, worked out or taken up."""
+        """One column for each array that the function returns, computed or read from the checkpoint."""
 
         def rows_from(first: int) -> Iterator[tuple[np.ndarray, ...]]:
             return map_persons(executor, function, persons[first:], *(other[first:] for other in others))
@@ -160,7 +162,7 @@ def first_fits(
     tried = everybody("first fits", partial(_try_all, kernel, candidates, prior.centre, precision), subjects)
     ends, objectives, alternatives = (np.array(column) for column in zip(*tried, strict=True))
     regret = objectives - objectives.min(axis=1, keepdims=True)
-    common = int(np.argmin(np.minimum(regret, 50).sum(axis=0)))  # capped: one odd person must not decide
+    common = int(np.argmin(np.minimum(regret, 50).sum(axis=0)))  # capped: one outlying person must not decide
     own = np.where(regret[:, common] < 8, common, np.argmin(regret, axis=1))
     start = ends[np.arange(len(subjects)), own]
 
@@ -184,7 +186,7 @@ def _searched(kernel: Kernel, starts: np.ndarray, prior: Prior, likelihood: Like
 def _try_all(
     kernel: Kernel, candidates: np.ndarray, centre: np.ndarray, precision: np.ndarray, subject: Subject
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where a person's search from every candidate ends, the objectives there, and the best that differ."""
+    """End points of a person's searches from every candidate, the objectives there, and the best distinct ends."""
     ends, objectives, _ = all_modes(kernel, _thinned(subject, centre.size), candidates, centre, precision, 40)
     return ends, objectives, best_distinct(ends, objectives, _KEPT)
 
@@ -197,11 +199,11 @@ def _provisional(
 
 
 def search_modes(kernel: Kernel, likelihood: Likelihood, starts: np.ndarray, prior: Prior, n: int) -> np.ndarray:
-    """Where the best of many starts end.
+    """End points of the best of many starts.
 
-    A start's rank shows after a few Gauss-Newton steps; only the best are followed to where exact second derivatives
-    are needed, which cost ten times as much. They differ by a factor e in some element: two dozen in one valley, whose
-    end may be a local optimum, would all end there.
+    The rank of a start is visible after a few Gauss-Newton steps. Only the best are continued to convergence, which
+    needs exact second derivatives at ten times the cost. They must differ by a factor e in some element: otherwise all
+    of them might lie in one valley and end in the same local optimum.
 
     Parameters
     ----------
@@ -225,7 +227,7 @@ def search_modes(kernel: Kernel, likelihood: Likelihood, starts: np.ndarray, pri
 
 
 def _common_solutions(ends: np.ndarray, regret: np.ndarray) -> np.ndarray:
-    """The best few columns of everybody's fits, ends (N, C, P) and regret (N, C), that differ as populations."""
+    """The best few common solutions that differ as populations, from end points (N, C, P) and regret (N, C)."""
     cost = np.minimum(regret, 50).sum(axis=0)
     kept: list[int] = []
     for column in np.argsort(cost):
@@ -253,7 +255,7 @@ def thinned_points(n: int) -> np.ndarray:
 
 
 def best_distinct(ends: np.ndarray, objectives: np.ndarray, n: int) -> np.ndarray:
-    """The n best end points that differ by more than rounding; the best one is repeated if there are fewer."""
+    """The n best end points that differ by more than rounding; the best is repeated if there are fewer."""
     kept = _distinct(ends, objectives, n, 0.1)
     return np.array(kept + [kept[0]] * (n - len(kept)))
 
@@ -298,7 +300,7 @@ def noise_of(subject: Subject, model: NoiseModel | None) -> np.ndarray:
     """Standard deviation of the noise of a person's recordings, before the person's own scale, shape (J, F)."""
     if subject.noise_sd is not None:
         return subject.noise_sd
-    assert model is not None  # made whenever someone needs it
+    assert model is not None  # made whenever a recording has no noise of its own
     magnitude = np.exp(np.mean(np.log(np.abs(subject.z)), axis=0))
     return np.tile(model.at(subject.frequency_hz, magnitude), (len(subject.repetitions), 1))
 

@@ -48,11 +48,14 @@ DIAGNOSIS_FILE = "diagnosis.html"
 """Beside ``report.html`` of a fit, which a diagnosis leaves as it is."""
 _TEMPLATE = "diagnosis.html.j2"
 _RANKED = 15
+"""Most candidates in the ranking; further ones are left out. By choice: completeness against the table's length."""
 _ALIASES = 8
+"""Most aliases shown unfolded; further ones are folded. By choice, as for the ranking."""
 _NAMES = 12
-"""How many rows stand open on the page; further aliases and names are folded, further candidates left out."""
+"""Most names shown unfolded; further ones are folded. By choice, as for the ranking."""
 _SAME = 0.95
-"""Cosine between signatures above which two candidates look alike in the table."""
+"""Cosine between two signatures above which the table marks the candidates as alike. By choice: a lower value marks
+candidates that the recordings can distinguish."""
 
 _QUANTITIES = {
     "central": "centre",
@@ -140,7 +143,7 @@ def _context(diagnosis: Diagnosis, pictures: Mapping[str, Path]) -> dict[str, ob
 
 @dataclass(frozen=True)
 class MissingOnePort:
-    """The network that stands in for physics outside of the catalogue: place, notation, drawing."""
+    """The network fitted in place of physics that is not in the catalogue: place, notation, drawing."""
 
     place: str
     network: str
@@ -148,7 +151,7 @@ class MissingOnePort:
 
 
 def unexplained(diagnosis: Diagnosis) -> MissingOnePort | None:
-    """What is left that nothing in the catalogue describes."""
+    """The remaining misfit that no effect of the catalogue describes, as a network; None if there is none."""
     entry = diagnosis.verdict.unexplained
     if entry is None:
         return None
@@ -159,13 +162,13 @@ def unexplained(diagnosis: Diagnosis) -> MissingOnePort | None:
 
 
 def networks(diagnosis: Diagnosis) -> tuple[str, str]:
-    """Notation before, and after if it differs (else an empty text)."""
+    """Notation of the network before the diagnosis, and after it (an empty text if they are equal)."""
     before, after = diagnosis.verdict.network
     return before, "" if after == before else after
 
 
 def _marks(notation: str, verdict: Verdict) -> dict[tuple[int, ...], str]:
-    """Paths of the places that were found, with the numbers of their cards."""
+    """Paths of the places of the effects found, with the numbers of their cards."""
     network, marks = _parsed(notation), dict[tuple[int, ...], list[str]]()
     for number, entry in enumerate(verdict.physics, 1):
         try:
@@ -226,7 +229,7 @@ def ranking(diagnosis: Diagnosis) -> list[RankedRow]:
 
 
 def improvements(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
-    """What changed: name, before and after with their unit."""
+    """Quantities that changed: name, and values before and after with their unit."""
     entry = diagnosis.verdict.improvement
     if entry is None:
         return []
@@ -261,7 +264,7 @@ def differences(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
 
 
 def limits(verdict: Verdict) -> list[tuple[str, str, list[tuple[str, str]]]]:
-    """What would have been seen: id, name, and at each place the smallest size."""
+    """Detection limits: id and name of each effect, and at each place the smallest size that would be detected."""
     grouped: dict[str, list[tuple[str, str]]] = {}
     names = {}
     for limit in verdict.detectable:
@@ -273,7 +276,7 @@ def limits(verdict: Verdict) -> list[tuple[str, str, list[tuple[str, str]]]]:
 
 
 def provenance(diagnosis: Diagnosis) -> list[tuple[str, str]]:
-    """Where the verdict comes from."""
+    """Provenance of the verdict: rows of name and value."""
     verdict, f = diagnosis.verdict, diagnosis.before.frequency_hz
     n, repetitions = len(diagnosis.subjects), diagnosis.repetitions
     times = "once" if repetitions == 1 else f"up to {repetitions} times each" if n > 1 else f"{repetitions} times"

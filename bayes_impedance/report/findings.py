@@ -1,4 +1,4 @@
-"""What a verdict says: its kind, where the mismatch is, and a card for each effect, as plain text for the template."""
+"""A verdict as plain text for the template: its kind, where the mismatch is, and a card for each effect."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ KINDS = {
     "refused": "Not to be relied on",
 }
 _SMALLEST_P = 1e-300
+"""Smaller p-values are given as an upper bound: close to the smallest double-precision number, 2e-308."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ class Quantity:
 
 @dataclass(frozen=True, kw_only=True)
 class AliasRow:
-    """Another explanation, how far it is behind, and what would tell it apart."""
+    """An alternative explanation, how much worse it fits, and a measurement that would distinguish it."""
 
     id: str
     name: str
@@ -54,7 +55,7 @@ class AliasRow:
 
 @dataclass(frozen=True, kw_only=True)
 class EffectCard:
-    """A card: one effect that was left out."""
+    """A card of the page: one effect that the network lacks."""
 
     number: int
     id: str
@@ -74,7 +75,7 @@ class EffectCard:
 
 
 def kind_of_verdict(verdict: Verdict) -> str:
-    """Which of ``nothing``, ``found``, ``unknown`` and ``refused`` (it cannot be relied on) a verdict is."""
+    """Kind of a verdict: ``nothing``, ``found``, ``unknown`` or ``refused`` (not reliable)."""
     if not verdict.reliable:
         return "refused"
     if not verdict.mismatch:
@@ -83,7 +84,7 @@ def kind_of_verdict(verdict: Verdict) -> str:
 
 
 def facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:
-    """Where the mismatch is, in a few words each; nothing if there is none."""
+    """Where the mismatch is, in a few words each; empty if there is none."""
     verdict = diagnosis.verdict
     if not verdict.mismatch:
         return []
@@ -113,7 +114,7 @@ def facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:
 
 
 def affected(verdict: Verdict) -> list[str]:
-    """Names of those who show the mismatch; empty if it is everybody."""
+    """Names of the subjects who show the mismatch; empty if all do."""
     names = verdict.where.subjects
     return [] if names == "all" else list(names)
 
@@ -145,7 +146,7 @@ def _effect(entry: Physics, number: int, diagnosis: Diagnosis) -> EffectCard:
 
 
 def why_side(entry: Physics, diagnosis: Diagnosis) -> str:
-    """Why an effect is said to be of the rig or of the body: what its spread between people shows."""
+    """Reason why an effect is attributed to the rig or to the body, from its spread between people."""
     who, one = people(diagnosis), people(diagnosis, 1)
     if len(diagnosis.subjects) == 1:
         return (
@@ -163,14 +164,14 @@ def why_side(entry: Physics, diagnosis: Diagnosis) -> str:
 
 
 def _spread(entry: Physics) -> tuple[str, str] | None:
-    """The parameter whose spread decides between rig and body, and that spread: value and interval are of it alone."""
+    """The parameter whose spread decides between rig and body, and that spread with its interval."""
     if not entry.parameters:
         return None
     name, first = next(iter(entry.parameters.items()))
     interval, text = entry.dispersion_interval, ""
     if interval is not None:
         text = f"90 % interval {_percent(interval[0])} to {_percent(interval[1])}"
-    if entry.pooling == "shared":  # its dispersion is zero because it was not asked for
+    if entry.pooling == "shared":  # its dispersion is zero because it was not estimated
         return None if interval is None else (name.replace("_", " "), text)
     if first.dispersion is None:
         return None
@@ -179,7 +180,7 @@ def _spread(entry: Physics) -> tuple[str, str] | None:
 
 def _quantity(name: str, parameter: Parameter) -> Quantity:
     middle, low, high = parameter.median, parameter.q05, parameter.q95
-    # An interval that is far wider than its middle decides the prefix.
+    # The prefix follows the interval if that is far wider than the middle value.
     scale = scale_for(max(abs(x) for x in (middle, (high - low) / 4, 0.0) if math.isfinite(x)), parameter.unit)
     value, interval = interval_text(*(scale.factor * x for x in (middle, low, high)))
     spread = "the same for all" if parameter.dispersion == 0 else _percent(parameter.dispersion)
@@ -211,7 +212,7 @@ def _alias(entry: Alias) -> AliasRow:
 
 
 def joint(verdict: Verdict) -> list[tuple[str, str, str]]:
-    """Pairs of parameters of all effects, their posterior correlation, and the stronger ones first."""
+    """Pairs of parameters of all effects with their posterior correlation, the strongest first."""
     if verdict.joint is None:
         return []
     names, matrix = verdict.joint.parameters, verdict.joint.correlation
@@ -232,7 +233,7 @@ def p_text(value: float | None) -> str:
 
 
 def score_text(value: float | None) -> str:
-    """A chi-square statistic: large ones without decimals."""
+    """A chi-square statistic as text: large values without decimals."""
     score = number_or_nan(value)
     return number_text(score) if not 100 <= score < 1e6 else f"{score:.0f}"
 
@@ -243,7 +244,7 @@ def number_or_nan(value: float | None) -> float:
 
 
 def interval_text(middle: float, low: float, high: float) -> tuple[str, str]:
-    """A value and its interval, with as many digits as the interval allows; a dash for what is not known."""
+    """A value and its interval, with as many digits as the interval justifies; a dash for unknown values."""
     if not all(map(math.isfinite, (middle, low, high))):
         return number_text(middle), ABSENT
     value, interval = with_interval(middle, low, high)
@@ -255,7 +256,7 @@ def _minus(text: str) -> str:
 
 
 def number_text(value: float | None, digits: int = 3) -> str:
-    """A number with some significant digits; a dash if it is not known."""
+    """A number with a given number of significant digits; a dash if it is not known."""
     return _minus(significant(number_or_nan(value), digits))
 
 

@@ -1,6 +1,6 @@
-"""What the page says in words: sentences made of a result, as plain text for the template.
+"""Sentences of the page, made from a result, as plain text for the template.
 
-Nothing is computed here but units, prefixes and digits. Numbers that must not be used do not get into a sentence.
+Only units, prefixes and digits are computed here. Numbers that must not be used do not appear in a sentence.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from bayes_impedance.results.result import Result
 from bayes_impedance.units import hertz, scale_for, significant
 
 _RARE = 0.05
-"""Share of the populations drawn from the model below which the measured error is called larger than it explains."""
+"""If fewer of the replicated populations than this share have an error as large as the measured one, the measured error
+is called larger than the model explains. By choice: the usual level of 5 %."""
 
 
 def answer(result: Result) -> list[str]:
@@ -47,7 +48,7 @@ def answer(result: Result) -> list[str]:
 
 def _values_in_words(result: Result, n: int) -> list[str]:
     rows = element_rows(result)
-    # No line break inside of an equation.
+    # No line break inside an equation.
     known = [f"{row.name} = {row.value} {row.unit}".strip().replace(" ", "\u00a0") for row in rows if row.identified]
     missing = [row.name for row in rows if not row.identified]
     text = []
@@ -93,14 +94,14 @@ def _quality_in_words(result: Result, n: int) -> list[str]:
 
 
 def coverage_in_words(result: Result, level: str) -> str:
-    """Share inside of a band as an average, and between what it varies with frequency: an average hides that."""
+    """Average share inside a band, and the range over frequency, which an average hides."""
     least, most = (f"{100 * share:.0f} %" for share in result.summary["coverage_by_frequency"][level])
     mean = f"{100 * result.summary['coverage'][level]:.0f} %"
     return f"{mean} on average ({least} to {most} at single frequencies)"
 
 
 def chance_in_words(result: Result) -> str:
-    """Between which shares chance alone leaves single frequencies, where bands are right."""
+    """Range of the shares at single frequencies that chance alone produces if the bands are correct."""
     n = len(subjects(result))
     ranges = []
     for level in result.summary["coverage"]:
@@ -110,7 +111,7 @@ def chance_in_words(result: Result) -> str:
 
 
 def replication_sentence(result: Result) -> str:
-    """Whether populations drawn from the model are as far from its centre as the measured one."""
+    """Whether replicated populations are as far from the model's centre as the measured one."""
     entry = result.summary["errors"]["population_network"]
     ranks = [entry["replicated_rank_magnitude"], entry["replicated_rank_phase"]]
     shares = f"{100 * ranks[0]:.0f} % of them for the magnitude and {100 * ranks[1]:.0f} % for the phase"

@@ -1,6 +1,6 @@
-"""What the page says in tables: rows made of a result, as plain text for the template.
+"""Tables of the page: rows made from a result, as plain text for the template.
 
-Nothing is computed here but units, prefixes and digits. Numbers that must not be used do not get into a row.
+Only units, prefixes and digits are computed here. Numbers that must not be used do not appear in a row.
 """
 
 from __future__ import annotations
@@ -41,16 +41,17 @@ _ELECTRICAL = {
     "r": ("resistance", "Loss: voltage in proportion to current, energy turned into heat."),
 }
 _CORRELATIONS = 12
-"""At most so many pairs are listed: those that a reader takes in."""
+"""Most pairs that are listed. By choice: completeness against the table's length."""
 _RHAT_WANTED = SamplerSettings().rhat
 _ESS_WANTED = 400
-"""Effective samples: 5 % and 95 % quantiles then have an error of a tenth of a standard deviation."""
+"""Effective sample size wanted: 5 % and 95 % quantiles then have an error of a tenth of a standard deviation."""
 _ACCEPTANCE = 0.1, 0.9
 """Share of accepted steps, by choice: stretch moves work best around a third."""
 _DRAWS_WANTED = 10
-"""Effective draws of a person, by choice: means of fewer are hardly means."""
+"""Effective number of draws wanted for a person. By choice: with ten the error of a mean is a third of the standard
+deviation."""
 _OUTLIERS = 3
-"""How many subjects are listed for each reason to stand out."""
+"""Most subjects listed for each criterion. By choice: completeness against the table's length."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +74,7 @@ class ElementRow:
 
 @dataclass(frozen=True)
 class Check:
-    """A diagnostic: its name and value, what is good, whether it is, and what it means."""
+    """A diagnostic: its name and value, the required value, whether it is met, and what it means."""
 
     name: str
     value: str
@@ -83,7 +84,7 @@ class Check:
 
 
 def population_name(result: Result) -> str:
-    """Who was measured, with their number: ``71 simulated people``, ``one subject``."""
+    """The subjects with their number: ``71 simulated people``, ``one subject``."""
     n = len(subjects(result))
     adjective = "simulated " if is_simulated(result) else ""
     return f"{'one' if n == 1 else n} {adjective}{who(result, n)}"
@@ -184,7 +185,7 @@ def slope_rows(result: Result) -> list[tuple[str, str, str, str]]:
 
 
 def recording_rows(result: Result) -> list[tuple[str, str]]:
-    """What was recorded."""
+    """Description of the recordings: rows of name and value."""
     repetitions = needed(result, "repetitions")
     low, high = int(repetitions.min()), int(repetitions.max())
     f, magnitude = frequency(result), np.hypot(needed(result, "observed_re"), needed(result, "observed_im"))
@@ -233,7 +234,7 @@ def error_table(result: Result) -> tuple[str, list[tuple[str, str, str]]]:
 
 
 def outlier_rows(result: Result) -> list[tuple[str, str, str, str, str]]:
-    """Who stands out: name, relative error, residual over noise, Pareto k, and why the subject is listed."""
+    """Subjects that stand out: name, relative error, residual over noise, Pareto k, and why the subject is listed."""
     names = subjects(result)
     criteria = {
         "largest error": needed(result, "person_relative_rms"),
@@ -258,6 +259,7 @@ def outlier_rows(result: Result) -> list[tuple[str, str, str, str, str]]:
 
 
 _ORDINAL = {1: "second", 2: "third"}
+"""Words for a subject's rank in a criterion, counted from zero; the first needs none."""
 
 
 def checks(result: Result) -> list[Check]:
@@ -311,7 +313,7 @@ def checks(result: Result) -> list[Check]:
 
 
 def provenance_rows(result: Result) -> list[tuple[str, str]]:
-    """Where the numbers come from."""
+    """Provenance of the numbers: rows of name and value."""
     summary, s = result.summary, result.summary["sampler"]
     seconds = ", ".join(f"{name} {value:.1f} s" for name, value in summary.get("seconds", {}).items())
     return [
@@ -326,7 +328,7 @@ def provenance_rows(result: Result) -> list[tuple[str, str]]:
 
 
 def command(result: Result) -> str:
-    """The command that gives this result again, quoted for the shell: names are what others have written."""
+    """The command that reproduces this result, quoted for the shell, because names come from the user's files."""
     summary: dict[str, Any] = result.summary
     parts = [
         "bayes-impedance run DATASET -o OUT",

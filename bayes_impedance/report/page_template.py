@@ -1,4 +1,4 @@
-"""What both pages are made with: the environment of their templates, and pictures as text inside of a page."""
+"""Common parts of both pages: the environment of their templates, and pictures embedded as text."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def template_environment() -> Environment:
-    """Environment of the templates in this folder; texts are escaped, and a name that is not given is an error."""
+    """Environment of the templates in this folder; texts are escaped, and an undefined name is an error."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     return Environment(

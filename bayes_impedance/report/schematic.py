@@ -5,8 +5,8 @@ A tree of series and parallel groups is drawn by two rules. A *chain* puts its p
 (``-``) form a chain and those that share one velocity (``|``) a stack. In a circuit diagram of the same tree it is the
 other way round, because voltage takes the place of force: impedances that add are drawn in a row.
 
-Every part is measured first (its width, and its height above and below its own line) and painted when its place is
-known; wires fill the remaining width.
+The size of each part is computed first (its width, and its height above and below its own line). It is painted when its
+position is known; wires fill the remaining width.
 """
 
 from __future__ import annotations
@@ -19,10 +19,14 @@ from bayes_impedance.network.elements import kind_of
 from bayes_impedance.network.notation import Element, Network, Parallel, Place
 
 _WIDTH, _ABOVE, _BELOW = 112.0, 34.0, 36.0
-"""Of an element, in pixels: the name stands above its symbol and the value below."""
+"""Least width of an element and its extent above and below its line, in pixels: the name is above the symbol and the
+value below. By choice, for legibility."""
 _SYMBOL = 46.0
+"""Width of an element's symbol in pixels. By choice: legibility against the drawing's width."""
 _LEAD, _GAP = 20.0, 6.0
+"""Length of the wires at either end of a stack, and the gap between its parts, in pixels. By choice, for legibility."""
 _PAD, _HEAD = 9.0, 22.0
+"""Distance of a frame from the part inside it, and the height for its label, in pixels. By choice, for legibility."""
 
 _STYLE = (
     ".w{stroke:#333;stroke-width:1.8;fill:none;stroke-linecap:round;stroke-linejoin:round}"
@@ -32,7 +36,7 @@ _STYLE = (
     ".n{font-size:16px;font-weight:600}.v{font-size:13px;fill:#0b5a8f}.l{font-size:13px;fill:#5b6b78;font-style:italic}"
     ".p{font-size:13px;fill:#444}"
 )
-_MARKED = (  # stands in the drawing only if something is marked
+_MARKED = (  # included only if something is marked
     ".k{stroke:#c77700;stroke-width:2;fill:#f6a623;fill-opacity:.16}.kb{fill:#c77700}"
     ".kt{font-size:13px;font-weight:700;fill:#fff}"
 )
@@ -50,9 +54,9 @@ class _Block:
     width, above, below : float
         Least width, and extent above and below the line on which the part is connected.
     paint : callable
-        Of the left end x, of the line's y, and of the width that is to be filled.
+        Function of the left end x, the line's y, and the width to be filled.
     open_right : bool
-        Whether the right wire is dashed: it stands for the inertial frame and is no rod.
+        Whether the right wire is dashed: it is the connection to the inertial frame, not a rod.
     """
 
     width: float
@@ -77,9 +81,9 @@ def schematic(
     values : mapping of str to str, optional
         Text below an element, for instance its central value.
     electrical : bool
-        Draw coils, capacitors and resistors, by the analogy of force and voltage.
+        Draw coils, capacitors and resistors, by the force-voltage analogy.
     mark : Place, path, or mapping of path to str, optional
-        Put a box around what stands there, with a short text on it if there is one. The port (the empty path) is
+        Draw a box around the part at this place, with a short text if one is given. The port (the empty path) is
         marked at its end of the drawing. A place is given as such or by its path.
 
     Returns
@@ -127,8 +131,8 @@ def _build(
         parts = list(enumerate(node.parts))
         chained = isinstance(node, Parallel) == electrical
         if chained and not electrical:
-            # The other end of a mass is the inertial frame, so what holds one stands last; a chain's order does not
-            # change its impedance.
+            # The other end of a mass is the inertial frame, so parts that contain a mass are drawn last; the order in
+            # a chain does not change its impedance.
             parts.sort(key=lambda part: _inertia(part[1]))
         blocks = [_build(part, values, electrical, marks, (*path, i)) for i, part in parts]
         block = _chain(blocks) if chained else _stack(blocks)

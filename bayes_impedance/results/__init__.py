@@ -1,8 +1,8 @@
-"""What a fit says, and the files that hold it: predictive bands, errors, ``result.nc``, ``summary.json``.
+"""Results of a fit and the files that hold them: predictive bands, errors, ``result.nc``, ``summary.json``.
 
-In comes a :class:`~bayes_impedance.population.PopulationFit`; out come predictive bands and a :class:`Result` that
-every picture, report and export reads. Open :mod:`.result` first, then :mod:`.predictive`; :mod:`.curve_errors` holds
-eq. 5 and coverage.
+The input is a :class:`~bayes_impedance.population.PopulationFit`; the output is predictive bands and a :class:`Result`
+that every picture, report and export reads. Open :mod:`.result` first, then :mod:`.predictive`; :mod:`.curve_errors`
+holds eq. 5 and coverage.
 """
 
 from bayes_impedance.results.predictive import Predictive, predict

@@ -1,8 +1,8 @@
-"""What stands between a fit and the use of its numbers: a network that does not describe the recordings.
+"""Model adequacy: whether the network describes the recordings well enough that the fit's numbers may be used.
 
-A sampler that has converged says that the posterior of a model is known, not that the model is right. What is found
-wrong with the model itself is kept here, as plain data that the summary, the terminal, the report and ``result.nc`` all
-show. :func:`bayes_impedance.diagnosis.examine.examine` fills it in.
+Convergence of the sampler shows that the posterior of a model is known, not that the model is right. The misfits found
+in the model itself are kept here, as plain data that the summary, the terminal, the report and ``result.nc`` all show.
+:func:`bayes_impedance.diagnosis.examine.examine` fills it in.
 """
 
 from __future__ import annotations
@@ -15,19 +15,20 @@ from typing import Any
 
 @dataclass(frozen=True, kw_only=True)
 class Adequacy:
-    """Whether a network describes recordings, as far as they can tell.
+    """Whether a network describes recordings, as far as the recordings can show.
 
     Attributes
     ----------
     gross : tuple of str
         Sentences: misfits so large that no number may be used.
     misfit : tuple of str
-        Sentences: what the network leaves out or the population's shape contradicts, the most important first.
+        Sentences: effects that the network lacks, and contradictions to the assumed shape of the population, the most
+        important first.
     bent : mapping of str to float
-        Elements whose population centre the best explanations of the misfit move by more than its own interval, with
-        the largest such change of the natural logarithm; infinite where it is not known.
+        Elements whose population centre changes by more than its own interval if the best explanations of the misfit
+        are included, with the largest such change of the natural logarithm; infinite if it is not known.
     log_p : float
-        Natural logarithm of the p-value of the strongest missing effect, corrected for all that were tried.
+        Natural logarithm of the p-value of the strongest missing effect, corrected for the number of effects tried.
     p_value : float
         Of the hypothesis that residuals have no structure.
     effects : tuple of str
@@ -43,11 +44,11 @@ class Adequacy:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Everything that is wrong, the gravest first."""
+        """All misfits as sentences, the most severe first."""
         return (*self.gross, *self.misfit)
 
     def summary(self) -> dict[str, Any]:
-        """As it stands in ``summary.json``."""
+        """Entry of ``summary.json``."""
         return {
             "gross": list(self.gross),
             "misfit": list(self.misfit),

@@ -1,11 +1,11 @@
-r"""How far a model curve is from people's curves: the paper's eq. 5 and relatives.
+r"""Errors of a model curve relative to the measured curves: the paper's eq. 5 and related measures.
 
 .. math:: \Delta_{m,A}(f) = \frac1n\sum_i \bigl|\,|z_\text{model}(f)| - |z_i(f)|\,\bigr|, \qquad
           \Delta_{m,P}(f) = \frac1n\sum_i \bigl|\arg z_\text{model}(f) - \arg z_i(f)\bigr|
 
 (the square root of the square in eq. 5 is the absolute value), then mean and standard deviation over frequency as in
 fig. 4. Among all single curves the pointwise **median** of the magnitudes has the least :math:`\Delta_{m,A}`, by the
-definition of the median: the look-up tables are bounds that no network can beat, not rivals.
+definition of the median: the look-up table of medians is a lower bound for every network, not a competing model.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ import numpy as np
 from bayes_impedance.recordings.files import Recordings
 
 _FALLBACK_POINTS = 200
-"""Logarithmic grid where people's own grids differ: 67 to a decade in the paper's three, more than curves can show."""
+"""Frequencies of the logarithmic grid used if the subjects' grids differ. By choice: 67 per decade over the paper's
+three decades, finer than the structure of the curves."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class ErrorCurves:
 
 
 def common_grid(recordings: Recordings) -> np.ndarray:
-    """Frequencies at which the population is looked at, shape (F,): the grid that all share, or a logarithmic one."""
+    """Frequencies for population curves in Hz, shape (F,): the grid common to all subjects, or a logarithmic one."""
     first = recordings.subjects[0].frequency_hz
     if all(np.array_equal(s.frequency_hz, first) for s in recordings.subjects):
         return np.asarray(first)
@@ -55,7 +56,7 @@ def common_grid(recordings: Recordings) -> np.ndarray:
 
 
 def on_grid(recordings: Recordings, frequency_hz: np.ndarray) -> np.ndarray:
-    """Everybody's mean recording on a common grid, complex, shape (N, F); NaN outside of a person's own range.
+    """Each person's mean recording on a common grid, complex, shape (N, F); NaN outside the person's own range.
 
     Interpolation is linear in real and imaginary part over log frequency.
     """
@@ -69,18 +70,18 @@ def on_grid(recordings: Recordings, frequency_hz: np.ndarray) -> np.ndarray:
 
 
 def wrapped_deg(difference: np.ndarray) -> np.ndarray:
-    """Phase difference in degrees, brought into -180..180."""
+    """Phase difference in degrees, wrapped to -180..180."""
     return np.asarray((difference + 180.0) % 360.0 - 180.0)
 
 
 def error_curves(model_magnitude: np.ndarray, model_phase_deg: np.ndarray, z: np.ndarray) -> ErrorCurves:
-    """Eq. 5 of one model curve against people's curves.
+    """Eq. 5 for one model curve and the measured curves.
 
     Parameters
     ----------
     model_magnitude, model_phase_deg : ndarray, shape (F,)
     z : ndarray, complex, shape (..., N, F)
-        NaN where somebody has no data.
+        NaN where a person has no data.
 
     Returns
     -------

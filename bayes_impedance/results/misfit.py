@@ -1,6 +1,6 @@
-"""What is said of a network that does not describe the recordings: the limits, and the numbers that go with the words.
+"""Criteria and wording for a network that does not describe the recordings.
 
-Every sentence that says "it fits" or "it does not" asks :func:`network_misfits`, so that no two of them disagree.
+Every sentence on whether the network fits uses :func:`network_misfits`, so that no two of them disagree.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 MISFIT_SCALE = 1.5
-"""Above this ratio of residual to noise, the network is said to miss something in a person's recordings: what is
-unexplained is then as large as the noise."""
+"""Above this ratio of residual to noise, the network is reported to misfit a person's recordings: the unexplained part,
+the square root of 1.5 squared minus 1, is then about as large as the noise."""
 
 MISFIT_SHARE = 0.1
-"""Above this part of the people in whom it misses something, the network is said not to describe the recordings. By
-choice: fewer are named one by one as those who stand out."""
+"""If the network misfits more than this share of the people, it is reported not to describe the recordings. By choice:
+fewer are named one by one as outliers."""
 
 
 def noise_scale_summary(noise_scale: np.ndarray) -> dict[str, Any]:
@@ -25,7 +25,7 @@ def noise_scale_summary(noise_scale: np.ndarray) -> dict[str, Any]:
     Parameters
     ----------
     noise_scale : ndarray, shape (N,)
-        Of everybody.
+        Ratio for each person.
 
     Returns
     -------
@@ -42,20 +42,20 @@ def noise_scale_summary(noise_scale: np.ndarray) -> dict[str, Any]:
 
 
 def network_misfits(summary: Mapping[str, Any]) -> bool:
-    """Whether a summary is of a network that does not describe the recordings."""
+    """Whether, by its summary, the network does not describe the recordings."""
     return bool(summary["noise_scale"]["affected"] > MISFIT_SHARE * summary["subjects"])
 
 
 def misfit_words(scale: Mapping[str, Any], subjects: int, who: str) -> str:
-    """How large the residuals are in those whom the network does not describe.
+    """Size of the residuals of the persons whom the network does not describe, in words.
 
     Parameters
     ----------
     scale : mapping
-        Of :func:`noise_scale_summary`, with somebody affected.
+        Result of :func:`noise_scale_summary`, with at least one person affected.
     subjects : int
     who : str
-        What a number of them is called.
+        Noun for the subjects.
     """
     times = f"{scale['affected_median']:.1f} times the noise"
     if subjects == 1:
@@ -64,25 +64,25 @@ def misfit_words(scale: Mapping[str, Any], subjects: int, who: str) -> str:
 
 
 def coverage_by_frequency(coverage: Mapping[str, np.ndarray]) -> dict[str, list[float]]:
-    """Least and largest share at a frequency, in magnitude or phase, of the people inside of each band.
+    """Smallest and largest share of people inside each band, over frequencies and over magnitude and phase.
 
     Parameters
     ----------
     coverage : mapping of str to ndarray, shape (2, F)
-        By the nominal share in per cent; NaN where nobody was measured.
+        By the nominal share in per cent; NaN at frequencies without data.
     """
     return {level: [float(np.nanmin(share)), float(np.nanmax(share))] for level, share in coverage.items()}
 
 
 def range_by_chance(nominal: float, people: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Between which shares of people a band that is right contains nine times out of ten (normal approximation).
+    """90 % range of the share of people inside a band with correct coverage (normal approximation of the binomial).
 
     Parameters
     ----------
     nominal : float
-        Share that the band is made for, between 0 and 1.
+        Nominal coverage of the band, between 0 and 1.
     people : ndarray
-        How many there are.
+        Number of people.
 
     Returns
     -------

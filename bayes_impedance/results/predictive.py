@@ -1,13 +1,13 @@
-r"""What the posterior says about people who were not measured, and whether it could have produced those who were.
+r"""Posterior predictive distribution of new persons, and posterior predictive checks against the measured ones.
 
-Three kinds of curve are drawn from the posterior, each with the uncertainty of the population's parameters in it:
+Three kinds of curve are drawn from the posterior, each including the uncertainty of the population's parameters:
 
 * the population **centre**, the network with the median elements, z(exp mu);
 * a new **person**: elements from N(mu, Sigma), without noise;
-* a new **recording**: a person's mean over J repetitions, with their deviations and with noise. Only this one may
-  be compared with recordings, and is: pointwise coverage of the bands, and eq. 5's error. For the latter whole
-  populations are replicated, as many people as were measured, and their error about the same model curve is computed:
-  at every frequency the observed error has a place in that distribution.
+* a new **recording**: a person's mean over J repetitions, with their deviations and with noise. Only this kind is
+  comparable with recordings: by the pointwise coverage of the bands, and by the error of eq. 5. For the latter whole
+  populations of the measured size are replicated, and their error about the same model curve is computed. At every
+  frequency the observed error has a rank in that distribution.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Band:
 
     @classmethod
     def of(cls, z: np.ndarray) -> Band:
-        """From curves, complex, shape (S, F)."""
+        """Band from complex curves, shape (S, F)."""
         return cls(
             np.quantile(np.abs(z), PROBABILITIES, axis=0), np.quantile(np.angle(z, deg=True), PROBABILITIES, axis=0)
         )
@@ -54,7 +54,7 @@ class Band:
 
 @dataclass(frozen=True, kw_only=True)
 class Replication:
-    """Eq. 5's error of the population network in replicated populations, beside the observed one.
+    """Error (eq. 5) of the population network in replicated populations, and the rank of the observed error.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class Replication:
     magnitude_rank, phase_rank : ndarray, shape (F,)
         Share of replicates whose error is at least the observed one, pointwise.
     mean_magnitude_rank, mean_phase_rank : float
-        The same for the mean over frequency: small if the recordings stray more than the posterior can explain.
+        The same for the mean over frequency: small if the recordings scatter more than the posterior can explain.
     replicates : int
     """
 
@@ -84,7 +84,7 @@ class Predictive:
     ----------
     frequency_hz : ndarray, shape (F,)
     observed : ndarray, complex, shape (N, F)
-        Everybody's mean recording; NaN outside of a person's range.
+        Each person's mean recording; NaN outside the person's range.
     centre, person, recording : Band
     network_magnitude, network_phase_deg : ndarray, shape (F,)
         Curve of the population network: the posterior medians of the central values.
@@ -94,9 +94,9 @@ class Predictive:
     coverage50, coverage90 : ndarray, shape (2, F)
         Share of people inside the recording's bands, of magnitude and of phase.
     person_relative_rms : ndarray, shape (N,)
-        Complex relative error of each person's own posterior median network.
+        Root-mean-square complex relative error of the network with each person's posterior median elements.
     person_delta_magnitude, person_delta_phase_deg : ndarray, shape (N,)
-        Mean absolute errors of the same.
+        Mean absolute errors of the same network.
     """
 
     frequency_hz: np.ndarray
@@ -171,9 +171,9 @@ def predict(fit: PopulationFit, *, n_draws: int = 1000, n_replicates: int = 200,
 
 
 def _people(fit: PopulationFit, rows: np.ndarray, rng: np.random.Generator, with_repetitions: bool) -> np.ndarray:
-    """Log elements of one new person for each of the given posterior draws, (S, P); of the only one, if there is one.
+    """Log elements of one new person for each given posterior draw, (S, P); of the only person if there is one.
 
-    With repetitions, it is the mean over as many of them as somebody measured has.
+    With repetitions it is the mean over a number of repetitions taken at random from the measured persons.
     """
     parameters = fit.parameters[rows]
     if fit.one_person:
@@ -194,7 +194,7 @@ def _people(fit: PopulationFit, rows: np.ndarray, rng: np.random.Generator, with
 def _recordings(
     fit: PopulationFit, rows: np.ndarray, frequency: np.ndarray, noise: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
-    """Mean recordings of new people, with somebody's relative noise (N, F), complex, (S, F)."""
+    """Mean recordings of new people, complex, (S, F), with relative noise (N, F) of measured people."""
     z = fit.kernel.impedance(_people(fit, rows, rng, with_repetitions=True), frequency)
     who = rng.integers(len(fit.recordings.subjects), size=rows.size)
     sd = np.abs(z) * noise[who]
@@ -202,7 +202,7 @@ def _recordings(
 
 
 def _relative_noise(fit: PopulationFit, frequency: np.ndarray) -> np.ndarray:
-    """Noise of everybody's mean recording relative to |z|, (N, F)."""
+    """Noise of each person's mean recording relative to |z|, (N, F)."""
     rows = []
     for subject, noise in zip(fit.recordings.subjects, fit.noise, strict=True):
         sd = np.sqrt(np.sum(noise**2, axis=0)) / noise.shape[0]
@@ -233,7 +233,7 @@ def _replicate(
     quantiles = (0.05, 0.5, 0.95)
 
     def rank(replicated: np.ndarray, value: np.ndarray) -> np.ndarray:
-        # One is added to both counts: the observed population is one of the possible ones, and no rank is zero.
+        # One is added to both counts: the observed population counts as a replicate, so that no rank is zero.
         return np.asarray((1 + np.sum(replicated >= value, axis=0)) / (n_replicates + 1))
 
     return Replication(
@@ -248,12 +248,12 @@ def _replicate(
 
 
 def _own_networks(fit: PopulationFit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Errors of everybody's posterior median network on the own grid: relative rms, magnitude, phase; each (N,)."""
+    """Errors of each person's posterior median network on the person's grid: relative rms, magnitude, phase; (N,)."""
     flat = fit.person_draws.reshape(-1, *fit.person_draws.shape[2:])
     middle = np.median(flat, axis=0)
     result = []
     for i, subject in enumerate(fit.recordings.subjects):
-        # Repetitions are compared one by one: their mean is not the recording of any one network.
+        # Repetitions are compared one by one: their mean is not the impedance of any single network.
         model = fit.kernel.impedance(middle[i] + fit.deviations[i], subject.frequency_hz)
         rms = np.sqrt(np.mean(relative_rms(model, subject.z) ** 2))
         errors = error_curves(np.abs(model.mean(axis=0)), np.angle(model.mean(axis=0), deg=True), subject.mean[None])

@@ -1,7 +1,7 @@
-"""What a run leaves behind: a summary (JSON) and a netCDF file that holds everything the report needs.
+"""The files of a run: a summary (JSON) and a netCDF file that holds everything the report needs.
 
-The file is an ordinary ArviZ one: a chain is an ensemble, and the axes element, subject and frequency_hz have labels.
-Elements that the recordings do not determine are NaN in the posterior and null in the summary: there is no number to be
+The netCDF file follows ArviZ: a chain is an ensemble, and the axes element, subject and frequency_hz have labels.
+Elements that the recordings do not determine are NaN in the posterior and null in the summary, so that no number can be
 mistaken for a result.
 """
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 RESULT_FILE, SUMMARY_FILE, SECONDS_FILE = "result.nc", "summary.json", "seconds.json"
-"""Times stand in a file of their own, so that the same seed and data give the same bytes in the others."""
+"""Times are in a separate file, so that the same seed and data give the same bytes in the others."""
 
 _PACKAGES = ("bayes_impedance", "numpy", "scipy", "numba", "emcee", "arviz", "xarray", "pandas")
 
@@ -40,7 +40,7 @@ class Result:
     Attributes
     ----------
     summary : dict
-        What ``summary.json`` holds.
+        Contents of ``summary.json``.
     groups : dict of dict of ndarray
         The netCDF groups ``posterior``, ``posterior_predictive``, ``log_likelihood``, ``sample_stats``,
         ``observed_data``, ``constant_data`` and their variables.
@@ -62,7 +62,7 @@ class Result:
 
     @property
     def problems(self) -> list[str]:
-        """Why the numbers must not be used; empty if they may."""
+        """Reasons why the numbers must not be used; empty if they may be used."""
         return list(self.summary["problems"])
 
     def element_unit(self, element: str) -> str:
@@ -76,7 +76,7 @@ class Result:
         return elements_table(self)
 
     def persons_table(self) -> pd.DataFrame:
-        """Everybody's own elements and fit: :func:`bayes_impedance.results.tables.persons_table`."""
+        """Each person's elements and fit: :func:`bayes_impedance.results.tables.persons_table`."""
         from bayes_impedance.results.tables import persons_table
 
         return persons_table(self)
@@ -117,7 +117,7 @@ DIMS: dict[str, list[str]] = {
     "identified": ["element"],
     "prior_centre": ["element"],
 }
-"""Axes of every variable beyond chain and draw; ``part`` is magnitude, then phase in degrees."""
+"""Axes of every variable besides chain and draw; ``part`` is magnitude, then phase in degrees."""
 
 
 def make_result(
@@ -135,13 +135,13 @@ def make_result(
     fit : PopulationFit
     predictive : Predictive
     seconds : mapping
-        Time of each step; in a file of its own, so that equal runs give equal bytes in the others.
+        Time of each step in s; in a separate file, so that equal runs give equal bytes in the others.
     selected : sequence of str
-        The subjects that were asked for by name; empty if all were taken.
+        The subjects that were selected by name; empty if all were taken.
     adequacy : Adequacy, optional
-        What is wrong with the model itself (:func:`bayes_impedance.diagnosis.examine.examine`).
+        Misfits of the model (:func:`bayes_impedance.diagnosis.examine.examine`).
     findings : sequence of str
-        What is odd about the recordings, in sentences.
+        Anomalies of the recordings, in sentences.
     """
     recordings, elements = fit.recordings, list(fit.kernel.elements)
     attributes = {
@@ -265,7 +265,7 @@ def load_result(folder: Path) -> Result:
     Raises
     ------
     InputError
-        If the folder holds no finished run, a file of it is damaged, or the two are of different fits.
+        If the folder holds no finished run, one of its files is damaged, or the two files are of different fits.
     """
     from bayes_impedance.mcmc.arviz_file import load_groups
 
@@ -288,5 +288,5 @@ def _is_of_other_fit(summary: Mapping[str, Any], attributes: Mapping[str, Any]) 
 
 
 def without_seconds(summary: Mapping[str, Any]) -> str:
-    """What a summary says of the fit, as text that is the same whenever the fit is."""
+    """A summary without run times, as text that is identical for identical fits."""
     return json.dumps({k: v for k, v in summary.items() if k != "seconds"})

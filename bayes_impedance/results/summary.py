@@ -1,4 +1,4 @@
-"""The summary of a run: what ``summary.json`` holds, what is wrong first.
+"""The summary of a run: the contents of ``summary.json``, problems first.
 
 Numbers that must not be used are null: those of elements that the recordings do not determine, and all of them where
 the sampler has not converged or the network does not describe the recordings at all.
@@ -19,10 +19,11 @@ from bayes_impedance.results.misfit import coverage_by_frequency, misfit_words, 
 from bayes_impedance.results.predictive import Predictive
 
 SCHEMA = 1
+"""Version of the layout of ``summary.json``."""
 
 FEW_PERSONS = 10
-"""With fewer persons, dispersions rest on the prior as much as on the data: a standard deviation of nine values is
-known to a quarter at best."""
+"""With fewer persons, dispersions depend on the prior as much as on the data: the standard deviation of nine values has
+a relative standard error of a quarter at best."""
 
 
 def _interval(values: np.ndarray, known: bool = True) -> dict[str, float | None]:
@@ -34,7 +35,7 @@ def _interval(values: np.ndarray, known: bool = True) -> dict[str, float | None]
 
 
 def _not_separable(unit: str, stands_for_it: str) -> dict[str, Any]:
-    """Entry of an element for which, with others, one element stands."""
+    """Entry of an element that was combined with others into one element."""
     nothing = _interval(np.array([np.nan]))
     levels = ("central", "dispersion_between_persons", "dispersion_between_repetitions")
     return {"unit": unit, "identified": False, "marked": False, "combined_in": stands_for_it} | dict.fromkeys(
@@ -50,7 +51,7 @@ def summary_of(
     findings: Sequence[str],
     versions: Mapping[str, str],
 ) -> dict[str, Any]:
-    """Everything that ``summary.json`` holds.
+    """Contents of ``summary.json``.
 
     Parameters
     ----------
@@ -59,9 +60,9 @@ def summary_of(
     seconds : mapping
         Time of each step.
     adequacy : Adequacy
-        What is wrong with the model itself.
+        Misfits of the model.
     findings : sequence of str
-        What is odd about the recordings.
+        Anomalies of the recordings.
     versions : mapping of str to str
         Of packages.
     """
@@ -147,7 +148,7 @@ def summary_of(
 
 
 def _remarks(fit: PopulationFit, predictive: Predictive, gross: bool) -> list[str]:
-    """What a person should be told about the fit, in full sentences, the most important first."""
+    """Remarks for the user about the fit, in full sentences, the most important first."""
     remarks = []
     n, scale = len(fit.recordings.subjects), noise_scale_summary(fit.noise_scale)
     if not gross and network_misfits({"subjects": n, "noise_scale": scale}):

@@ -1,4 +1,4 @@
-"""Results as tables for people: pandas DataFrames with units in their ``attrs``."""
+"""Results as tables: pandas DataFrames with units in their ``attrs``."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ PERSON_UNITS = {
     "pareto_k": "1",
     "effective_draws": "1",
 }
-"""What is known of a person besides the elements, with its unit (empty for that of the impedance): number of
+"""Quantities of a person besides the elements, with their units (empty for the unit of the impedance): number of
 repetitions; residual over noise; distance of the person's own network from the mean recording (relative root mean
 square, mean in magnitude, mean in phase); Pareto k and effective number of the person's importance draws."""
 
 
 def elements_table(result: Result) -> pd.DataFrame:
-    """The population's elements, as ``summary.json`` has them.
+    """The population's elements, with the values of ``summary.json``.
 
     Returns
     -------
@@ -58,7 +58,7 @@ def elements_table(result: Result) -> pd.DataFrame:
 
 
 def persons_table(result: Result) -> pd.DataFrame:
-    """Everybody's own elements and how well the network describes them.
+    """Each person's elements and how well the network describes the person.
 
     Returns
     -------

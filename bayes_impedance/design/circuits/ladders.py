@@ -1,7 +1,7 @@
-r"""Operations of the catalogue as networks of elements; operations that no elements can realise are refused.
+r"""Operations of the catalogue as networks of elements; operations that elements cannot realise are refused.
 
-An :class:`bayes_impedance.network.operations.Operation` changes the impedance z of a place. Some are exactly a few
-further elements:
+An :class:`bayes_impedance.network.operations.Operation` changes the impedance z of a place. Some are realised exactly
+by a few further elements ("beside" means connected in parallel):
 
 ==================  ==================================================================================================
 add                 a mass, damper or spring beside the place (a negative one if the coefficient is negative)
@@ -12,7 +12,7 @@ series_compliance   a compliance x, in series
 series_layer        a compliance x beside a damper t/x, in series
 ==================  ==================================================================================================
 
-Two are ladders of elements to a stated accuracy, all of them positive and so passive by construction.
+Two are approximated to a stated accuracy by ladders of positive elements, which are passive by construction.
 
 **Power law** :math:`c\,s^{-\beta}`, :math:`0 < \beta < 1` (``beside_power``, and ``power`` of a spring). From
 
@@ -24,12 +24,12 @@ error of the rule falls as :math:`e^{-\pi^2/h}`; terms far below the band are on
 whose sums are geometric series.
 
 **Layer** (``line``) of mass M, :math:`z \sqrt w \coth \sqrt w` with :math:`w = sM/z`. The expansion :math:`x \coth x
-= 1 + 2\sum_k x^2/(x^2 + k^2\pi^2)` is a network: beside z, for each k, a mass :math:`2M/(k^2\pi^2)` in series with
-everything that z is made of, twice as stiff, heavy and lossy. The rest of the sum is one mass.
+= 1 + 2\sum_k x^2/(x^2 + k^2\pi^2)` is a network: beside z, for each k, a mass :math:`2M/(k^2\pi^2)` in series with a
+copy of z with twice the impedance. The rest of the sum is one mass.
 
-Filters of a measurement channel (``highpass``, ``lowpass``) are no elements;
+Filters of a measurement channel (``highpass``, ``lowpass``) cannot be realised by elements;
 :mod:`bayes_impedance.design.circuits.spice` writes them as sources. A delay, a reflex, rate-independent loss and drift
-are no rational functions at all.
+are not rational functions of s and are refused.
 """
 
 from __future__ import annotations
@@ -46,17 +46,17 @@ from bayes_impedance.network.operations import LOGARITHMIC, TRAITS, Operation
 from bayes_impedance.network.program import parameter_names
 
 FILTERS = tuple(name for name, traits in TRAITS.items() if traits.built_as == "filter")
-"""Operations of a measurement channel: no elements, but sources in a SPICE deck."""
+"""Operations of a measurement channel: written as sources in a SPICE deck, not as elements."""
 
 LADDERS = tuple(name for name, traits in TRAITS.items() if traits.built_as == "ladder")
 """Operations that elements approximate."""
 
 _LINE_TERMS = 24
-"""Standing waves of a line that are built one by one. By choice: the rest of the sum is one mass, and the error that
-remains at the port is reported with the circuit."""
+"""Terms of a line's series that are realised one by one. By choice: the rest of the sum is lumped into one mass, and
+the remaining error at the port is reported with the circuit."""
 
 _CHECKED = 301
-"""Frequencies at which that error is taken. By choice: 100 per decade of the usual three."""
+"""Frequencies at which that error is computed. By choice: 100 per decade over the usual three decades."""
 
 
 @dataclass(frozen=True)
@@ -67,9 +67,9 @@ class Built:
     ----------
     network : Network
     values : dict of str to float
-        Of its elements in their units.
+        Values of its elements in their units.
     filters : tuple of Operation
-        Those that no element can stand for, with paths in the new network.
+        Operations that elements cannot realise, with paths in the new network.
     error : float
         Largest relative error of the port's impedance in the band; zero if nothing is approximated.
     """
@@ -93,13 +93,13 @@ def built(
     ----------
     network : Network
     operations : sequence of Operation
-        As the kernel takes them.
+        As for the kernel.
     parameters : mapping of str to float
-        Natural logarithm of each element, and each parameter of the operations: what the kernel takes.
+        Natural logarithm of each element, and each parameter of the operations, as for the kernel.
     band_hz : (float, float)
         Where ladders must be accurate.
     accuracy : float
-        Largest relative error of a power law's ladder in the band; what came of it at the port is in the result.
+        Largest relative error of a power law's ladder in the band; the resulting error at the port is in the result.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def built(
         raise InputError(f"parameter '{missing[0]}' has no value: give one for each element and operation")
     values = {e: float(np.exp(parameters[e])) for e in network.elements}
     whole, exact, filters = network, True, []
-    # Later places first, and what is inside before what is around it: paths that are still to come stay valid.
+    # Later places first, and inner parts before the groups around them, so that the remaining paths stay valid.
     for path in sorted({operation.path for operation in operations}, reverse=True):
         here = [operation for operation in operations if operation.path == path]
         if any(o.name in FILTERS for o in here):
@@ -213,19 +213,19 @@ def power_law(
     Raises
     ------
     InputError
-        If no passive ladder has this law.
+        If no passive ladder has this power law.
     """
     return _power_law(strength, beta, _Names(None), band_hz, accuracy)
 
 
 class _Names:
-    """Makes elements with names that are not in use."""
+    """Creates elements with unused names."""
 
     def __init__(self, network: Network | None) -> None:
         self.used = set(network.elements) if network is not None else set()
 
     def element(self, letter: str, value: float) -> tuple[Element, dict[str, float]]:
-        """A further element and its value."""
+        """A new element and its value."""
         number = 1 + max((int(n[1:]) for n in self.used if n[0] == letter and n[1:].isdigit()), default=0)
         name = f"{letter}{number}"
         self.used.add(name)
@@ -241,9 +241,10 @@ def _power_law(
             "0 (damper)"
         )
     low, high = 2 * np.pi * band_hz[0], 2 * np.pi * band_hz[1]
-    # Half of the error may come from the rule, a quarter from either end, where terms are lumped to first order.
+    # Half the error is allowed for the rule, a quarter for either end, where terms are lumped to first order.
     step = np.pi**2 / np.log(8 / accuracy)
-    # To first order the lumped terms err by (x/w) relative to a sum that falls as (x/w)^(1-beta), or mirrored above.
+    # To first order the error of the lumped terms is (x/w) relative to a sum that falls as (x/w)^(1-beta), or mirrored
+    # above the band.
     below = np.log(8 / accuracy) / (2 - beta)
     above = np.log(8 / accuracy) / (1 + beta)
     first = int(np.floor((np.log(low) - below) / step))
@@ -251,7 +252,7 @@ def _power_law(
     scale = strength * np.sin(np.pi * beta) / np.pi * step
     x = np.exp(step * np.arange(first, last + 1))
     k = scale * x ** (1 - beta)
-    # Geometric sums of what lies outside: springs below (1 - beta > 0), dampers k/x above (-beta < 0).
+    # Geometric sums of the terms outside the band: springs below (1 - beta > 0), dampers k/x above (-beta < 0).
     spring = scale * np.exp((1 - beta) * step * (first - 1)) / -np.expm1(-(1 - beta) * step)
     damper = scale * np.exp(-beta * step * (last + 1)) / -np.expm1(-beta * step)
     parts: list[Network] = []
@@ -268,7 +269,7 @@ def _power_law(
 
 
 def _layer(there: Network, values: Mapping[str, float], mass: float, names: _Names) -> tuple[Network, dict[str, float]]:
-    """What stands beside z in a layer of the given mass."""
+    """The network in parallel to z in a layer of the given mass."""
     if not mass > 0:
         raise InputError("a layer of negative mass is no network: it cannot be built")
     parts: list[Network] = []
@@ -288,7 +289,7 @@ def _layer(there: Network, values: Mapping[str, float], mass: float, names: _Nam
 def _copy(
     network: Network, values: Mapping[str, float], factor: float, names: _Names
 ) -> tuple[Network, dict[str, float]]:
-    """The same network under other names, with its impedance times a factor."""
+    """Copy of a network with new names and its impedance multiplied by a factor."""
     if isinstance(network, Element):
         value = values[network.name]
         return names.element(network.name[0], value / factor if network.name[0] == "n" else value * factor)

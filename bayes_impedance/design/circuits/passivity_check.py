@@ -1,7 +1,7 @@
 r"""Passivity of exported users.
 
-A network of positive elements is passive by construction. Every exported form is checked in the digits that are
-written:
+A network of positive elements is passive by construction. Every exported form is checked with its values as rounded in
+the file:
 
 * **elements**: all positive and finite;
 * **coefficients**: rounded to the digits in the file, :func:`bayes_impedance.classical.check_passivity` looks at the
@@ -26,8 +26,8 @@ from bayes_impedance.network.notation import Network
 from bayes_impedance.network.rational import TransferFunction
 
 _ROUNDING = 1e-9
-"""An eigenvalue this far below zero, relative to the largest entry and per state, is rounding. By choice: some 1e7
-times that of double precision, because rates of states differ by orders of magnitude."""
+"""Negative eigenvalues up to this size, relative to the largest entry and per state, are taken as rounding errors. By
+choice: some 1e7 times double precision, because rates of states differ by orders of magnitude."""
 
 
 def positive_elements(users: Users) -> np.ndarray:
@@ -37,13 +37,13 @@ def positive_elements(users: Users) -> np.ndarray:
 
 
 def passive_states(network: Network, values: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Whether the state space of each user is passive by the energy it stores, shape (U,)."""
+    """Whether the state space of each user is passive, with the stored energy as storage function, shape (U,)."""
     impedance = realise(network, values)
     a, b, c, d = matrices(impedance.reciprocal() if impedance.high >= 0 else impedance)
     upper = np.concatenate([-a - np.swapaxes(a, 1, 2), (np.swapaxes(c[:, None], 1, 2) - b[..., None])], axis=2)
     lower = np.concatenate([c[:, None] - b[:, None], 2 * d[:, None, None]], axis=2)
     whole = np.concatenate([upper, lower], axis=1)
-    # Compared in units in which each state's own loss is one.
+    # States are scaled so that the loss of each (its diagonal entry) is one.
     scale = np.sqrt(np.maximum(np.abs(np.einsum("uii->ui", whole)), 1e-300))
     scale = np.maximum(scale, np.sqrt(np.max(np.abs(whole), axis=(1, 2)) * _ROUNDING)[:, None])
     lowest = np.linalg.eigvalsh(whole / scale[:, :, None] / scale[:, None, :])[:, 0]
@@ -51,5 +51,5 @@ def passive_states(network: Network, values: Mapping[str, np.ndarray]) -> np.nda
 
 
 def passive_coefficients(numerator: list[float], denominator: list[float]) -> bool:
-    """Whether coefficients, as they are written, are of a passive impedance."""
+    """Whether coefficients, as written to the file, are those of a passive impedance."""
     return check_passivity(TransferFunction.from_coefficients(numerator, denominator)).positive_real

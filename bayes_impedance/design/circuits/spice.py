@@ -13,19 +13,19 @@ V/I at the port   impedance F/v                    mobility v/F
 ================  ==============================  ===================================
 
 In the force-current analogy the circuit looks like the mechanical drawing: a mass is a capacitor to the inertial
-frame, which is the sub-circuit's second node (connect it to ground). What contains a mass therefore comes last in a
+frame, which is the sub-circuit's second node (connect it to ground). Parts that contain a mass therefore come last in a
 chain.
 
-A network has no operating point worth finding, and loops of inductors or nodes between capacitors would spoil it:
-decks carry ``.options noopac``, which circuits of linear elements are allowed.
+A linear network needs no operating point, and loops of inductors or nodes between capacitors would make its equations
+singular: decks contain ``.options noopac``, which is allowed for circuits of linear elements.
 
 **Filters** of a measurement channel multiply the impedance. A copy of the port's current drives the network, its
 voltage passes the filter, and a controlled source shows the result at the port. With negative coefficient, and for
 the mobility, the filter is the inverse one.
 
 **Monte Carlo.** Besides one sub-circuit per user there is one whose elements are drawn anew for each instance,
-:math:`\exp(c + L g)` with independent Gaussian g and the Cholesky factor L of the users' covariance: correlations are
-kept.
+:math:`\exp(c + L g)` with independent standard normal g and the Cholesky factor L of the users' covariance, which
+preserves the correlations.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def subcircuit(
     filters: Sequence[Operation] = (),
     parameters: Mapping[str, float] | None = None,
 ) -> str:
-    """A network as a sub-circuit with two nodes, its elements being parameters with defaults.
+    """A network as a sub-circuit with two nodes, whose elements are parameters with default values.
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ def monte_carlo(population: UserPopulation, name: str = "any_user") -> str:
     free = [i for i, e in enumerate(elements) if e not in population.fixed]
     factor = np.zeros((len(elements), len(free)))
     factor[free] = np.linalg.cholesky(population.covariance[np.ix_(free, free)])
-    # ngspice evaluates a random parameter anew wherever its name stands, but what is handed over at a call only once.
+    # ngspice evaluates a random parameter anew at each use of its name, but an argument of a call only once.
     numbers = " ".join(f"g{j + 1}={{agauss(0,1,1)}}" for j in range(len(free)))
     zeros = " ".join(f"g{j + 1}=0" for j in range(len(free)))
     drawn = []
@@ -199,7 +199,7 @@ def _between(network: Network, analogy: str, first: str, second: str, nodes: Ite
         yield f"{_CARD[analogy][letter]}_{parameter} {first} {second} {{{value}}}"
         return
     chained = isinstance(network, Parallel) == (analogy == "fv")
-    # Stable: all else stays as it is written.
+    # A stable sort: the order is otherwise as written.
     parts = sorted(network.parts, key=_has_mass) if chained and analogy == "fc" else network.parts
     ends = [first, *(f"i{next(nodes)}" for _ in parts[1:]), second]
     for i, part in enumerate(parts):
@@ -214,7 +214,7 @@ def _has_mass(network: Network) -> bool:
 def _filtered(
     network: Network, analogy: str, filters: Sequence[Operation], parameters: Mapping[str, float]
 ) -> list[str]:
-    """The network behind filters: a copy of the current drives it, a source shows the filtered voltage."""
+    """The network behind filters: a copy of the current drives it, a source gives the filtered voltage."""
     lines = ["Vsense p shown 0", "Fcopy 0 f0 Vsense 1", *_cards(network, analogy, "f0", "0")]
     node = "f0"
     for i, operation in enumerate(filters, 1):
@@ -241,7 +241,7 @@ def _filtered(
 
 
 def _name(element: str) -> str:
-    """Name of a parameter: plain ones stay, others must not meet SPICE's own words, which know no case."""
+    """Name of a parameter. Plain names are kept; others must not clash with SPICE's case-insensitive reserved words."""
     if element[1:].isdigit():
         return element
     return "p_" + "".join(f"{c.lower()}_" if c.isupper() else c.replace("_", "__") for c in element)

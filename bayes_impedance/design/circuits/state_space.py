@@ -1,29 +1,29 @@
 r"""State space of networks, for many users at once.
 
-A one-port is kept as
+A one-port is represented as
 
 .. math:: z(s) = s\,m + \frac{k}{s} + D + C\,(sI - A)^{-1} B, \qquad m, k, D \ge 0,
 
-with what it is at infinite and at zero frequency kept apart from the rest, which has no pole on either end. Sums only
-stack states and add m, k and D, so two masses that move together, or two springs that are stretched together, stay
-one mass and one spring: no state is invented that nothing can excite.
+where the poles at infinite and at zero frequency are separate from the rest, which has neither. Sums only stack states
+and add m, k and D, so two masses that move together, or two springs that are stretched together, remain one mass and
+one spring: there are no uncontrollable states.
 
 Series groups need reciprocals. States are scaled so that :math:`\tfrac12 x^T x` is the stored energy. Then, with u
-the flow and y = z u the force of the part that remains (or the other way round for a mobility),
+the flow and y = z u the force of the remaining part (or the other way round for a mobility),
 
 .. math:: \dot x = A x + B u, \qquad A + A^T \le 0, \qquad u\,y \ge \tfrac{d}{dt}\,\tfrac12 x^T x ,
 
-and of w = 1/z, driven by the force f:
+and for w = 1/z, driven by the force f:
 
 * m > 0: the velocity becomes a state, :math:`m\dot v = f - k\int v - D v - C x`;
 * m = 0, D > 0: :math:`v = (f - C x - k \int v)/D`;
 * m = D = 0: a passive system then has C = B^T, so f = B^T x fixes the part of x along B: with b = B/abs(B),
-  :math:`x = b\,f/|B| + N\eta`, where N spans what is orthogonal to b, and differentiating once gives
+  :math:`x = b\,f/|B| + N\eta`, where N spans the orthogonal complement of b, and differentiating once gives
   :math:`w = s/|B|^2 + \dots` in the states :math:`\eta` (:math:`k\int v` is among the x here).
 
-If z(0) = 0 then w has a pole at zero, which belongs into its k. Its state is that of a constant velocity 1, :math:`p
+If z(0) = 0 then w has a pole at zero, which is moved to its k. Its state is that of a constant velocity 1, :math:`p
 \propto (\sqrt m,\ -A^{-1}B)`, and passivity decouples it: :math:`A p = 0` implies :math:`p^T A = 0`. Which case
-applies is decided by the network's structure, never by how small a number is.
+applies is decided by the network's structure, never by a numerical threshold.
 """
 
 from __future__ import annotations
@@ -40,18 +40,18 @@ from bayes_impedance.network.notation import Element, Network, Parallel, Series
 
 @dataclass(frozen=True, kw_only=True)
 class Realisation:
-    """An impedance (or a mobility: the same with the letters exchanged) of U users in state space.
+    """An impedance (or a mobility, with the roles of force and velocity exchanged) of U users in state space.
 
     Attributes
     ----------
     high, low : int
-        Power of s at infinite and at zero frequency: 1, 0 or -1. The same for all users: it is the structure's.
+        Power of s at infinite and at zero frequency: 1, 0 or -1. It follows from the structure, equal for all users.
     m, k, d : ndarray, shape (U,)
-        Of s m + k/s + D; a mobility has a compliance in place of m and 1/mass in place of k.
+        Coefficients of s m + k/s + D; a mobility has a compliance in place of m and 1/mass in place of k.
     a : ndarray, shape (U, n, n)
-        In 1/s.
+        Matrix A, in 1/s.
     b, c : ndarray, shape (U, n)
-        Energy coordinates: in the square root of the impedance's unit per second.
+        Vectors B and C in energy coordinates: in the square root of the impedance's unit per second.
     """
 
     high: int
@@ -65,7 +65,7 @@ class Realisation:
 
     @property
     def order(self) -> int:
-        """Number of poles, those at zero and at infinity included."""
+        """Number of poles, including those at zero and at infinity."""
         return int(self.a.shape[-1]) + int(self.low < 0) + int(self.high > 0)
 
     def __call__(self, s: npt.ArrayLike) -> np.ndarray:
@@ -95,7 +95,7 @@ class Realisation:
         )
 
     def scaled(self, factor: float) -> Realisation:
-        """The same times a positive number."""
+        """The one-port multiplied by a positive number."""
         root = np.sqrt(factor)
         m, k, d = self.m * factor, self.k * factor, self.d * factor
         return replace(self, m=m, k=k, d=d, b=self.b * root, c=self.c * root)
@@ -113,7 +113,7 @@ class Realisation:
         return found if state is None else found._without_pole_at_zero(state)
 
     def _with_integrator(self) -> Realisation:
-        """k/s as one more state."""
+        """The one-port with the term k/s turned into a state."""
         root = np.sqrt(self.k)[:, None]
         n = self.a.shape[-1]
         a = np.zeros((self.m.size, n + 1, n + 1))
@@ -159,7 +159,7 @@ class Realisation:
         return found, None if pole is None else np.einsum("unp,un->up", rest, pole)
 
     def _without_pole_at_zero(self, state: np.ndarray) -> Realisation:
-        """The decoupled integrator along `state` counted as k, the other states kept."""
+        """The one-port with the decoupled integrator along `state` moved to k; the other states are kept."""
         along = state / np.linalg.norm(state, axis=1)[:, None]
         rest = _orthogonal_to(along)
         k = np.einsum("un,un->u", self.c, along) * np.einsum("un,un->u", along, self.b)
@@ -229,7 +229,7 @@ def _orthogonal_to(along: np.ndarray) -> np.ndarray:
     """Orthonormal columns orthogonal to unit vectors (U, n): the other columns of a Householder reflection."""
     n = along.shape[1]
     mirror = along.copy()
-    mirror[:, 0] += np.where(along[:, 0] >= 0, 1.0, -1.0)  # the sign that does not cancel
+    mirror[:, 0] += np.where(along[:, 0] >= 0, 1.0, -1.0)  # the sign that avoids cancellation
     mirror /= np.linalg.norm(mirror, axis=1)[:, None]
     return np.asarray((np.eye(n) - 2 * mirror[:, :, None] * mirror[:, None, :])[:, :, 1:])
 
@@ -237,12 +237,12 @@ def _orthogonal_to(along: np.ndarray) -> np.ndarray:
 def zeros_and_poles(realisation: Realisation) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Zeros and poles in rad/s, and the leading coefficient's ratio.
 
-    Eigenvalues of state matrices are found without forming a polynomial, whose roots lose digits where they cluster.
+    They are eigenvalues of state matrices. Roots of a polynomial would lose digits if they are close together.
 
     Returns
     -------
     zeros, poles : ndarray, complex, shape (U, .)
-        A pole at zero included; those at infinity are in the difference of their numbers.
+        Including a pole at zero; poles or zeros at infinity follow from the difference of the two numbers.
     gain : ndarray, shape (U,)
         z(s) = gain prod(s - zeros)/prod(s - poles).
     """

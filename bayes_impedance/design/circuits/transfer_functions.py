@@ -4,13 +4,13 @@ Eq. 1 and appendix A of the paper write an impedance as a ratio of polynomials i
 
 .. math:: z(s) = \frac{b_N s^N + \dots + b_0}{a_M s^M + \dots + a_0}, \qquad a_M = 1 .
 
-The same function is given by poles, zeros and gain, which are eigenvalues of state matrices and keep more digits than
-roots of these polynomials, and in state space. A network with a mass at its port has an impedance that grows with s,
-for which there is no state space with the usual four matrices; its mobility v/F always has one unless a spring stands
-alone at the port. Hence the file says which of the two is given: the mobility, or where that grows the impedance.
+The same function is also given by poles, zeros and gain, and in state space. Poles and zeros are eigenvalues of state
+matrices and more accurate than the roots of these polynomials. The impedance of a network with a mass at its port grows
+with s, so that it has no state space with the usual four matrices; the mobility v/F always has one unless a spring
+stands alone at the port. Hence the file states which of the two is given: the mobility, or the impedance if the
+mobility grows with s.
 
-python-control is an optional dependency (the extra `design`): :func:`to_control` and :func:`read_control` need it,
-nothing else does.
+python-control is an optional dependency (the extra `design`); only :func:`to_control` and :func:`read_control` need it.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from bayes_impedance.network.notation import Network
 from bayes_impedance.network.rational import TransferFunction
 
 SCHEMA = 1
-"""Version of ``transfer.json``."""
+"""Version of the layout of ``transfer.json``."""
 
 FORMS = ("transfer", "zeros_poles", "state_space")
-"""What :func:`to_control` can make."""
+"""Forms that :func:`to_control` can make."""
 
 
 def transfer_function(network: Network, values: Mapping[str, float], *, mobility: bool = False) -> TransferFunction:
@@ -91,7 +91,7 @@ def described(users: Users) -> dict[str, Any]:
 
 
 def written(users: Users, rows: range) -> str:
-    """Transfer functions as text for a person to read.
+    """Transfer functions as readable text.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def to_control(
     Raises
     ------
     InputError
-        If python-control is not installed, or what is asked for has no state space.
+        If python-control is not installed, or the requested function has no state space.
     """
     control = _control()
     if form not in FORMS:
@@ -167,12 +167,12 @@ def read_control(file: Path) -> dict[str, Any]:
     Returns
     -------
     dict of str to StateSpace
-        By the users' names; the file says whether of the mobility or of the impedance.
+        By the users' names; the file states whether they are of the mobility or of the impedance.
 
     Raises
     ------
     InputError
-        If the file is no such file, or python-control is not installed.
+        If the file has another format, or python-control is not installed.
     """
     control = _control()
     try:
@@ -194,7 +194,7 @@ def _control() -> Any:
 
 
 def _trimmed(function: TransferFunction) -> TransferFunction:
-    """Without leading coefficients that the network's structure makes zero."""
+    """The function without leading coefficients that are zero because of the network's structure."""
 
     def cut(polynomial: tuple[Any, ...]) -> tuple[Any, ...]:
         end = max(i for i, c in enumerate(polynomial) if c != 0) + 1

@@ -1,6 +1,6 @@
-"""A haptic device in a user's hands: the sampled loop, its stability and its transparency.
+"""A haptic device held by a user: the sampled loop, its stability and its transparency.
 
-In come a device and users; out come stability limits and what is felt against what was asked for.
+The input is a device and users; the output is stability limits, and the transmitted against the desired impedance.
 Open :mod:`.device` first, then :mod:`.sampled_loop` (with :mod:`.hessenberg` for many gains), :mod:`.stability`,
 :mod:`.transparency` and :mod:`.two_port`.
 """

@@ -1,26 +1,25 @@
-r"""A haptic device: what moves between its actuator and the finger, and the controller that shows a virtual wall.
+r"""A haptic device: the mechanics between its actuator and the finger, and the controller that renders a virtual wall.
 
-The mechanics are a ladder of **sections** from the actuator to the finger. What is `beside` shares the velocity of
-that point and has its other end at ground (the actuator's mass and damping, the mass of a handle); what is `between`
-passes the force on to the next point (a belt, a flexible arm); a `lever` makes the next point move by a factor::
+The mechanics are a ladder of **sections** from the actuator to the finger. A section `beside` is connected between that
+point and ground (the actuator's mass and damping, the mass of a handle). A section `between` transmits the force to the
+next point (a belt, a flexible arm). A `lever` scales the velocity of the next point by a factor::
 
     Device("one arm", (Section("beside", "m1|r1", {"m1": 0.05, "r1": 0.01}), Section("between", "n1|r1", {...}),
                        Section("beside", "m1", {"m1": 0.02})), period_s=1e-3, delay_s=0.5e-3)
 
-Looking from the actuator, whatever stands behind a section is its load: with load z, `beside` b shows b + z,
-`between` b shows 1/(1/b + 1/z), and a lever of ratio q (velocity behind / velocity before) q² z. So device and user
-together are one one-port, of which :mod:`bayes_impedance.design.circuits.state_space` makes states.
+Seen from the actuator, the parts behind a section are its load. With load z, the input impedance of `beside` b is
+b + z, of `between` b 1/(1/b + 1/z), and of a lever of ratio q (velocity behind / velocity before) q² z. So device and
+user together are a single one-port; :mod:`bayes_impedance.design.circuits.state_space` gives its state space.
 
 The controller reads the actuator's position x once a period T, and holds the force
 
 .. math:: f_k = -K x_k - B\,\frac{x_k - x_{k-1}}{T}
 
-from :math:`kT + \tau` on for one period. The classical condition that this wall be passive, whoever holds the device
-[1]_,
+from :math:`kT + \tau` on for one period. The classical condition for this wall to be passive with any user [1]_,
 
 .. math:: b > \frac{K T}{2} + |B| ,
 
-knows one number of the device, its damping b, no delay, and nothing of the user.
+contains only one property of the device, its damping b. It does not consider delay or the user's impedance.
 
 References
 ----------
@@ -49,17 +48,18 @@ from bayes_impedance.runtime.user_table import UserTable, choice_in, hint, numbe
 from bayes_impedance.units import unit_of
 
 LONGEST_DELAY = 40
-"""Periods: each of them is a state."""
+"""Longest delay in periods. By choice: each period is a state of the loop, and the cost rises with their number."""
 
 ARRANGEMENTS = ("beside", "between", "lever")
 """How a section is connected: to ground beside the common velocity, between two velocities, or as a lever."""
 
 LONGEST_PERIOD_S = 0.1
-"""Seconds: a controller slower than 10 Hz renders nothing that is touched; a larger number is in ms or in Hz."""
+"""Longest sampling period in s. By choice: controllers slower than 10 Hz do not render touch, so a larger number is
+probably in ms or Hz."""
 
 SMALLEST_VALUE, LARGEST_VALUE = 1e-12, 1e12
-"""Of elements and levers, in their units: an atomic force microscope and a mountain lie in between. Beyond, the states
-of the loop differ by more than double precision holds."""
+"""Range of elements and of lever ratios, in their units. By choice: wide enough for any device; beyond it the states of
+the loop differ by more than double precision can represent."""
 
 _DEVICE_KEYS = ("name", "source", "period_s", "delay_s", "section")
 _SECTION_KEYS = ("arrangement", "network", "values", "units")
@@ -77,7 +77,7 @@ class Section:
     network : str
         Notation; empty for a lever.
     values : mapping of str to float
-        Of the elements in their units; of a lever its ``ratio``.
+        Values of the elements in their units; the ``ratio`` of a lever.
     """
 
     arrangement: str
@@ -105,7 +105,7 @@ class Section:
         object.__setattr__(self, "values", {name: float(self.values[name]) for name in wanted})
 
     def seen(self, load: Realisation) -> Realisation:
-        """Impedance before the section, with `load` behind it."""
+        """Input impedance of the section with `load` behind it."""
         if self.arrangement == "lever":
             return load.scaled(self.values["ratio"] ** 2)
         own = realise(parse(self.network), {e: np.full(load.m.shape, v) for e, v in self.values.items()})
@@ -126,9 +126,9 @@ class Device:
     period_s : float
         Sampling period T.
     delay_s : float
-        From reading the position to the new force, any number of periods.
+        Time from reading the position to the new force; need not be a whole number of periods.
     source : str
-        Where the numbers come from.
+        Source of the numbers.
     """
 
     name: str
@@ -199,20 +199,20 @@ PHANTOM = Device(
     "tip 0.075 kg, stiffness 3.5 N/mm and servo rate 1 kHz: SensAble's data sheet of the PHANTOM Premium 1.0 (design: "
     "Massie and Salisbury 1994). Ours: damping of the structure (0.08 of critical), the rest of the mass at the tip",
 )
-"""A desktop device for one finger, from published numbers."""
+"""A desktop device for one finger. Its `source` states which numbers are published and which are assumed."""
 
 
 def read_device(file: Path) -> Device:
     """Read a device from a TOML file.
 
     The file has ``name``, ``period_s``, ``delay_s``, ``source`` and a list ``[[section]]`` of tables with
-    ``arrangement``, ``network``, ``values`` and, for a reader, their ``units``. Only the period and a section must be
-    there: a wall is not safe with a period or a delay that the package has invented.
+    ``arrangement``, ``network``, ``values`` and, for information, their ``units``. Only the period and a section are
+    required: a stability limit is not safe if the package assumes a period that the device does not have.
 
     Raises
     ------
     InputError
-        If it cannot be read or is no device; a key that is not known is refused.
+        If the file cannot be read, does not describe a device, or has an unknown key.
     """
     table = UserTable(read_toml(file, "a device"), str(file), _DEVICE_KEYS)
     sections = table["section"]

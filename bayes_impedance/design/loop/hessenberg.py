@@ -1,8 +1,8 @@
-r"""Largest eigenvalue of many matrices that differ in one row only: the loops of one user at many gains.
+r"""Whether the eigenvalues of many matrices that differ in one row lie inside a circle: one user's loop at many gains.
 
 A feedback :math:`f = g^T x` that enters through one column makes :math:`M = M_0 + \gamma g^T`. With an orthogonal Q
 that maps :math:`\gamma` onto the first axis and makes the rest of :math:`Q^T M_0 Q` upper Hessenberg (the *controller
-Hessenberg form*, [1]_) g changes nothing but the first row:
+Hessenberg form*, [1]_) g changes only the first row:
 
 .. math:: Q^T M Q = H_0 + |\gamma|\, e_1 (Q^T g)^T .
 
@@ -24,7 +24,8 @@ from scipy.linalg import hessenberg
 from bayes_impedance.network.kernel import compiled
 
 _ITERATIONS = 90
-"""QR steps for one eigenvalue before it counts as not found: three times as many as EISPACK's hqr allows."""
+"""Most QR steps for one eigenvalue before it counts as not found. By choice: three times the number in EISPACK's
+hqr."""
 
 
 def reduced(matrix: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -34,13 +35,13 @@ def reduced(matrix: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, np.ndar
     ----------
     matrix : ndarray, shape (q, q)
     column : ndarray, shape (q,)
-        Through which the feedback enters, not zero.
+        Column through which the feedback enters, not zero.
 
     Returns
     -------
     hessenberg : ndarray, shape (q, q)
     turned : ndarray, shape (q, q)
-        ``g @ turned`` is what is added to the first row.
+        ``g @ turned`` is added to the first row.
     """
     size = np.linalg.norm(column)
     mirror = column / size
@@ -79,7 +80,7 @@ def all_inside(form: np.ndarray, rows: np.ndarray, limit: float, result: np.ndar
 
 @compiled
 def _inside(a: np.ndarray, limit: float) -> int:
-    """One matrix, destroyed; the names are those of the textbook's algorithm."""
+    """The same for one matrix, which is overwritten; the names are those of the textbook's algorithm."""
     eps = 2.2e-16
     norm = 0.0
     for i in range(a.shape[0]):
@@ -124,7 +125,7 @@ def _inside(a: np.ndarray, limit: float) -> int:
             continue
         if count == _ITERATIONS:
             return -1
-        if count % 10 == 9:  # an exceptional shift, against cycles
+        if count % 10 == 9:  # an exceptional shift, to prevent cycles
             shifted += x
             for i in range(end + 1):
                 a[i, i] -= x

@@ -1,26 +1,27 @@
-r"""Posterior of the stiffness up to which a share of a population is stable.
+r"""Posterior of the stiffness up to which the loop is stable for a share of a population.
 
-Every population r of the posterior has a quantile of its own: with :math:`p = 1 - \text{share}` and the largest stable
+Every population r of the posterior has its own quantile: with :math:`p = 1 - \text{share}` and the largest stable
 stiffness :math:`K(\theta)` of a user,
 
 .. math:: P_{\theta \sim N(\mu_r, \Sigma_r)}\left(K(\theta) < q_r\right) = p .
 
-What is not known of the population is the spread of :math:`q_r`; the limit that is reported and its interval are the
-median and the outer quantiles of these same numbers. Neither is a quantile of users who happen to have been drawn:
-those of few users do not reach down to one in a hundred, and users of a few populations say little of the others.
+The uncertainty of the population is the spread of :math:`q_r`. The reported limit and its interval are the median and
+the outer quantiles of :math:`q_r`. Neither is a quantile of a sample of drawn users: few users do not determine a 1 %
+quantile, and users of a few populations hold little information on the others.
 
-**With few stable-or-not decisions.** :math:`f = \ln K` is smooth in the log elements. A quadratic polynomial
-:math:`\hat f`, fitted to users of the posterior predictive distribution, costs nothing to evaluate, so that its
-quantile :math:`\hat q_r` is computed from thousands of users of every population. The exact f is then asked where it
-matters, of users of population r whose :math:`\hat f` is next to :math:`\hat q_r`, and
+**With few stability computations.** :math:`f = \ln K` is smooth in the log elements. A quadratic polynomial
+:math:`\hat f`, fitted to users of the posterior predictive distribution, takes little time to evaluate, so that its
+quantile :math:`\hat q_r` is computed from thousands of users of every population. The exact f is then computed only for
+users of population r whose :math:`\hat f` is close to :math:`\hat q_r`, and
 
 .. math:: \ln q_r = \hat q_r + \operatorname{E}\left[f - \hat f \mid \hat f = \hat q_r\right],
 
-which is the first-order change of a quantile under a change of the function [1]_; what is left is of the order of
-:math:`\operatorname{Var}(f - \hat f)`. Polynomials of degree two contain linear ones, for which no error is left.
+which is the first-order change of a quantile under a change of the function [1]_; the remaining error is of the order
+of :math:`\operatorname{Var}(f - \hat f)`. If f is linear, there is no error, as quadratic polynomials include linear
+ones.
 
-Where a user is not stable at any stiffness, or at every one, :math:`f` has no logarithm that a polynomial follows.
-Then users of fewer populations are decided one by one.
+If some users are unstable at every stiffness, or stable at every one, a polynomial cannot approximate :math:`f`. Then
+the limits of single users are computed in fewer populations.
 
 References
 ----------
@@ -41,31 +42,33 @@ from bayes_impedance.design.loop.sampled_loop import largest_stiffness, sampled_
 from bayes_impedance.design.users import UserPopulation, Users
 
 POPULATIONS = 200
-"""Draws of the posterior that are used. By choice: ten of them lie beyond each end of a 90 % interval."""
+"""Number of posterior draws used. By choice: ten of them lie beyond each end of a 90 % interval."""
 
 _BEYOND = 64
-"""Virtual users of a population who lie beyond the quantile: with evenly spread ones, limits of the demo's population
-from different seeds differ by 1 %, a tenth of its interval's half width."""
+"""Virtual users of a population beyond the quantile. With quasi-random points, limits of the demo's population from
+different seeds differ by 1 %, a tenth of its interval's half width."""
 
 _LEAST, _MOST = 4096, 32768
-"""Virtual users of one population, by choice: from the first on means are exact enough, the second takes seconds."""
+"""Fewest and most virtual users of one population. By choice: with fewer, means are not accurate enough; the upper
+limit takes seconds."""
 
 _FOR_EACH_COEFFICIENT = 8
-"""Users whose limit is computed for each coefficient of the polynomial: its variance is then an eighth of the
-residual's."""
+"""Users whose limit is computed per coefficient of the polynomial. By choice: the variance of the fitted polynomial is
+then an eighth of the residual variance."""
 
 _ASKED = 4
-"""Users of each population whose limit is computed next to the quantile: half of the residual's standard deviation is
-left as an error, far below what populations differ by."""
+"""Users of each population near the quantile whose limit is computed. By choice: half the residual's standard deviation
+remains as an error, far below the differences between populations."""
 
 _HALVINGS = 16
-"""Of the interval in which a limit lies, a fifth wide in ln K: 3e-6 remains."""
+"""Bisections of the interval that contains a limit, 0.2 wide in ln K: a width of 3e-6 remains."""
 
 _DECIDED_POPULATIONS, _DECIDED_USERS = 100, 256
-"""Where all are decided one by one. By choice: it takes half a minute, with a delay of many periods some minutes."""
+"""Numbers of populations and of users of each, if all users' limits are computed. By choice: it takes half a minute,
+with a delay of many periods some minutes."""
 
 _ROUGHLY = 4
-"""Halvings there: 1 % remains, less than so few users tell."""
+"""Bisections in that case: a width of 1 % remains, less than the sampling error of so few users."""
 
 
 def limits_of_populations(
@@ -78,7 +81,7 @@ def limits_of_populations(
     seed: int = 1,
     populations: int = POPULATIONS,
 ) -> np.ndarray:
-    """Up to which stiffness the loop is stable for a share of the users, in populations of the posterior.
+    """Stiffness up to which the loop is stable for a share of the users, in populations of the posterior.
 
     Parameters
     ----------
@@ -87,18 +90,18 @@ def limits_of_populations(
     damping : float
         Virtual damping B in N s/m.
     share : float
-        Of users, between 0 and 1.
+        Share of users, between 0 and 1.
     highest : float
-        Stiffness in N/m beyond which nobody asks.
+        Largest stiffness in N/m that is considered.
     seed : int
-        Of the users.
+        For drawing the users.
     populations : int
-        Of the posterior, spread evenly over its draws.
+        Number of populations, spread evenly over the draws of the posterior.
 
     Returns
     -------
     ndarray, shape (R,)
-        In N/m; R is `populations`, or less where limits are zero or `highest`.
+        In N/m; R is `populations`, or less if some limits are zero or `highest`.
     """
 
     def limits(log_elements: np.ndarray, halvings: int = _HALVINGS) -> np.ndarray:
@@ -120,7 +123,7 @@ def limits_of_populations(
     learnt = population.mu[rows] + np.einsum("spq,sq->sp", population.factor[rows], normals)
     known = limits(learnt)
     p = 1 - share
-    if not known.any():  # nobody is stable at any stiffness
+    if not known.any():  # no user is stable at any stiffness
         return np.zeros(populations)
     if not np.all((known > 0) & (known < highest)):
         return decided()
@@ -145,7 +148,7 @@ def limits_of_populations(
 
 
 class _Quadratic:
-    """All products of at most two coordinates, which are first brought to mean zero and size one."""
+    """Monomials of the coordinates up to degree two; the coordinates are first standardised."""
 
     def __init__(self, centre: np.ndarray, scale: np.ndarray) -> None:
         self._centre, self._scale = centre, scale
@@ -157,14 +160,14 @@ class _Quadratic:
         return 1 + self._centre.size + int(self._pairs[0].size)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        """Points (n, P) to products (n, size)."""
+        """Points (n, P) to monomials (n, size)."""
         x = (points - self._centre) / self._scale
         return np.concatenate([np.ones((len(x), 1)), x, x[:, self._pairs[0]] * x[:, self._pairs[1]]], axis=1)
 
 
 def _normals(n: int, dimension: int, seed: np.random.SeedSequence) -> np.ndarray:
-    """Evenly spread standard normal points, shape (n, dimension)."""
-    from scipy.stats import qmc  # half a second to import
+    """Quasi-random standard normal points, shape (n, dimension)."""
+    from scipy.stats import qmc  # imported here because it takes half a second
 
     sequence = qmc.Sobol(dimension, rng=np.random.default_rng(seed))
     uniform = sequence.random(2 ** int(np.ceil(np.log2(n))))[:n]
@@ -178,7 +181,7 @@ def _decided(
     populations: int,
     seed: np.random.SeedSequence,
 ) -> np.ndarray:
-    """The p-quantile of the limits in each population, shape (R,), from users who are decided one by one."""
+    """The p-quantile of the limits in each population, shape (R,), with the exact limit of each user."""
     rows = np.unique(np.linspace(0, len(population.mu) - 1, populations).astype(int))
     rng = np.random.default_rng(seed)
     normals = rng.normal(size=(rows.size, _DECIDED_USERS, population.mu.shape[1]))

@@ -1,7 +1,7 @@
-r"""Stability of a sampled loop, decided by its poles, without an approximation.
+r"""Stability of a sampled loop, determined exactly from its poles.
 
 Between samples device and user are the linear system :math:`\dot x = A x + B f` of
-:mod:`bayes_impedance.design.circuits.state_space`, and the force is constant but for one step at the delay. So the
+:mod:`bayes_impedance.design.circuits.state_space`, and the force is constant except for one step at the delay. So the
 motion from one sample to the next is known exactly. With the delay :math:`\tau = dT + \varepsilon`, :math:`0 \le
 \varepsilon < T` (the modified z-transform, [1]_),
 
@@ -13,8 +13,8 @@ and with :math:`f_k = -(K + B_w/T)\,p_k + (B_w/T)\,p_{k-1}` of the position p th
 \dots, f_{k-d-1})` is multiplied by one matrix per period. The loop is stable if and only if all its eigenvalues lie
 inside the unit circle.
 
-**Position.** If a spring holds the device and user together to ground, position is already among the states: velocity
-is v = C x with zero static gain, thus :math:`p = C A^{-1} x`. Otherwise p is one more state, :math:`\dot p = v`; for
+**Position.** If a spring connects device and user to ground, position is already a function of the states: velocity is
+v = C x with zero static gain, thus :math:`p = C A^{-1} x`. Otherwise p is an additional state, :math:`\dot p = v`; for
 a free mass so is the constant velocity.
 
 **Many users, many gains.** The gains act through one column of the matrix, which
@@ -40,32 +40,33 @@ from bayes_impedance.design.loop.hessenberg import all_inside, reduced
 from bayes_impedance.errors import InputError
 
 MARGIN = 1e-9
-"""A pole this far outside the unit circle counts as on it: eigenvalues are no more exact."""
+"""A pole up to this far outside the unit circle counts as on it. By choice: it allows for rounding errors of
+eigenvalues."""
 
 _BLOCK = 20
-"""Users whose matrices are computed at once. By choice: few enough for progress and a balanced load."""
+"""Users whose matrices are computed at once. By choice: few enough for progress reports and load balancing."""
 
 _SCAN = 81
-"""Stiffnesses at which the first unstable one is looked for, before it is bisected. By choice: about ten per decade."""
+"""Stiffnesses scanned for the first unstable one, before bisection. By choice: about ten per decade."""
 
 _BISECTIONS = 40
-"""Halvings of the interval that was found: its width falls below 1e-12 in ln K."""
+"""Bisections of the interval that was found: its width falls below 1e-12 in ln K."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SampledLoop:
-    """A device in the hands of U users, from sample to sample.
+    """Discrete-time model of a device held by each of U users.
 
     Attributes
     ----------
     transition : ndarray, shape (U, n, n)
-        Of the mechanical states over one period.
+        Transition matrix of the mechanical states over one period.
     now, late : ndarray, shape (U, n)
-        What the forces :math:`f_{k-d}` and :math:`f_{k-d-1}` do to them, per newton.
+        Effect of the forces :math:`f_{k-d}` and :math:`f_{k-d-1}` on the states, per newton.
     position : ndarray, shape (U, n)
-        Row that gives the position in m.
+        Row vector whose product with the states is the position in m.
     whole : int
-        Whole periods d of the delay.
+        Number d of whole periods in the delay.
     period_s : float
     """
 
@@ -94,7 +95,7 @@ class SampledLoop:
         return int(self.now.shape[1] + 1 + self.whole + int(np.any(self.late)))
 
     def matrices(self, stiffness: np.ndarray, damping: np.ndarray) -> np.ndarray:
-        """What one period does to the states: gains of shape (U, G) to matrices (U, G, q, q)."""
+        """Transition matrices of the closed loop over one period: gains of shape (U, G) to (U, G, q, q)."""
         users, gains = stiffness.shape
         n, late = self.now.shape[1], bool(np.any(self.late))
         size = self.size
@@ -121,19 +122,19 @@ class SampledLoop:
     def inside(self, stiffness: np.ndarray, damping: np.ndarray) -> np.ndarray:
         """Whether all poles are inside the unit circle: gains of shape (U, G) to bool (U, G).
 
-        The same as asking :meth:`radius`, several times faster where there are many gains.
+        Equivalent to :meth:`radius` below the limit, but several times faster for many gains.
         """
         n, size = self.now.shape[1], self.size
         free = self.matrices(np.zeros((len(self), 1)), np.zeros((len(self), 1)))[:, 0]
         result = np.empty(stiffness.shape, dtype=np.int8)
         rate = damping / self.period_s
         for user in range(len(self)):
-            # Units in which force, position and the mechanical states are of one size keep all digits.
+            # Units in which force, position and the mechanical states have similar sizes preserve accuracy.
             scale = np.ones(size)
             scale[n] = 1 / np.linalg.norm(self.position[user])
             scale[n + 1 :] = max(np.linalg.norm(self.now[user]), np.linalg.norm(self.late[user]))
             column = np.zeros(size)
-            column[n + 1 : n + 2] = 1.0  # a force that will act later is remembered
+            column[n + 1 : n + 2] = 1.0  # a delayed force is a state
             if not self.whole:
                 column[:n] = self.now[user]
             form, turned = reduced(scale[:, None] * free[user] / scale, scale * column)
@@ -167,7 +168,7 @@ def sampled_loop(device: Device, users: Realisation) -> SampledLoop:
     Raises
     ------
     InputError
-        If the motion is too stiff for the sampling period to be computed.
+        If the system is too stiff: the motion over a sampling period cannot be computed.
     """
     mobility = device.with_load(users).reciprocal()
     a, b, position = _with_position(mobility)
@@ -192,9 +193,9 @@ def sampled_loop(device: Device, users: Realisation) -> SampledLoop:
 
 
 def _with_position(mobility: Realisation) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A, B and the row of the position of a mobility whose port has mass."""
+    """A, B and the row vector of the position, for a mobility whose port has mass."""
     a, b, c = mobility.a, mobility.b, mobility.c
-    if mobility.low < 0:  # a free mass: its constant velocity is a state, too
+    if mobility.low < 0:  # a free mass: its constant velocity is also a state
         root = np.sqrt(mobility.k)[:, None]
         a = np.pad(a, ((0, 0), (1, 0), (1, 0)))
         b, c = np.concatenate([root, b], axis=1), np.concatenate([root, c], axis=1)
@@ -224,7 +225,7 @@ def stable(
     stiffness, damping : ndarray, shape (G,)
         The same gains for all users, in N/m and N s/m.
     workers : int
-        Threads; they do not change the result.
+        Number of threads; the result does not depend on it.
     progress : callable, optional
 
     Returns
@@ -250,7 +251,7 @@ def stable(
 def largest_stiffness(
     loop: SampledLoop, damping: float, highest: float, *, lowest: float = 1.0, halvings: int = _BISECTIONS
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where stability ends when the stiffness of the wall is raised from low values on.
+    """Stiffness at which stability ends when the stiffness of the wall is raised from low values.
 
     Parameters
     ----------
@@ -258,16 +259,16 @@ def largest_stiffness(
     damping : float
         Virtual damping in N s/m.
     highest, lowest : float
-        Between which stiffnesses in N/m the end is looked for, in logarithmic steps and then by bisection.
+        Range of stiffnesses in N/m that is searched, in logarithmic steps and then by bisection.
     halvings : int
-        Of the step in which the end lies.
+        Number of bisections of the step that contains the limit.
 
     Returns
     -------
     stiffness : ndarray, shape (U,)
-        The first end in N/m; zero for a user with whom even the lowest is not stable, `highest` where there is none.
+        The lowest limit in N/m; zero for a user with whom even `lowest` is unstable, `highest` if there is no limit.
     frequency_hz : ndarray, shape (U,)
-        Of the oscillation there; NaN where there is none.
+        Frequency of the oscillation at the limit; NaN if there is none.
     """
     scan = np.geomspace(lowest, highest, _SCAN)
     users = len(loop)

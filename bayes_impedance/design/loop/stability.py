@@ -1,23 +1,23 @@
-r"""The share of a population with whose users a device is stable: its Z-width over the population.
+r"""The share of a population's users with whom a device is stable: its Z-width over the population.
 
-For gains (K, B) let :math:`s_i` say whether the loop with user i is stable, which is decided by poles
-(:mod:`bayes_impedance.design.loop.sampled_loop`). Of one population of the posterior the share of stable users is
-estimated with the users' weights for it (:meth:`UserPopulation.weights`),
+For gains (K, B) let :math:`s_i` be 1 if the loop with user i is stable and 0 otherwise, determined from its poles
+(:mod:`bayes_impedance.design.loop.sampled_loop`). In one population of the posterior the share of stable users is
+estimated with the users' importance weights (:meth:`UserPopulation.weights`),
 
 .. math:: p_r = \sum_i w_{ri}\, s_i ,
 
-and the posterior is many populations r. A finite number of users leaves an uncertainty of its own: with :math:`n_r =
-1/\sum_i w_{ri}^2` effective users, p is drawn from Beta(1/2 + n p, 1/2 + n (1 - p)) [1]_. Quantiles of all draws are
-the credible interval, and their median is the share: it contains what is not known of the population and what was not
-simulated.
+and the posterior consists of many populations r. The finite number of users adds an uncertainty: with :math:`n_r =
+1/\sum_i w_{ri}^2` effective users, p is drawn from Beta(1/2 + n p, 1/2 + n (1 - p)) [1]_. The quantiles of all draws
+are the credible interval and their median is the reported share. The interval contains the uncertainty of the
+population and the sampling error of the users.
 
-The limit of a share, "stable for 99 % up to K", needs no grid, and is no quantile of the users: it is a quantile of
-every population of the posterior (:mod:`bayes_impedance.design.loop.population_limit`), and what is reported is the
-median and the 90 % interval of these.
+The limit of a share, "stable for 99 % up to K", needs no grid, and it is not a quantile of the drawn users: it is a
+quantile of every population of the posterior (:mod:`bayes_impedance.design.loop.population_limit`). The median and the
+90 % interval of these quantiles are reported.
 
-**Which elements make the worst user.** :math:`\ln K_\max` is followed from the centre of the population to the user on
-a straight line in log elements; the part of each element is its integrated gradient [2]_, and the parts add up to the
-difference.
+**Which elements cause the worst user's limit.** The change of :math:`\ln K_\max` from the centre of the population to
+the user is attributed to the elements by integrated gradients [2]_ along the straight line in log elements; the
+contributions add up to the difference.
 
 References
 ----------
@@ -40,11 +40,11 @@ from bayes_impedance.design.loop.sampled_loop import SampledLoop, largest_stiffn
 from bayes_impedance.design.users import UserPopulation, Users
 
 _STEPS = 8
-"""Points of the midpoint rule along the line to the worst user. By choice: the gradient changes slowly along it."""
+"""Points of the midpoint rule along the line to the worst user. By choice: few, as the gradient varies slowly."""
 
 _DIFFERENCE = 1e-3
-"""Step of a log element in central differences: their error is of the order of its square, 1e-6, and the bisected
-limits are much more exact than the step."""
+"""Step of a log element in central differences. By choice: the truncation error is of the order of its square, 1e-6,
+and the bisected limits are much more accurate than the step."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,9 +61,9 @@ class StabilityMap:
     probability, low, high : ndarray, shape (H, G)
         Share in the population: median, 5 % and 95 % quantile of its posterior.
     mean_user : ndarray of bool, shape (H, G)
-        Whether it is stable with the population's centre: what one would say without a population.
+        Whether the loop is stable with the population's centre: the result for one average user.
     mean_user_limit : ndarray, shape (H,)
-        Up to which stiffness in N/m, for each damping.
+        Stiffness limit of the centre in N/m, for each damping.
     classical : ndarray, shape (H,)
         Largest stiffness of the bound b > K T/2 + abs(B).
     effective_users : float
@@ -86,7 +86,7 @@ class StabilityMap:
 
 @dataclass(frozen=True, kw_only=True)
 class Limit:
-    """Up to which stiffness a share of the users is stable, at one virtual damping.
+    """Stiffness up to which the loop is stable for a share of the users, at one virtual damping.
 
     Attributes
     ----------
@@ -98,9 +98,9 @@ class Limit:
     mean_user, mean_user_hz : float
         Limit of the population's centre, and the frequency of the oscillation there.
     classical : float
-        Limit of the classical bound.
+        Limit in N/m by the classical bound.
     each, each_hz : ndarray, shape (N,)
-        Everybody's own.
+        Limit of each user in N/m, and the frequency of the oscillation there.
     worst : int
         Row of the user with the smallest limit.
     """
@@ -120,18 +120,18 @@ class Limit:
 
 @dataclass(frozen=True)
 class Reason:
-    """What makes a user's limit differ from the centre's.
+    """Attribution to the elements of the difference between a user's limit and the centre's.
 
     Attributes
     ----------
     elements : tuple of str
-        The most important first.
+        Names, the most important first.
     change : ndarray, shape (P,)
         Natural logarithm of the element's value relative to the centre's.
     part : ndarray, shape (P,)
-        How much of ln(limit / centre's limit) it makes up.
+        Contribution of the element to ln(limit / centre's limit).
     difference : float
-        That logarithm.
+        ln(limit / centre's limit).
     """
 
     elements: tuple[str, ...]
@@ -168,9 +168,9 @@ def stability_map(
     stiffness, damping : ndarray, shape (G,) and (H,)
         Gains in N/m and N s/m.
     seed : int
-        Of the draws that stand for a finite number of users.
+        For the Beta draws that represent the finite number of users.
     populations : int
-        Of the posterior.
+        Number of posterior draws used.
     workers : int
         Threads.
     progress : callable, optional
@@ -214,24 +214,24 @@ def limit_of(
     seed: int = 1,
     populations: int = POPULATIONS,
 ) -> Limit:
-    """Up to which stiffness the loop is stable for a share of the users.
+    """Stiffness up to which the loop is stable for a share of the users.
 
     Parameters
     ----------
     population : UserPopulation
     users : Users
-        Drawn from it: whose own limits are told. The limit of the share does not depend on them.
+        Drawn from it; their own limits are reported. The limit of the share does not depend on them.
     device : Device
     damping : float
         Virtual damping B in N s/m.
     share : float
-        Of users, between 0 and 1.
+        Share of users, between 0 and 1.
     highest : float
-        Stiffness in N/m beyond which nobody asks.
+        Largest stiffness in N/m that is considered.
     seed : int
-        Of the users from whom the limit of the share is computed.
+        For drawing the users from whom the limit of the share is computed.
     populations : int
-        Of the posterior.
+        Number of posterior draws used.
     """
     each, frequency = largest_stiffness(loop_of(device, users), damping, highest)
     own, own_hz = largest_stiffness(loop_of(device, population.median_user()), damping, highest)
@@ -257,14 +257,14 @@ def limit_of(
 def reason(
     population: UserPopulation, users: Users, row: int, device: Device, damping: float, highest: float = 1e6
 ) -> Reason:
-    """What makes one user's limit differ from that of the population's centre.
+    """Elements that make one user's limit differ from that of the population's centre.
 
     Parameters
     ----------
     population : UserPopulation
     users : Users
     row : int
-        The user.
+        Row of the user.
     device : Device
     damping : float
         Virtual damping B in N s/m.

@@ -1,19 +1,19 @@
-r"""How far what a user feels is from the wall that was asked for.
+r"""Transparency: the impedance transmitted to a user compared with the desired impedance of the virtual wall.
 
-Asked for is :math:`z_w = K/s + B`. A user with the impedance :math:`z_u` and the active force :math:`F_0` (eq. 3 of
-the paper and the source beside it) feels the transmitted impedance :math:`z_t`, which moves
+The desired impedance is :math:`z_w = K/s + B`. A user with the impedance :math:`z_u` and the active force :math:`F_0`
+(eq. 3 of the paper, with a force source) feels the transmitted impedance :math:`z_t`, so that the velocity is
 
 .. math:: v = \frac{F_0}{z_u + z_t} \quad\text{instead of}\quad \frac{F_0}{z_u + z_w} .
 
-Sampling is kept exact. With the motor off the user's force moves the actuator by the phasor :math:`x_o`. Samples of a
-sinusoid have its phasor, so in the loop the samples are :math:`x_o / (1 + C(z) G(z))` with :math:`z = e^{j\omega T}`,
-the controller :math:`C = K + B (1 - z^{-1})/T` and the exact pulse transfer function G of
+Sampling is treated exactly. With the motor off the user's force moves the actuator by the phasor :math:`x_o`. Samples
+of a sinusoid have its phasor, so in the loop the samples are :math:`x_o / (1 + C(z) G(z))` with
+:math:`z = e^{j\omega T}`, the controller :math:`C = K + B (1 - z^{-1})/T` and the exact pulse transfer function G of
 :mod:`bayes_impedance.design.loop.sampled_loop`. The component of the held force at the same frequency is
 
 .. math:: f = -C\, \frac{x_o}{1 + C G}\; \frac{1 - e^{-sT}}{sT}\, e^{-s\tau} .
 
 G contains the user, because images above the sampling frequency are reflected by device and user: :math:`z_t` depends
-on who holds the device.
+on the user.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ class Transparency:
         Gains in N/m and N s/m.
     desired : ndarray, complex, shape (F,)
     transmitted : ndarray, complex, shape (M, F)
-        For the users with whom the loop is stable.
+        For the M users with whom the loop is stable.
     velocity_error : ndarray, shape (M, F)
-        Modulus of the relative error of the velocity, for the same.
+        Modulus of the relative error of the velocity, for the same users.
     share : float
         Share of stable users.
     """
@@ -76,12 +76,12 @@ def transparency(
     stiffness, damping : float
         Gains in N/m and N s/m, not both zero.
     frequency_hz : ndarray, shape (F,)
-        Frequencies at or above half the sampling frequency are left out: they have images below.
+        Frequencies at or above half the sampling frequency are left out: they are aliased to lower ones.
 
     Raises
     ------
     InputError
-        If nobody is stable at these gains, or nothing is asked for.
+        If the loop is stable with no user at these gains, or both gains are zero.
     """
     if not stiffness + damping > 0:
         raise InputError("a wall of no stiffness and no damping has no transparency: give gains above zero")

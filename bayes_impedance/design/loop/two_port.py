@@ -1,7 +1,7 @@
 r"""Two-ports: mechanical links with two sides, such as a lever or a flexible arm.
 
-A two-port is kept as its chain matrix. The flow of the second side is counted **out** of the two-port, so that
-two-ports in a row are a matrix product,
+A two-port is represented by its chain matrix. The flow of the second side is counted **out** of the two-port, so that
+cascaded two-ports are a matrix product,
 
 .. math:: \begin{pmatrix} e_1 \\ f_1 \end{pmatrix} =
           \begin{pmatrix} a_{11} & a_{12} \\ a_{21} & a_{22} \end{pmatrix}
@@ -35,11 +35,11 @@ class TwoPort:
     chain: np.ndarray
 
     def __matmul__(self, other: TwoPort) -> TwoPort:
-        """A chain: the two-port followed by another."""
+        """Cascade: the two-port followed by another."""
         return TwoPort(self.chain @ other.chain)
 
     def seen(self, load: npt.ArrayLike) -> np.ndarray:
-        """Impedance of the first side with `load` (broadcast against F) on the second."""
+        """Input impedance of the first side with `load` (broadcast against F) on the second."""
         a, load = self.chain, np.asarray(load)
         return np.asarray((a[:, 0, 0] * load + a[:, 0, 1]) / (a[:, 1, 0] * load + a[:, 1, 1]))
 
@@ -51,13 +51,13 @@ def beside(z: npt.ArrayLike) -> TwoPort:
 
 
 def between(z: npt.ArrayLike) -> TwoPort:
-    """An impedance that passes on the force from side to side: velocities differ."""
+    """An impedance that transmits the force from one side to the other: velocities differ."""
     z = np.atleast_1d(np.asarray(z, dtype=complex))
     return TwoPort(_matrix(np.ones_like(z), np.zeros_like(z), 1 / z, np.ones_like(z)))
 
 
 def lever(ratio: float, size: int = 1) -> TwoPort:
-    """A lever or gear: the second side moves `ratio` times as fast, with a force as many times smaller."""
+    """A lever or gear: the second side moves `ratio` times as fast, with a force smaller by the same factor."""
     one = np.ones(size, dtype=complex)
     return TwoPort(_matrix(ratio * one, 0 * one, 0 * one, one / ratio))
 
