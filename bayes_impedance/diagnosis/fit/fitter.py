@@ -284,7 +284,9 @@ class Refitter:
     def _move_additions(
         self, model: Model, u: np.ndarray, persons: np.ndarray, population: Population, equations: Equations
     ) -> tuple[np.ndarray, np.ndarray, Population, Equations, float]:
-        """A step of shared parameters and mean coefficients, with each person's response; its size is returned last.
+        """A step of shared parameters and mean coefficients, with each person's response.
+
+        The last value returned is its size, in standard deviations.
 
         The step descends on the data's part of the objective alone, so only that part is checked.
         """
