@@ -223,7 +223,7 @@ class Fit:
         return np.asarray(np.tensordot(y @ self.variance, y, ([0, 2], [0, 2])))
 
     def small_sample(self) -> tuple[np.ndarray, np.ndarray]:
-        """Variance of each coefficient, allowing for the estimation of T, and its degrees of freedom: both shape (K,)."""
+        """Variance of each coefficient, allowing for the estimation of T, and its degrees of freedom, both (K,)."""
         e = self.structure.directions(self.factor)
         y = self.weight @ self.white_design  # W X
         ey = e[:, None] @ y  # (A, N, D, K)
