@@ -1,10 +1,10 @@
-"""What the network leaves out: where recordings and model differ, which physics is missing, and how much it helps.
+"""Diagnosis of a network: where recordings and model differ, which physics is missing, and the gain from adding it.
 
-In come recordings and a network; out comes a :class:`Diagnosis` with its verdict. Open :mod:`.diagnose` first: it fits
-the network (``fit``), searches (``selection``) for what of the ``catalogue`` explains what is left (``residuals``,
-``hum``), tests the population's shape (``heterogeneity``), says which measurement would separate rivals
-(``next_experiment``) and puts it all in a ``verdict``; :mod:`.types` is what comes
-out, with the verdict of :mod:`.verdict_types`, which :mod:`.verdict_file` writes and reads as ``verdict.json``.
+Input: recordings and a network. Output: a :class:`Diagnosis` with its verdict. Open :mod:`.diagnose` first: it fits the
+network (``fit``), searches (``selection``) the ``catalogue`` for effects that explain the remaining structure
+(``residuals``, ``hum``), tests the population's distribution (``heterogeneity``), proposes measurements that would
+separate rivals (``next_experiment``) and makes the ``verdict``. :mod:`.types` defines the output, with the verdict of
+:mod:`.verdict_types`, which :mod:`.verdict_file` writes and reads as ``verdict.json``.
 """
 
 from bayes_impedance.diagnosis.catalogue.coefficient import Coefficient

@@ -1,16 +1,16 @@
-r"""Somebody's simulation as the claim: what it is made of, what it leaves unexplained of itself, where its people are.
+r"""A simulation as the claim: its network and effects, its unexplained remainder, and the elements of its people.
 
-The simulation is fitted and searched like recordings. What is found in it belongs to the claim. If structure remains
-even so, the network is not all that the simulation is made of, and the same structure in the recordings is no
-difference between the two: with everybody's fit Z of the simulated z',
+The simulation is fitted and searched like recordings. Effects found in it belong to the claim. If structure remains,
+the simulation contains more than the network, and the same structure in the recordings is not a difference between the
+two. With the fit Z of each person's simulated z',
 
 .. math:: 1 + \varrho(f) = \langle z'(f)/Z(f) \rangle, \qquad z(f) \to z(f)/(1 + \varrho(f)),
 
 the mean being over a person's repetitions where the simulation is of the same people, over all people otherwise. The
 simulation's own noise comes with it.
 
-Where the people are the same, the search begins at the simulation's elements: an effect that the elements of the
-recordings' own fit have swallowed in part stands out there.
+If the people are the same, the search starts at the simulation's elements: an effect that the elements of the
+recordings' own fit partly absorb is more visible there.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ from bayes_impedance.recordings.dataset import Recordings
 from bayes_impedance.runtime.progress import Progress
 
 _ROUNDS = 80
-"""Of the fit of a simulation, which has no noise: it settles slowly and must."""
+"""Largest number of rounds of the fit of a simulation. By choice: without noise it converges slowly, and it must
+converge."""
 
 _ALIKE = 0.25
 """Share of the median distance between two people below which the distance to one's own simulation shows that the
@@ -44,13 +45,13 @@ simulation is of the same people. By choice."""
 
 @dataclass(frozen=True)
 class Claim:
-    """A simulation and what is known of it.
+    """A simulation and its fit.
 
     Attributes
     ----------
     simulation : Recordings
     found : Found
-        Its population, and physics beyond the network that it has already.
+        Its fitted population, and effects beyond the network that it contains.
     rest : tuple of ndarray
         For every person 1 + rho at the person's frequencies; empty if nothing remains unexplained.
     """
@@ -62,7 +63,7 @@ class Claim:
     def is_of(self, recordings: Recordings) -> bool:
         """Whether simulation and recordings are of the same people at the same frequencies.
 
-        Names alone do not say so: many simulations call their people S01, S02. The curves of one name have to be much
+        Names are not sufficient: many simulations call their people S01, S02. The curves of one name have to be much
         more alike than those of different names.
         """
         simulated = {s.name: s for s in self.simulation.subjects}
@@ -81,7 +82,7 @@ class Claim:
         return bool(np.median(distance[same]) < _ALIKE * np.median(distance[~same]))
 
     def without_rest(self, recordings: Recordings) -> Recordings:
-        """The recordings without what the simulation leaves unexplained of itself."""
+        """The recordings divided by the part of the simulation that its fit does not explain."""
         if not self.rest:
             return recordings
         own = dict(zip(self.simulation.names, self.rest, strict=True)) if self.is_of(recordings) else None
@@ -93,7 +94,7 @@ class Claim:
         return replace(recordings, subjects=tuple(subjects))
 
     def _mean_rest(self, frequency_hz: np.ndarray) -> np.ndarray:
-        """Of all people of the simulation, at other frequencies; constant outside of theirs."""
+        """Mean of 1 + rho over the simulation's people, at other frequencies; constant outside of their range."""
         x = np.log(frequency_hz)
         rows = [
             np.interp(x, np.log(s.frequency_hz), factor.real) + 1j * np.interp(x, np.log(s.frequency_hz), factor.imag)
@@ -102,11 +103,11 @@ class Claim:
         return np.asarray(np.mean(rows, axis=0))
 
     def start(self, fitted: Fitted, seed: int) -> tuple[Refit, Refit | None]:
-        """The recordings' fit with the physics that the simulation has, and where a search for more begins.
+        """The recordings' fit with the simulation's effects, and the fit at which the search for more starts.
 
         Each person's elements begin at the person's own fit without that physics, at the simulation's centre, and, if
-        the people are the same, at their own elements in the simulation: the best end counts, because a strong addition
-        may have moved the elements far.
+        the people are the same, at their own elements in the simulation: the best result is kept, because a strong
+        addition may have moved the elements far.
         """
         claimed = self.found.final
         own = fitted.fit.model
@@ -131,7 +132,7 @@ class Claim:
         return refitter.settle(max(ends, key=lambda fit: float(fit.evidence.sum())), seed), begin
 
     def _people(self, fitted: Fitted, model: Model) -> np.ndarray:
-        """For every recording the same person's parameters in the simulation (M, P), means over repetitions."""
+        """Parameters of each recording's person in the simulation, means over repetitions, shape (M, P)."""
         claimed = self.found.final
         mean = {name: claimed.u[claimed.owner == i].mean(axis=0) for i, name in enumerate(self.simulation.names)}
         rows = np.array([mean[name] for name in fitted.recordings.names])
@@ -146,13 +147,13 @@ def claim_of(
     executor: Executor,
     progress: Progress,
 ) -> Claim:
-    """What a simulation itself is made of.
+    """Fit a simulation and search it for effects.
 
     Parameters
     ----------
     simulation : Recordings
     network : Network or str, optional
-        As claimed; the simulation's own if not given.
+        The claimed network; that of the simulation if not given.
     effects : sequence of Effect
         Candidates.
     seed : int

@@ -1,4 +1,4 @@
-"""Diagnosis from start to end: fit, locate, search, confirm, and say it."""
+"""Diagnosis from start to end: fit, locate, search, confirm, and report."""
 
 from __future__ import annotations
 
@@ -39,12 +39,13 @@ from bayes_impedance.runtime.executors import executor_of
 from bayes_impedance.runtime.progress import Progress
 
 _MAINS_ALPHA = 1e-3
-"""Corrected level of the search for hum; where it is found, points are left out, so it has to be surer than others."""
+"""Corrected level of the search for hum. By choice: stricter than other levels, because affected points are left
+out."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Job:
-    """What all parts of one diagnosis share."""
+    """Arguments and resources shared by all parts of one diagnosis."""
 
     effects: tuple[Effect, ...]
     diagonal: bool
@@ -69,24 +70,24 @@ def diagnose(
     executor: Executor | None = None,
     checkpoint: Path | None = None,
 ) -> Diagnosis:
-    """Find what a network leaves out of recordings.
+    """Find effects in recordings that a network lacks.
 
     Parameters
     ----------
     recordings : Recordings
         One recording or many.
     network : Network or str, optional
-        The network as claimed; the dataset's own if not given.
+        The claimed network; that of the dataset if not given.
     simulation : Recordings, optional
-        A simulated population that claims to describe the recordings. What the network leaves unexplained of it is
-        taken off the recordings; where it is of the same people, everybody is compared with the own simulation
+        A simulated population that claims to describe the recordings. The part of it that the network does not explain
+        is removed from the recordings. If it is of the same people, each person is compared with the own simulation
         (:mod:`bayes_impedance.diagnosis.claimed_simulation`).
     effects : sequence of Effect, optional
         Candidates; all that are registered if not given.
     diagonal : bool
-        The claim is that elements vary independently of each other; by default they may vary together.
+        Whether the claimed population has independent elements; by default they may be correlated.
     quick : bool
-        Without held-out frequencies and without proposals of what would separate rivals.
+        Without held-out frequencies and without proposals of measurements to separate rivals.
     seed : int
         The same seed and data give the same verdict on one machine.
     workers : int
@@ -94,11 +95,11 @@ def diagnose(
     progress : callable, optional
         Called with stage, done, total.
     executor : Executor, optional
-        Does what is done person by person and recording by recording: processes, a cluster's workers, whatever has the
-        standard interface. Threads of this process if not given; the verdict is the same.
+        Runs the work that is done person by person and recording by recording: processes, workers of a cluster, or any
+        other with the standard interface. Threads of this process if not given; the verdict is the same.
     checkpoint : Path, optional
-        Folder where the first fit of the network is kept as it comes; an interrupted diagnosis with the same arguments
-        takes it up. What is searched afterwards is not kept.
+        Folder in which the first fit of the network is saved as it progresses; an interrupted diagnosis with the same
+        arguments resumes from it. The later search is not saved.
 
     Returns
     -------
@@ -107,7 +108,7 @@ def diagnose(
     Raises
     ------
     InputError
-        If there is no network, or somebody has fewer points than elements.
+        If there is no network, or a person has fewer points than elements.
     """
     from threadpoolctl import threadpool_limits
 
@@ -138,7 +139,7 @@ def _diagnose(
     job: _Job,
     clock: Clock,
 ) -> Diagnosis:
-    """The steps in their order: fit, search, confirm, say."""
+    """The steps in their order: fit, search, confirm, report."""
     compared = recordings if claimed is None else claimed.without_rest(recordings)
     with clock.measure("fit"):
         first = _fit_without_hum(compared, network, job)
@@ -167,17 +168,17 @@ def _diagnose(
 
 @dataclass(frozen=True)
 class _First:
-    """The network's fit to what hum has not spoilt.
+    """The network's fit to the points that hum does not affect.
 
     Attributes
     ----------
     clean : Recordings
-        Without the points that hum has spoilt.
+        Without the points affected by hum.
     fitted : Fitted
-        To these.
+        Fit to these.
     hum : Hum or None
     spoilt : Snapshot or None
-        Of the fit to all points, where there is hum.
+        Of the fit to all points, if there is hum.
     """
 
     clean: Recordings
@@ -198,14 +199,14 @@ def _fit_without_hum(recordings: Recordings, network: Network | str | None, job:
 
 
 def _start(claimed: Claim | None, fitted: Fitted, job: _Job) -> tuple[Refit, Refit | None]:
-    """The model to which physics is added, and another fit of it at which the search begins, if there is a claim."""
+    """The model to which effects are added, and another fit of it at which the search starts, if there is a claim."""
     if claimed is None or not (claimed.found.final.model.additions or claimed.rest):
         return fitted.fit, None
     return claimed.start(fitted, job.seed)
 
 
 def _look_again(look: _Look, fitted: Fitted, base: Refit, job: _Job, clock: Clock) -> _Look:
-    """Where all that was found has no name: the better one of this search and one with another beginning."""
+    """The better of this search and one from a second start, if all that was found is unnamed."""
     with clock.measure("search"):
         known = look.evidence - log_evidence(base)
         begin = another_beginning(fitted, look.found.steps[0], known, job.seed, job.executor, job.progress)
@@ -215,11 +216,11 @@ def _look_again(look: _Look, fitted: Fitted, base: Refit, job: _Job, clock: Cloc
 
 
 def _confirm(first: _First, look: _Look, claimed: Claim | None, job: _Job) -> Evidence:
-    """What held-out recordings and the population's structure say of what was found."""
+    """Evidence for the findings from held-out recordings and from tests of the population."""
     seed, clean, fitted, found, final = job.seed, first.clean, first.fitted, look.found, look.final
     changed = final is not found.base
     job.progress("confirming", 0, 3)
-    if found.posterior is not None:  # of the names that are left: it takes many refits
+    if found.posterior is not None:  # only of the remaining named effects: it takes many refits
         found = replace(found, posterior=from_evidence(fitted.refitter, found.final, found.posterior, seed))
     gains = _gains(fitted, found, seed)
     job.progress("confirming", 1, 3)
@@ -249,7 +250,7 @@ def _confirm(first: _First, look: _Look, claimed: Claim | None, job: _Job) -> Ev
 
 
 def _gains(fitted: Fitted, found: Found, seed: int) -> tuple[tuple[float, float | None] | None, ...]:
-    """Of each addition on held-out people; None where they are too few, or no step of the search has chosen it."""
+    """Gain of each addition on held-out people; None with too few people, or if no step of the search has chosen it."""
     if found.posterior is None:
         return ()
     gains: list[tuple[float, float | None] | None] = []
@@ -263,7 +264,7 @@ def _gains(fitted: Fitted, found: Found, seed: int) -> tuple[tuple[float, float 
 
 
 def _remarks(found: Found, final: Refit, claimed: Claim | None) -> list[str]:
-    """What a reader must know before believing the numbers."""
+    """Caveats that a reader must know before relying on the numbers."""
     remarks = []
     if not final.settled and final is not found.base:
         remarks.append("The fit with what was found did not come to rest; its numbers are rough.")
@@ -281,18 +282,18 @@ def _remarks(found: Found, final: Refit, claimed: Claim | None) -> list[str]:
 
 @dataclass(frozen=True)
 class _Look:
-    """What one search has led to.
+    """Result of one search.
 
     Attributes
     ----------
     found : Found
-        Names that hold.
+        Named effects that are identified.
     unknown : Realised or None
-        What has no name.
+        Network for the unnamed physics.
     first : Location
-        Where the network alone differs.
+        Mismatch of the network alone.
     one_ports : tuple of OnePort
-        Missing at each place before anything was added.
+        Missing one-port at each place before anything was added.
     """
 
     found: Found
@@ -302,22 +303,22 @@ class _Look:
 
     @property
     def nameless(self) -> bool:
-        """Whether all that was found has no name."""
+        """Whether only unnamed physics was found."""
         return self.unknown is not None and self.found.final is self.found.base
 
     @property
     def final(self) -> Refit:
-        """The model with everything that was added, unknown physics too."""
+        """Fit with all additions, including unknown physics."""
         return self.found.final if self.unknown is None else self.unknown.trial.fit
 
     @property
     def evidence(self) -> float:
-        """Of everything found, less the price of its parameters; the network alone may have been fitted better, too."""
+        """Log evidence of the final model, which also counts a better fit of the network itself."""
         return log_evidence(self.final)
 
 
 def _look(fitted: Fitted, base: Refit, begin: Refit | None, job: _Job, clock: Clock) -> _Look:
-    """Search for names, locate what they leave, and take back those that do not hold."""
+    """Search for named effects, locate the remaining structure, and remove effects that are not identified."""
     seed, executor, progress = job.seed, job.executor, job.progress
     names = fitted.recordings.names
     with clock.measure("search"):

@@ -1,15 +1,15 @@
-r"""Does the network describe the recordings at all? Asked of every population fit, before its numbers are believed.
+r"""Adequacy of every population fit: whether the network describes the recordings, before its numbers are used.
 
-It is the beginning of a diagnosis and shares its tests: the screening of all registered effects in the residuals, the
-location of structure, the tests of the population's shape. Nothing is searched for and nothing named; where something
-is found, the sentence says so and points to ``diagnose``.
+This is the first part of a diagnosis and shares its tests: the screening of all registered effects in the residuals,
+the location of structure, the tests of the population's distribution. Effects are not selected or named; if a test is
+significant, the sentence says so and refers to ``diagnose``.
 
-**Which numbers it spoils.** Every effect that the screening holds for significant is added to the network and the
-population refitted for a few rounds. An element whose centre moves by more than the half width of its own 90 % interval
-depends on whether that effect is there, and carries a mark. Where structure is significant and no effect explains it
-down to the noise, or people are not of one normal population, all elements carry one.
+**Affected elements.** Significant effects of the screening are added to the network and the population is refitted for
+a few rounds. An element whose centre moves by more than the half width of its own 90 % interval depends on whether that
+effect is present, and is marked. If structure is significant and no effect explains it down to the noise, or people are
+not of one normal population, all elements are marked.
 
-**Outliers.** Under one normal population a person's posterior mean strays from the population's by
+**Outliers.** Under one normal population a person's posterior mean deviates from the population's with covariance
 :math:`T - C_i`, with T the covariance between people and :math:`C_i` that of the person's posterior: little in
 directions that the person's recordings do not determine. With :math:`\lambda` and w the eigenvalues and eigenvectors of
 :math:`T^{-1/2}(T - C_i)T^{-1/2}`, of the k directions that are determined by more than half,
@@ -17,7 +17,7 @@ directions that the person's recordings do not determine. With :math:`\lambda` a
 .. math:: d_i^2 = \sum_k \frac{\left(w_k^T\,T^{-1/2}(\hat\theta_i - \mu)\right)^2}{\lambda_k}, \qquad
           \frac{N}{(N-1)^2}\,d_i^2 \sim \operatorname{Beta}\left(\tfrac{k}{2}, \tfrac{N - k - 1}{2}\right),
 
-so that one person far away does not hide behind the spread that this person makes (Gnanadesikan and Kettenring,
+so that an outlier is not masked by its own contribution to the covariance (Gnanadesikan and Kettenring,
 Biometrics 28, 81-124, 1972).
 """
 
@@ -53,20 +53,23 @@ from bayes_impedance.results.misfit import MISFIT_SCALE, MISFIT_SHARE
 from bayes_impedance.runtime.executors import executor_of
 
 _OUTLIER_ALPHA = 0.002
-"""Corrected level of the test of each person: it is one of five, and good populations may be marked in 2 % of cases."""
+"""Corrected level of the test of each person: it is one of five tests, and good populations may be marked in 2 % of
+cases."""
 
 _DETERMINED = 0.5
-"""Part of the spread between people that a person's recordings resolve in a direction that is tested."""
+"""Smallest fraction of the variance between people that a person's recordings resolve in a tested direction. By
+choice."""
 
 _MOST_EXAMINED = 200
-"""People, evenly spread over all, in whose residuals structure is looked for: they show whatever spoils the numbers of
-thousands, and the screening's time does not grow without end."""
+"""Largest number of people, evenly spread over all, whose residuals are tested. By choice: enough to detect what
+affects a population, and the time of the screening stays bounded."""
 
 _TRIED = 3
-"""Significant effects whose consequences for the elements are computed, each at its best place."""
+"""Number of significant effects whose consequences for the elements are computed, each at its best place. By choice."""
 
 _ROUNDS = 12
-"""Of the refits with them: they begin where the network alone has ended, and a shift by an interval shows early."""
+"""Rounds of the refits with them. By choice: they start at the fit of the network, and a shift by an interval shows
+early."""
 
 
 def examine(
@@ -80,7 +83,7 @@ def examine(
     workers : int
         Threads; the result does not depend on their number.
     executor : Executor, optional
-        Does what is done person by person; threads of this process if not given.
+        Runs the work that is done person by person; threads of this process if not given.
     effects : tuple of Effect, optional
         All that are registered if not given.
     """
@@ -122,12 +125,12 @@ def _examine(fit: PopulationFit, effects: tuple[Effect, ...], executor: Executor
 
 
 def _all(fit: PopulationFit) -> dict[str, float]:
-    """Every element that is reported, bent by nobody knows how much."""
+    """All reported elements, marked with an unknown change."""
     return {name: np.inf for name, seen in zip(fit.kernel.elements, fit.identified, strict=True) if seen}
 
 
 def _refitted(fit: PopulationFit, executor: Executor) -> tuple[Refitter, Refit, tuple[str, ...]]:
-    """The fit as the diagnosis has it, at rest, begun at the posterior's centre; of how many people, and of whom."""
+    """Converged refit of the examined people, started at the posterior's centre, with its refitter and their names."""
     n = len(fit.recordings.subjects)
     some = np.unique(np.linspace(0, n - 1, min(n, _MOST_EXAMINED)).round().astype(int)).tolist()
     data = []
@@ -152,7 +155,7 @@ def _refitted(fit: PopulationFit, executor: Executor) -> tuple[Refitter, Refit, 
 def _consequences(
     fit: PopulationFit, refitter: Refitter, base: Refit, step: Step
 ) -> tuple[dict[str, float], list[str]]:
-    """Elements that significant effects bend, with the change of their logarithm, and the effects, best first."""
+    """Elements that significant effects change, with the change of their logarithm, and the effects, best first."""
     screening, bent, gains = step.screening, dict[str, float](), dict[str, float]()
     order = [*best_shapes(screening), *best_shapes(screening, by_spread=True)]
     p_size = screening.log_p(np.nan_to_num(screening.z))
@@ -193,7 +196,7 @@ def _missing(fit: PopulationFit, p: float, bent: dict[str, float]) -> str:
 
 
 def _error(fit: PopulationFit) -> np.ndarray:
-    """Relative error of everybody's own network, shape (N,)."""
+    """Relative error of each person's fitted network, shape (N,)."""
     own = zip(fit.recordings.subjects, fit.person_draws.mean(axis=(0, 1)), strict=True)
     return np.array([relative_rms(fit.kernel.impedance(theta, s.frequency_hz), s.mean) for s, theta in own])
 

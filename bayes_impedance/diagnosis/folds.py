@@ -1,4 +1,4 @@
-"""Folds of people for cross-validation: everybody is held out once, together with the other people of a fold."""
+"""Folds of people for cross-validation: each person is held out once, together with the others of the fold."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ five to ten are customary (Hastie, Tibshirani and Friedman, The Elements of Stat
 def person_folds(n: int, seed: int) -> np.ndarray:
     """Number of the fold of each of n people, int, shape (n,).
 
-    People are dealt at random into :data:`FOLDS` folds whose sizes differ by one at most; fewer people than folds are
+    People are assigned at random to :data:`FOLDS` folds whose sizes differ by one at most; fewer people than folds are
     held out one by one.
     """
     return np.random.default_rng(seed).permutation(n) % FOLDS

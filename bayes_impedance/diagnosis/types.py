@@ -1,4 +1,4 @@
-"""What a diagnosis found: all that the report and ``verdict.json`` need, and nothing that must still be computed."""
+"""Results of a diagnosis: everything that the report and ``verdict.json`` need, fully computed."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ class Snapshot:
     magnitude, phase_deg : ndarray, shape (3, F)
         5 %, 50 % and 95 % quantiles of a new person's recording.
     residual_magnitude, residual_phase : ndarray, shape (N, F)
-        Everybody's whitened residual along |z| and across it (in phase), averaged over the repetitions and scaled to
+        Whitened residual of each person along |z| and across it (phase), averaged over the repetitions and scaled to
         unit variance if nothing is missing; NaN outside of a person's range.
     delta_magnitude, delta_phase_deg : ndarray, shape (F,)
         Eq. 5 of the population network.
     subject_rms_relative : ndarray, shape (N,)
-        Complex relative error of everybody's own network.
+        Complex relative error of each person's fitted network.
     coverage90 : ndarray, shape (2, F)
         Share of people inside the 90 % bands of magnitude and of phase.
     """
@@ -61,13 +61,13 @@ class Ranked:
     score : float
         Chi-square statistic, one degree of freedom when shared.
     p_value : float
-        Corrected for everything that was tried.
+        Corrected for all tests.
     size : str
         One-step estimate of the coefficient with its unit.
     physical : bool
-        Whether the sign is one the effect can have.
+        Whether the sign is admissible for the effect.
     likeness : float
-        Cosine between this candidate's signature and the first's, elements projected out: 1 cannot be told apart.
+        Cosine between this candidate's signature and the first's, elements projected out; at 1 they are inseparable.
     note : str
         For a reader: ``found``, ``alias, 3.1 behind``, ``unphysical sign``, or empty.
     """
@@ -86,7 +86,7 @@ class Ranked:
 
 @dataclass(frozen=True)
 class OnePort:
-    """The missing one-port at one place: what would close the gap there.
+    """The missing one-port at one place: the change of its impedance that would explain the mismatch.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ class OnePort:
     sd : ndarray, shape (G,)
         Standard error of its real and of its imaginary part.
     share : float
-        Part of the mismatch that closing the gap here removes, between 0 and 1.
+        Fraction of the mismatch that this change explains, between 0 and 1.
     """
 
     place: str
@@ -109,7 +109,7 @@ class OnePort:
 
 @dataclass(frozen=True, kw_only=True)
 class Diagnosis:
-    """Everything a diagnosis found.
+    """Results of a diagnosis.
 
     Attributes
     ----------
@@ -123,7 +123,7 @@ class Diagnosis:
     after : Snapshot or None
         None if nothing is missing.
     observed : ndarray, complex, shape (N, F)
-        Everybody's mean recording on the snapshots' grid.
+        Mean recording of each person on the snapshots' grid.
     ranking : tuple of Ranked
         Best first.
     one_ports : tuple of OnePort

@@ -1,4 +1,4 @@
-"""``verdict.json``: the one place that writes a verdict as JSON and reads it again.
+"""Writing a verdict as JSON (``verdict.json``) and reading it.
 
 :func:`to_json` and :func:`from_json` are each other's inverse; ``verdict.schema.json`` beside this file is the JSON
 Schema of what they write. Fields stand in the order of :mod:`bayes_impedance.diagnosis.verdict_types`, except for an
@@ -61,7 +61,7 @@ PHYSICS_KEYS: dict[Kind, tuple[str, ...]] = {
 
 
 def to_json(verdict: Verdict) -> dict[str, Any]:
-    """Content of ``verdict.json``: dictionaries, lists, texts, and numbers; what is not finite becomes null.
+    """Content of ``verdict.json``: dictionaries, lists, texts, and numbers; non-finite numbers become null.
 
     Parameters
     ----------
@@ -216,5 +216,5 @@ def _pair(values: Any) -> Pair:
 
 
 def _number(value: float | None) -> float:
-    """A number of the file, in which null stands for what is not finite."""
+    """A number of the file, in which null stands for a non-finite number."""
     return math.nan if value is None else value

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 Subjects = Literal["all"] | tuple[str, ...]
-"""Names of people, or everybody."""
+"""Names of people, or all of them."""
 
 Kind = Literal["effect", "hum", "trend", "subgroup", "correlation", "unknown"]
 """What an entry of the verdict's physics is: an effect of the catalogue on the curves; hum of the mains; elements that
@@ -57,11 +57,11 @@ class LocatedBand:
     low_hz, high_hz : float
     part : {"magnitude", "phase"}
     kind : {"coherent", "incoherent"}
-        Whether everybody has the same structure.
+        Whether the structure is the same in all people.
     z : float
-        Standard deviations from nothing.
+        Normal score of the null hypothesis.
     p_value : float
-        Corrected for everything that was tried.
+        Corrected for all tests.
     """
 
     low_hz: float
@@ -79,7 +79,7 @@ class Located:
     Attributes
     ----------
     p_value : float
-        That there is none.
+        Of the null hypothesis that there is none.
     bands : tuple of LocatedBand
         Most significant first.
     magnitude_share : float or None
@@ -115,14 +115,14 @@ class Parameter:
 
 @dataclass(frozen=True)
 class EvidenceOfEffect:
-    """Why an effect is believed; None for what its kind does not have.
+    """Statistical evidence for an effect; None where its kind has no such value.
 
     Attributes
     ----------
     score : float or None
         Chi-square statistic of the screening.
     p_value : float or None
-        Corrected for everything that was tried.
+        Corrected for all tests.
     elpd_gain, elpd_gain_se : float or None
         Expected log predictive density gained on held-out people, with its standard error.
     """
@@ -141,11 +141,11 @@ class Alias:
     ----------
     id, name, place : str
     elpd_behind : float
-        By how much it explains the recordings worse, in natural logarithms; below zero if it explains them better.
+        Deficit of log evidence, in natural logarithms; negative if it explains the recordings better.
     separated : bool
-        Whether the recordings tell the two apart.
+        Whether the recordings separate the two.
     would_separate : str
-        The measurement that would.
+        The measurement that would separate them.
     """
 
     id: str
@@ -158,7 +158,7 @@ class Alias:
 
 @dataclass(frozen=True, kw_only=True)
 class Physics:
-    """One thing that was left out.
+    """One effect or structure that was missing.
 
     Attributes
     ----------
@@ -188,9 +188,9 @@ class Physics:
     covariate : str or None
         Which elements follow.
     elements : tuple of str
-        Which follow a covariate or the repetitions, or differ in a group; the surest first.
+        Which follow a covariate or the repetitions, or differ in a group; the most significant first.
     frequencies_hz : tuple of float
-        Points that hum has spoilt.
+        Points that are affected by hum.
     network, connection : str
         Of unknown physics: notation of the network that stands in (empty for a sum of several), and its connection.
     """
@@ -258,7 +258,7 @@ class Improvement:
 
 @dataclass(frozen=True, kw_only=True)
 class Detectable:
-    """The smallest effect of one kind at one place that would have been found.
+    """Detection limit of one effect at one place.
 
     Attributes
     ----------
@@ -266,7 +266,7 @@ class Detectable:
     parameter : str
         Whose size is meant.
     above : float
-        Found nine times out of ten from here on.
+        Smallest size that is found nine times out of ten.
     unit : str
     shape : mapping of str to float
         Nonlinear parameters at which the limit holds.
@@ -318,7 +318,7 @@ class ParameterDifference:
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """What a diagnosis says.
+    """Verdict of a diagnosis.
 
     Attributes
     ----------
@@ -327,14 +327,14 @@ class Verdict:
     where : Where
     located : Located
     physics : tuple of Physics
-        What was left out, unknown physics last; empty if nothing is missing.
+        Missing effects and structures, unknown physics last; empty if nothing is missing.
     improvement : Improvement or None
         None if nothing is missing.
     network : (str, str)
         Notation before and after.
     detectable : tuple of Detectable
     not_identifiable : tuple of str
-        What no such recording can show.
+        Effects that such recordings cannot show.
     elements_not_identified : tuple of str
     seed : int
     data_sha256 : str

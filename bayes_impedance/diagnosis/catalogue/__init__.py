@@ -1,7 +1,7 @@
-"""The catalogue: what a rig or a network of masses, springs and dampers most often leaves out.
+"""The catalogue: effects that a network of masses, springs and dampers or a description of the rig often lacks.
 
-In comes nothing; out come effects, each a formula at a place with units, priors, sign rule, story and source.
-Open :mod:`.effect` first (what an entry is), then :mod:`.rig` and :mod:`.body` (the entries) and
+Input: none. Output: effects, each a formula at a place with units, priors, sign rule, story and source.
+Open :mod:`.effect` first (definition of an entry), then :mod:`.rig` and :mod:`.body` (the entries) and
 :mod:`.population_structure` (entries that change no formula). Of two entries that explain recordings equally well the
 one registered first is named first: the simpler before the richer, and the rig before the body.
 """

@@ -1,4 +1,4 @@
-"""Effects of the body: tissue and joints that the network has in a simpler form or not at all."""
+"""Effects of the body: tissue and joints that the network describes in a simpler form or lacks."""
 
 from __future__ import annotations
 

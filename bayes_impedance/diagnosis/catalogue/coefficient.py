@@ -1,4 +1,4 @@
-"""Coefficients of effects: their units, how they follow from unbounded parameters, and the shapes that are scanned."""
+"""Coefficients of effects: units, transforms from unbounded parameters, and grids of the shapes that are scanned."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from bayes_impedance.runtime.user_table import choice_in, number_in, text_in
 
 LINKS = ("linear", "log", "logit")
 UNITS = ("m", "n", "r", "k", "c", "s", "Hz", "")
-"""Of coefficients, see :class:`Coefficient`."""
+"""Units of coefficients, see :class:`Coefficient`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +39,7 @@ class Scales:
 
 
 _RANGES: dict[str, dict[str, float]] = {"linear": {}, "log": {"above": 0.0}, "logit": {"above": 0.0, "below": 1.0}}
-"""Of the values that a link can give."""
+"""Bounds of the values of each link."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Coefficient:
     link : str
         ``linear`` (x = scale u), ``log`` (positive: exp u) or ``logit`` (between 0 and 1).
     grid : tuple of float, or float
-        Values of a shape that are scanned, or how many per decade of the band.
+        Values of a shape that are scanned, or their number per decade of the band.
     prior_sd : float
         Of a shape's u, around the place in the grid where the score is highest.
     """
@@ -100,7 +100,7 @@ class Coefficient:
         return value / self.scale(scales)
 
     def scale(self, scales: Scales) -> float:
-        """Value of a linear coefficient that changes the impedance by about as much as there is, where it acts most."""
+        """Value of a linear coefficient that changes the impedance by about its magnitude where the effect peaks."""
         s = scales
         return {
             "m": s.z_high / s.high,

@@ -1,6 +1,6 @@
-r"""What an effect is: one thing that a network or a rig may have left out.
+r"""An effect: one piece of physics that the network or the description of the rig may lack.
 
-Every effect acts at one place, on the impedance z of what stands there. Most are an
+Every effect acts at one place of the network, on the impedance z of that place. Most effects are an
 :mod:`operation <bayes_impedance.network.operations>`; any other can be given as a **branch** of further elements that
 is put beside the place (impedances add) or in series with it (mobilities add). To first order in its coefficient x the
 impedance of the place changes by x d(s), the effect's *direction*:
@@ -9,8 +9,8 @@ impedance of the place changes by x d(s), the effect's *direction*:
           \text{in series: } d = -z^2/z_B,
 
 and the impedance at the port by :math:`x\,d\,\partial z_\text{port}/\partial z`. (A branch of several elements is
-scaled as a whole.) What the direction depends on nonlinearly are **shapes**, which are scanned over a grid; the price
-of looking at many is paid in the p-value.
+scaled as a whole.) Parameters on which the direction depends nonlinearly are **shapes**. They are scanned over a grid;
+the p-value is corrected for the number of candidates.
 
 A new effect is registered in a few lines::
 
@@ -39,7 +39,12 @@ from bayes_impedance.runtime.user_table import choice_in, shown, text_in
 
 SIDES, POOLINGS, CONNECTIONS = ("rig", "body"), ("shared", "varying", "some"), ("beside", "series")
 _BRANCH_FREQUENCIES = 5
+"""Frequencies per decade at which the elements of a branch meet: steps of a factor of 1.6. By choice: more would scan
+narrower steps, and correct the p-value for more candidates."""
+
 _DAMPER_LEVELS = (0.1, 0.5)
+"""Impedance of a resonant branch's dampers relative to that of its mass at the resonance. By choice: one level of weak
+and one of strong damping; each further level adds as many candidates again."""
 
 
 @dataclass(frozen=True)
@@ -49,20 +54,20 @@ class Effect:
     Attributes
     ----------
     id, name : str
-        Stable name for programs, and what a person calls it.
+        Stable identifier for programs, and the name shown to readers.
     side : str
         ``rig`` or ``body``.
     pooling : str
-        ``shared`` (the same for everybody), ``varying`` or ``some`` (only some people have it).
+        ``shared`` (the same for all people), ``varying`` (differs between people) or ``some`` (only some have it).
     places : tuple of str
-        Where it may sit: of :data:`PLACES`.
+        Kinds of place where it may act, from :data:`PLACES`.
     formula, story, look_for, separates, source : str
-        Formula; two sentences for a person; the signature to look for; the measurement that tells it from its usual
-        aliases; where it comes from.
+        Formula; a description in two sentences; the signature to look for; the measurement that separates it from its
+        usual aliases; the reference.
     operation : str
         Name of the operation; empty for a branch.
     coefficients : tuple of Coefficient
-        Of an operation: the coefficient first, then what else it has.
+        For an operation: the linear coefficient first, then its other parameters.
     branch, connection : str
         Notation of a one-port put ``beside`` the place or in ``series`` with it.
     signed : bool
@@ -113,7 +118,7 @@ class Effect:
             parse(self.branch)
 
     def _check_coefficients(self, what: str) -> None:
-        """Of an operation: as many as it has, each of a unit and a link that mean something there."""
+        """Check number, units and links of the coefficients against what the operation takes."""
         traits = self.traits
         if tuple(c.link for c in self.coefficients) != traits.links:
             wanted = ", ".join(f"{p} ({k})" for p, k in zip(traits.parameters, traits.links, strict=True))
@@ -134,12 +139,12 @@ class Effect:
 
     @property
     def traits(self) -> Traits:
-        """What is known of its operation; an effect that is a branch has none."""
+        """Properties of its operation; only for an effect that is not a branch."""
         return TRAITS[self.operation]
 
     @property
     def is_outermost(self) -> bool:
-        """Whether it acts on the port after everything else: what the rig does, it does to the whole body."""
+        """Whether it acts on the port after all other effects: an effect of the rig acts on the whole body."""
         return self.side == "rig"
 
     def setting(self, scales: Scales, compliance: float = float("nan")) -> Setting:
@@ -159,10 +164,10 @@ class Effect:
         return self.operation or f"{self.connection} {self.branch}"
 
     def sites(self, network: Network) -> tuple[Place, ...]:
-        """Places of a network at which the effect may sit, each electrically different from the others.
+        """Places of a network at which the effect may act, no two of them electrically equivalent.
 
-        Beside a part of a parallel group is beside the group, and in series with a part of a chain in series with all
-        of it: of such places the first that is wanted stands for all.
+        Beside a part of a parallel group is equivalent to beside the group, and in series with a part of a chain to in
+        series with the whole chain. Of equivalent places only the first admissible one is returned.
         """
         wanted = set(self.places)
         found: dict[tuple[int, ...], Place] = {}
@@ -178,7 +183,7 @@ class Effect:
         return tuple(found.values())
 
     def _outermost(self, network: Network, path: tuple[int, ...]) -> tuple[int, ...]:
-        """The outermost place where the effect would do the same."""
+        """Path of the outermost place where the effect is equivalent."""
         connection = self.traits.connection if self.operation else self.connection
         group = {"beside": Parallel, "series": Series}.get(connection)
         while path and group is not None and isinstance(network.at(Place(path[:-1], "")), group):
@@ -195,7 +200,7 @@ def register(effect: Effect) -> Effect:
     Raises
     ------
     InputError
-        If it is no effect; an effect's own contents are checked when it is made.
+        If the argument is not an `Effect`. (The fields of an effect are checked when it is made.)
     """
     if not isinstance(effect, Effect):
         raise InputError(f"what is registered is {shown(effect)}, but must be an Effect")
@@ -204,7 +209,7 @@ def register(effect: Effect) -> Effect:
 
 
 def unregister(effect: Effect) -> None:
-    """Take an effect out of the catalogue."""
+    """Remove an effect from the catalogue."""
     _CATALOGUE.pop((effect.id, effect.form), None)
 
 
@@ -214,13 +219,13 @@ def registered() -> tuple[Effect, ...]:
 
 
 def shape_grid(effect: Effect, scales: Scales) -> Iterator[dict[str, float]]:
-    """Shapes of an effect that are scanned.
+    """Grid of shapes at which an effect is scanned.
 
     Yields
     ------
     dict
-        Names of the shapes with values in the operation's unit; of a branch, values of its elements, whose
-        impedances meet at one frequency with magnitude one (dampers at a part of it, if there is a resonance).
+        For an operation: names of the shapes, with values in its unit. For a branch: values of its elements, all with
+        impedance of magnitude one at a common frequency (dampers with a fraction of it in a resonant branch).
     """
     if not effect.operation:
         yield from _branch_grid(effect, scales)

@@ -1,9 +1,10 @@
-"""The catalogue: what a rig or a network of masses, springs and dampers most often leaves out.
+"""Entries of the catalogue that change no formula: structures of the population, and hum.
 
-Order matters a little: of two entries that explain recordings equally well the earlier one is named first, the simpler
+The order matters: of two entries that explain recordings equally well the earlier one is named first, the simpler
 before the richer, and the rig before the body. Effects that concern how elements are distributed between people or
 repetitions (``body.covariate``, ``body.subgroup``, ``body.drift`` over repetitions, ``body.correlation``) change no
-formula; they stand at the end, and :mod:`bayes_impedance.diagnosis.heterogeneity.person_likelihoods` looks for them.
+formula. They stand at the end, and :mod:`bayes_impedance.diagnosis.heterogeneity.person_likelihoods` is the basis of
+their tests.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ __all__ = ["STRUCTURES", "Structure"]
 
 @dataclass(frozen=True, kw_only=True)
 class Structure:
-    """An effect on how elements are distributed, which changes no formula.
+    """An effect on the distribution of the elements, which changes no formula.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Converged fit of the network alone to everybody: what it leaves must not be a matter of convergence."""
+"""Converged fit of the network alone to all people, so that residuals are not convergence error."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ from bayes_impedance.runtime.checkpoint import claim
 from bayes_impedance.runtime.progress import Progress
 
 _MINIMUM_PERSONS = 5
-"""With fewer people a wide population is no sign of two solutions."""
+"""With fewer people a wide population does not indicate two solutions."""
 
 _WIDE = 0.8
-"""Standard deviation of log elements along one direction beyond which people may sit in different optima: they usually
-differ by 0.3."""
+"""Standard deviation of log elements along one direction beyond which people may be in different optima: typically it
+is 0.3."""
 
 _TIGHT = 0.3
-"""Standard deviation of the population under which everybody begins again at one person's elements."""
+"""Standard deviation of the population when all people are started at one person's elements: a typical one."""
 
 _BEGINNINGS = 5
-"""People, evenly spread along that direction, whose elements are tried."""
+"""Number of people, evenly spread along that direction, whose elements are tried as starts. By choice."""
 
 _LEAST_GAIN = 3.0
-"""Evidence by which another beginning must be better: less is a matter of where iterations stop."""
+"""Log evidence by which another start must be better: smaller differences are convergence error."""
 
 
 @dataclass(frozen=True)
@@ -67,9 +67,9 @@ def fit_network(
     progress: Progress,
     checkpoint: Path | None = None,
 ) -> Fitted:
-    """Fit the network to everybody, every person from many starts: an unconverged fit looks like missing physics.
+    """Fit the network to all people, each from many starts: an unconverged fit looks like missing physics.
 
-    With a folder for it, first fits and point estimate are kept there as they come and taken up again.
+    With a `checkpoint` folder, first fits and point estimate are saved there and resumed from it.
     """
     kernel = checked_model(recordings, network).kernel
     tree = kernel.network
@@ -95,10 +95,10 @@ def fit_network(
 
 
 def _gathered(refitter: Refitter, fit: Refit) -> Refit:
-    """The fit with everybody begun at one person's elements, if that describes the population better.
+    """Refit with all people started at one person's elements, if that describes the population better.
 
-    Two solutions that serve one person equally well make two groups of people, and an inflated dispersion that keeps
-    them apart. People along the widest direction of the population are tried as everybody's beginning.
+    Two solutions that fit a person equally well split the people into two groups, and inflate the dispersion, which
+    keeps the groups apart. Elements of people along the widest direction of the population are tried as common starts.
     """
     n, size = fit.persons.shape
     if n < _MINIMUM_PERSONS:

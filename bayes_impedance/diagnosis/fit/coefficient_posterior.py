@@ -1,12 +1,13 @@
 r"""Posterior of the additions' parameters from the quadratic expansion: draws, dispersions, rig or body.
 
-With everybody's own coefficients integrated out (:mod:`bayes_impedance.diagnosis.fit.normal_equations`) shared
+With each person's coefficients integrated out (:mod:`bayes_impedance.diagnosis.fit.normal_equations`) shared
 parameters and means are normal, and only the few dispersions :math:`\tau` are left, which are drawn from a grid, one
 after the other. Their prior is half-normal with the size of the coefficient itself: people may differ by 100 %, or not
 at all.
 
-**Rig or body.** A coefficient of the rig has no dispersion. Where the posterior of :math:`\tau/|\mu|` says that people
-differ by less than 10 %, it is the rig's; where it excludes that they are the same, the body's; else it is not decided.
+**Rig or body.** A coefficient of the rig has no dispersion. If the posterior of :math:`\tau/|\mu|` bounds the
+dispersion from above, the effect is attributed to the rig; if it excludes equality between people, to the body;
+otherwise it is undecided (:func:`verdict_on_side`).
 
 Positive coefficients of the body are reported as median and dispersion of a log-normal distribution with the same mean
 and variance: :math:`s^2 = \ln(1 + \tau^2/\mu^2)`, median :math:`\mu e^{-s^2/2}`.
@@ -28,10 +29,10 @@ _DRAWS = 2000
 """Draws of the posterior: the 5 % quantile then has an error of a twentieth of a standard deviation."""
 
 _GRID = np.r_[0.0, np.geomspace(0.01, 3.0, 60)]
-"""Relative dispersions, 10 % apart, and none at all."""
+"""Relative dispersions 10 % apart, and zero. By choice."""
 
 SAME = 0.1
-"""People who differ by less than this part of a coefficient do not differ."""
+"""Relative dispersion below which people count as equal. By choice."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ class CoefficientPosterior:
     covariance : ndarray, shape (A, A)
         Of the central values, with the dispersions at their posterior means.
     settled : bool
-        Whether more refits would not have changed the draws.
+        Whether the draws have converged: more refits would not change them.
     """
 
     central: np.ndarray
@@ -57,7 +58,7 @@ class CoefficientPosterior:
 
 
 def coefficient_posterior(fit: Refit, seed: int, n_draws: int = _DRAWS) -> CoefficientPosterior:
-    """Draws of the posterior of everything that was added.
+    """Draws of the posterior of all additions.
 
     Parameters
     ----------
@@ -71,7 +72,7 @@ def coefficient_posterior(fit: Refit, seed: int, n_draws: int = _DRAWS) -> Coeff
     parameters = fit.model.parameters
     varying = np.array([not p.shared for p in parameters])
     start = fit.u[:, fit.model.n_elements :].mean(axis=0)
-    # Shapes and elements live on a logarithmic scale, where one is the natural unit of dispersion.
+    # Shapes and elements are on a logarithmic scale, where one is the natural unit of dispersion.
     linear = np.array([p.is_coefficient for p in parameters])
     unit = np.where(linear, np.maximum(np.abs(start), 1e-12), 1.0)
 
@@ -113,7 +114,7 @@ def coefficient_posterior(fit: Refit, seed: int, n_draws: int = _DRAWS) -> Coeff
 
 @dataclass(frozen=True, kw_only=True)
 class Reported:
-    """A parameter as it is reported.
+    """A parameter in the units of the report.
 
     Attributes
     ----------
@@ -182,7 +183,7 @@ def reported(model: Model, addition: int, posterior: CoefficientPosterior, eleme
         if coefficient.unit == "Hz":
             value = value / (2 * np.pi)
         result.append(_reported(coefficient.name, unit_of(coefficient.unit, scales.unit), value, spreads[k]))
-    # What a reader would otherwise have to compute.
+    # Quantities that a reader would otherwise have to compute.
     derived = [] if traits.derived is None else traits.derived(values, setting)
     return result + [_reported(name, unit_of(u, scales.unit), value, None) for name, u, value in derived]
 

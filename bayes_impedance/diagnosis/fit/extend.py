@@ -1,4 +1,4 @@
-"""Models that grow and shrink: one addition more or less, refitted from where the other model has ended."""
+"""Models with one addition more or less, refitted from the estimates of the previous model."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from bayes_impedance.network.notation import parse
 
 
 def extended(model: Model, candidate: Candidate, pooling: str, size: float) -> Model:
-    """The model with one addition more."""
+    """The model with one more addition."""
     effect = candidate.effect
     addition = Addition(effect=effect, place=candidate.place, pooling=pooling)
     shape = candidate.shape
-    if not effect.operation:  # as a whole: masses and dampers with its size, compliances against it
+    if not effect.operation:  # scaled as a whole: masses and dampers in proportion, compliances inversely
         factor = max(size, 1e-12) if effect.connection == "beside" else 1 / max(size, 1e-12)
         shape = {e: v / factor if e[0] == "n" else v * factor for e, v in shape.items()}
     return build(model.network, [*model.additions, addition], model.scales, [*starts_of(model), shape])
 
 
 def starts_of(model: Model) -> list[dict[str, float]]:
-    """For every addition what :func:`~bayes_impedance.diagnosis.fit.model.build` needs to make it again."""
+    """Start values of every addition, as :func:`~bayes_impedance.diagnosis.fit.model.build` takes them."""
     return [dict(zip(names_of(a.effect), shape_values(model, i), strict=True)) for i, a in enumerate(model.additions)]
 
 
@@ -48,7 +48,7 @@ def shape_values(model: Model, addition: int) -> list[float]:
 
 
 def extended_start(fit: Refit, model: Model) -> tuple[np.ndarray, Population]:
-    """Where the refit of a larger model begins: where the smaller one ended, new parameters at their centres."""
+    """Start of a larger model's refit: the smaller model's estimates, and new parameters at their start values."""
     old, new = fit.model, model
     position = {name: i for i, name in enumerate(old.kernel.elements)}
     begin = {name: p.start for name, p in zip(new.kernel.elements[new.n_elements :], new.parameters, strict=True)}
@@ -73,7 +73,7 @@ def extended_start(fit: Refit, model: Model) -> tuple[np.ndarray, Population]:
 
 
 def is_physical(fit: Refit) -> bool:
-    """Whether every coefficient has a sign that its effect can have, and is absent in some if that is the claim."""
+    """Whether every coefficient has an admissible sign, and is absent in some people if the effect claims that."""
     for i, addition in enumerate(fit.model.additions):
         effect = addition.effect
         if effect.signed or not effect.operation:
@@ -93,12 +93,14 @@ def has_shapes(effect: Effect) -> bool:
 
 
 _DISPERSIONS = (0.03, 1.5)
+"""Bounds of the relative dispersions that are taken over from a posterior. By choice: below the first, a coefficient is
+nearly shared; above the second, a coefficient of one sign cannot vary."""
 
 
 def with_pooling(
     model: Model, addition: int, pooling: str, dispersions: Sequence[float] = (), correlation: float | None = None
 ) -> Model:
-    """The model with one addition pooled in another way, with dispersions and a correlation if given."""
+    """The model with another pooling of one addition, and with its dispersions and correlation replaced if given."""
     additions = list(model.additions)
     changed = replace(additions[addition], pooling=pooling)
     if correlation is not None:
@@ -110,13 +112,13 @@ def with_pooling(
 
 
 def rebuilt(model: Model, additions: Sequence[Addition], kept: Sequence[int]) -> Model:
-    """A model with other additions; `kept` says which of the old ones each was, for the centres of its shapes."""
+    """The model with other additions; `kept` is the old index of each, from which its shapes' centres are taken."""
     starts = starts_of(model)
     return build(model.network, additions, model.scales, [starts[k] for k in kept])
 
 
 def with_measured_dispersions(refitter: Refitter, fit: Refit, posterior: CoefficientPosterior) -> Refit:
-    """The fit with the dispersions of what varies at their posterior medians."""
+    """Refit with the dispersions of varying parameters at their posterior medians."""
     model = fit.model
     for i, addition in enumerate(model.additions):
         if addition.pooling != "shared":
@@ -138,7 +140,7 @@ def measured(refitter: Refitter, fit: Refit, seed: int) -> tuple[Refit, Coeffici
 
 
 def shrunk(refitter: Refitter, fit: Refit, model: Model, kept: Sequence[int]) -> Refit:
-    """The fit of a model with fewer additions, whose parameters carry other numbers in their names."""
+    """Refit of a model with fewer additions (their numbers in the parameters' names may differ), from `fit`."""
     columns = list(range(fit.model.n_elements)) + sorted(c for k in kept for c in fit.model.columns(k))
     u = fit.u[:, columns]
     varying_old = np.flatnonzero(~fit.model.shared)
@@ -154,7 +156,7 @@ def shrunk(refitter: Refitter, fit: Refit, model: Model, kept: Sequence[int]) ->
 
 
 def dispersion_of_shared(fit: Refit, addition: int, seed: int) -> np.ndarray:
-    """Draws of how much people differ in a coefficient that was fitted as the same for all, relative to it."""
+    """Posterior draws of the relative dispersion between people of a coefficient that was fitted as shared."""
     model = with_pooling(fit.model, addition, "varying")
     column = model.columns(addition)[0] - model.n_elements
     return coefficient_posterior(replace(fit, model=model), seed).relative_dispersion[:, column]

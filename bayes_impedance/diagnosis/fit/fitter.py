@@ -10,11 +10,11 @@ coefficients that differ between people), and shared ones. The population is
 
 .. math:: K_i = T^{-1} + \sum_j (R^{-1} - R^{-1}A_{ij}^{-1}R^{-1}),
 
-each person damped on its own. **Additions**: shared parameters and the means of varying coefficients go to where
-:mod:`~bayes_impedance.diagnosis.fit.normal_equations` has its maximum, with the elements of every recording free. Were
-the elements held to the population's distribution instead, maximising over u (not integrating) would bias the additions
-by many standard errors. The dispersion of a varying coefficient is held at a part of its mean: one person alone says
-too little about it for a maximisation in rounds to come to rest. **Population** of the elements:
+each person damped on its own. **Additions**: shared parameters and the means of varying coefficients move to the
+maximum of :mod:`~bayes_impedance.diagnosis.fit.normal_equations`, with the elements of every recording free. With the
+elements held to the population's distribution instead, maximising over u (not integrating) would bias the additions
+by many standard errors. The dispersion of a varying coefficient is held at a fraction of its mean: single persons say
+too little about it for expectation-maximisation to converge. **Population** of the elements:
 expectation-maximisation as in :mod:`bayes_impedance.population.em`.
 
 The **evidence** of a person is Laplace's approximation of the likelihood with all :math:`v_{ij}`, :math:`v_i` and the
@@ -48,16 +48,17 @@ from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood
 
 _PRIOR_PERSONS = 2.0
-"""Number of persons without correlations as which the prior of the covariance counts, as LKJ(2) does."""
+"""Weight of the covariance's prior in persons without correlations, as of LKJ(2)."""
 
 _SMALLEST_DISPERSION = 0.02
-"""Smallest standard deviation of a log element between people: the covariance must stay invertible."""
+"""Smallest standard deviation of a log element between people. By choice: the covariance must stay invertible."""
 
 _SMALLEST_RHO = 1e-3
-"""Smallest standard deviation between repetitions, and that of coefficients, which are the same in all of them."""
+"""Smallest standard deviation between repetitions, and that of coefficients, which do not differ between repetitions.
+By choice."""
 
 _LONGEST_STEP = 1.0
-"""Largest step of the additions, in prior standard deviations or units of the coefficient."""
+"""Largest step of the additions, in prior standard deviations or units of the coefficient. By choice."""
 
 
 @dataclass(frozen=True)
@@ -78,9 +79,9 @@ class Refitter:
     data : sequence of Likelihood
         One per person.
     executor : Executor
-        Runs persons side by side.
+        Runs persons in parallel.
     one_person : bool
-        There is no population: mu and T stay at the prior.
+        There is no population; mu and T stay at the prior.
     """
 
     def __init__(self, data: Sequence[Likelihood], executor: Executor, one_person: bool = False) -> None:
@@ -92,7 +93,7 @@ class Refitter:
         self.repeated = any(d.z.shape[0] > 1 for d in self.data)
 
     def subset(self, people: np.ndarray) -> Refitter:
-        """The same for some of the people."""
+        """Refitter of some of the people."""
         return Refitter([self.data[i] for i in people], self.executor, self.one_person)
 
     def fit(
@@ -117,9 +118,9 @@ class Refitter:
         rounds : int
             Largest number of rounds.
         hold_population, hold_additions : bool
-            Leave the elements' population, or shared parameters and mean coefficients, where they are.
+            Hold the elements' population, or shared parameters and mean coefficients.
         tolerance : float
-            Rest means that nothing moves by more than this part of what is known about it.
+            The fit has converged when no step exceeds this many standard deviations.
         """
         shared = model.shared
         varying = ~shared
@@ -162,9 +163,9 @@ class Refitter:
         )
 
     def settle(self, fit: Refit, seed: int, tries: int = 6, rounds: int = 3, hold: bool = False) -> Refit:
-        """Look for better optima of every person, from draws of the population, until nobody finds one.
+        """Look for better optima of every person, from draws of the population, until none is found.
 
-        One person in a local optimum looks exactly like missing physics.
+        One person in a local optimum looks like missing physics.
 
         Parameters
         ----------
@@ -175,7 +176,7 @@ class Refitter:
         rounds : int
             Largest number of rounds.
         hold : bool
-            Leave population and additions where they are.
+            Hold population and additions.
         """
         rng = np.random.default_rng(seed)
         varying = ~fit.model.shared
@@ -199,7 +200,7 @@ class Refitter:
     # ------------------------------------------------------------------------------------------------ steps
 
     def _objective(self, chi: np.ndarray, v: np.ndarray, persons: np.ndarray, population: Population) -> np.ndarray:
-        """Negative log posterior of everybody, shape (N,)."""
+        """Negative log posterior of each person, shape (N,)."""
         total = np.bincount(self.owner, chi, minlength=len(self.data))
         value = (SCALE_SHAPE + counts(self.data)) * np.log(SCALE_SHAPE + 0.5 * total)
         delta = (v - persons[self.owner]) / _rho(population)
@@ -243,9 +244,9 @@ class Refitter:
         population: Population,
         damping: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray, Equations, np.ndarray, float]:
-        """A step of everybody's own parameters, shortened for those whom it would make worse.
+        """A step of each person's parameters, shortened where it would increase the objective.
 
-        The last number is how far it went, in standard deviations.
+        The last value returned is the largest step, in standard deviations.
         """
         varying, n = ~model.shared, len(self.data)
         before = self._objective(equations.chi, u[:, varying], persons, population)
@@ -273,7 +274,7 @@ class Refitter:
                 break
             part = np.where(worse, 0.25 * part, part)
             moving = worse
-        else:  # people for whom no shorter step is an improvement stay where they are
+        else:  # people for whom no shorter step is an improvement do not move
             rows = moving[self.owner]
             trial_u[rows], trial_v[moving] = u[rows], persons[moving]
             trial = trial.with_rows(rows, equations)
@@ -283,9 +284,11 @@ class Refitter:
     def _move_additions(
         self, model: Model, u: np.ndarray, persons: np.ndarray, population: Population, equations: Equations
     ) -> tuple[np.ndarray, np.ndarray, Population, Equations, float]:
-        """A step of shared parameters and mean coefficients, everybody following; how far, in standard deviations.
+        """A step of shared parameters and mean coefficients, with each person's response.
 
-        It descends on the data's part of the objective alone, so that is what is watched.
+        The last value returned is its size, in standard deviations.
+
+        The step descends on the data's part of the objective alone, so only that part is checked.
         """
         n_elements = model.n_elements
         varying = ~model.shared[n_elements:]
@@ -299,7 +302,7 @@ class Refitter:
         prior = np.array([p.prior_sd for p in model.parameters])
         step /= max(1.0, float(np.abs(step / np.minimum(prior, 1.0)).max()) / _LONGEST_STEP)
         before = self._misfit(equations.chi)
-        # Who is known well does not follow the population's mean: dc_i/dmu = (1 + T D_cc)^-1.
+        # A well-determined coefficient does not follow the population's mean: dc_i/dmu = (1 + T D_cc)^-1.
         follows = np.linalg.inv(np.eye(int(varying.sum())) + np.diag(tau[varying] ** 2) @ d[:, varying][:, :, varying])
         for _ in range(6):
             own = np.tile(step, (len(self.data), 1))
@@ -329,7 +332,7 @@ class Refitter:
     def _maximise(
         self, model: Model, v: np.ndarray, persons: np.ndarray, blocks: _Blocks, population: Population
     ) -> tuple[Population, float]:
-        """One M step, and by how much it moved the population in standard deviations."""
+        """One M step, and the change of the population in standard deviations."""
         n, size = persons.shape
         posterior = np.linalg.inv(blocks.precision)
         elements = np.arange(size) < model.n_elements
@@ -361,7 +364,7 @@ class Refitter:
 
 
 def _with_dispersions(model: Model, covariance: np.ndarray, mu: np.ndarray) -> np.ndarray:
-    """The covariance with what the additions' dispersions, at their parts of the means, and correlations make of it."""
+    """The covariance with the rows and columns of additions set from their dispersions, means and correlations."""
     result = covariance.copy()
     varying = [p for p in model.parameters if not p.shared]
     for k, p in enumerate(varying, model.n_elements):

@@ -1,15 +1,15 @@
 r"""Draws from an expensive density of one to four parameters, interpolated by radial basis functions.
 
-A normal distribution through a dozen points says what a posterior is where it is one. On a bent or endless ridge, where
-a coefficient may be five times as large if the exponent is smaller, it says where the points were. So the logarithm of
-the density is interpolated,
+A quadratic through a dozen points describes a posterior that is nearly normal. On a curved or unbounded ridge, where a
+coefficient may be five times as large if the exponent is smaller, it depends on where the points were. So the logarithm
+of the density is interpolated,
 
 .. math:: \ln p(x) \approx g\cdot x - \tfrac12 x^TCx + \sum_k w_k\,e^{-|x - x_k|^2/(2\ell^2)},
 
-a quadratic that holds far away and radial basis functions for the rest, in coordinates in which what is known of the
-posterior has unit covariance. It is drawn from by importance sampling, new points are put where draws are far from all
-points that there are, and this is repeated until centre and covariance of the draws rest. Where no point is near,
-nothing is believed.
+a quadratic that dominates far away and radial basis functions for the remainder, in coordinates in which the present
+estimate of the posterior has unit covariance. The interpolation is sampled by importance sampling, new points are
+evaluated where draws are far from all previous ones, and this is repeated until mean and covariance of the draws have
+converged. Proposals far from all points are discarded.
 """
 
 from __future__ import annotations
@@ -24,23 +24,26 @@ _AXIS, _DIAGONAL = 1.3, 1.0
 density has fallen to half, and differences of its logarithm are large beside their error."""
 
 _LENGTH = 1.7
-"""Length l of the basis functions in standard deviations: somewhat more than the distance of the points."""
+"""Length l of the basis functions in standard deviations: somewhat more than the distance of the points. By choice."""
 
 _NOISE = 0.05
-"""Error of a value of the log density: where a refit stops depends on where it began."""
+"""Assumed error of a value of the log density, because the end of a refit depends on its start. By choice."""
 
 _SMALLEST_CURVATURE = 0.1
-"""Of the quadratic part, in units of the posterior's own: it must fall off in all directions."""
+"""Smallest curvature of the quadratic part, in units of the posterior's own: it must fall off in all directions. By
+choice."""
 
 _PROPOSED, _FREEDOM, _WIDENED = 12_000, 4.0, 1.5
 """Number, degrees of freedom and scale of the t distribution from which draws are proposed: heavier tails than a
-posterior has, because its width is known roughly only."""
+posterior has, because its width is known only roughly. By choice."""
 
 _ROUNDS, _FEWEST_ROUNDS = 16, 6
-"""Largest and smallest number of rounds: the first few add points where none were, so that rest means little."""
+"""Largest and smallest number of rounds. By choice: the first few explore new regions, so that convergence within them
+means little."""
 
 _REST, _STRETCH = 0.12, 1.35
-"""Standard deviations by which the centre still moves, and factor by which a variance still changes."""
+"""Convergence: largest step of the centre (standard deviations) and largest change of a variance (factor). By
+choice."""
 
 
 @dataclass(frozen=True)
@@ -51,11 +54,11 @@ class Explored:
     ----------
     draws : ndarray, shape (S, A)
     points : ndarray, shape (K, A)
-        Where it has been evaluated.
+        Points of evaluation.
     heights : ndarray, shape (K,)
-        Its logarithm there.
+        Log density at the points.
     rests : bool
-        Whether more points did not change the draws.
+        Whether mean and covariance of the draws have converged.
     """
 
     draws: np.ndarray
@@ -112,7 +115,7 @@ def design(size: int) -> list[np.ndarray]:
 def quadratic_through(x: np.ndarray, heights: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     """Value, gradient (A,) and negative curvature (A, A) at zero of a quadratic through points (K, A).
 
-    High points come first, and those that are not far away.
+    Weighted least squares, with lower weights for points of low density and for points far away.
     """
     rows, columns = np.triu_indices(x.shape[1])
     weight = np.exp(-np.maximum(heights.max() - heights - 1, 0) / 3 - np.maximum(np.sum(x**2, axis=1) - 9, 0) / 18)
@@ -139,7 +142,7 @@ def _resampled(
     def smooth(at: np.ndarray) -> np.ndarray:
         return np.asarray(constant + at @ gradient - 0.5 * np.einsum("ka,ab,kb->k", at, curvature, at))
 
-    # Far below the best point the exact depth does not matter; it would make the interpolation swing.
+    # Far below the best point the exact depth does not matter, and it would make the interpolation oscillate.
     rest = np.maximum(heights, heights.max() - 15) - np.maximum(smooth(x), heights.max() - 15)
     swing = max(float(np.std(rest)), _NOISE)
     rough = RBFInterpolator(
@@ -152,7 +155,7 @@ def _resampled(
     near = _distance(proposed, x) < 1 + 0.5 * np.sqrt(size)
     proposed, log_proposal = proposed[near], log_proposal[near]
     value = smooth(proposed) + rough(proposed)
-    # What the interpolation promises beyond every point that was seen is tried, but not believed to be high.
+    # Values interpolated far above every evaluated point are capped: they are sampled, but not trusted.
     log_weight = np.minimum(value, heights.max() + 1) - log_proposal
     weight = np.exp(log_weight - log_weight.max())
     chosen = rng.choice(len(proposed), _PROPOSED, p=weight / weight.sum())
@@ -160,7 +163,7 @@ def _resampled(
 
 
 def _farthest(draws: np.ndarray, points: np.ndarray, root: np.ndarray, n: int) -> np.ndarray:
-    """Draws that are far from all points, one after the other."""
+    """Select n draws one by one, each the farthest from all points so far, shape (n, A)."""
     x = np.linalg.solve(root, draws[:400].T).T
     known = np.linalg.solve(root, points.T).T
     chosen = []
@@ -172,7 +175,7 @@ def _farthest(draws: np.ndarray, points: np.ndarray, root: np.ndarray, n: int) -
 
 
 def _distance(x: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """To the nearest point."""
+    """Distance to the nearest point."""
     return np.asarray(np.sqrt(np.min(np.sum((x[:, None] - points[None]) ** 2, axis=2), axis=1)))
 
 

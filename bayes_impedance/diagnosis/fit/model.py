@@ -1,4 +1,4 @@
-"""A network with effects added to it: which parameters there are, where they act, and what they are called."""
+"""A network with effects added to it: its parameters, where they act, and their names."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ ELEMENT_SD = 3.0
 """Prior standard deviation of a log element around its natural scale, as everywhere in the package."""
 
 COEFFICIENT_SD = 30.0
-"""Prior standard deviation of a linear coefficient around zero, in units of its scale: flat, because what stands inside
-a network may be much larger than what is seen at the port."""
+"""Prior standard deviation of a linear coefficient around zero, in units of its scale: nearly flat, because an effect
+inside a network may be much larger than its part at the port. By choice."""
 
 TYPICAL_DISPERSION = 0.35
-"""Relative dispersion of a coefficient between people before it is estimated: what they usually differ by."""
+"""Relative dispersion of a coefficient between people before it is estimated: a typical difference. By choice."""
 
 SHAPE_DISPERSION = 0.2
-"""The same of shapes (exponents, time constants), which differ less than sizes do."""
+"""The same for shapes (exponents, time constants), which differ less than coefficients do. By choice."""
 
 _INNER = "inner_place_"
 
@@ -43,14 +43,14 @@ class Addition:
     place : str
         Name in the network as given.
     pooling : str
-        ``shared``: one coefficient for everybody; ``varying``: the coefficient differs between people, its shapes do
+        ``shared``: one coefficient for all people; ``varying``: the coefficient differs between people, its shapes do
         not; ``free``: the shapes differ too.
     dispersion : float
         Of a varying coefficient between people, relative to its mean.
     shape_dispersions : tuple of float
-        Of shapes that differ between people; the typical one where nothing is given.
+        Of shapes that differ between people; :data:`SHAPE_DISPERSION` where none is given.
     correlation : float
-        Between people, of coefficient and first shape where both differ.
+        Between coefficient and first shape over people, where both differ.
     """
 
     effect: Effect
@@ -62,7 +62,7 @@ class Addition:
 
     @property
     def key(self) -> tuple[str, str, str]:
-        """What it is and where: pooling does not matter."""
+        """Identity of the addition: effect and place, whatever the pooling."""
         return self.effect.id, self.effect.form, self.place
 
 
@@ -80,10 +80,10 @@ class Parameter:
     centre, prior_sd : float
         Of the shared value, or of the population's mean.
     start : float
-        Where a search begins.
+        Start value of a fit.
     is_coefficient : bool
-        Whether it is on a linear scale, where zero means that nothing happens; otherwise it is a shape or an element,
-        on a logarithmic one.
+        Whether it is on a linear scale, where zero means no effect; otherwise it is a shape or an element, on a
+        logarithmic scale.
     dispersion : float
         Between people if it varies, relative to the mean for a coefficient.
     """
@@ -127,7 +127,7 @@ class Model:
 
     @cached_property
     def shared(self) -> np.ndarray:
-        """Which of the kernel's parameters are the same for everybody, bool, shape (P,)."""
+        """Which of the kernel's parameters are shared by all people, bool, shape (P,)."""
         return np.array([False] * self.n_elements + [p.shared for p in self.parameters])
 
     def columns(self, addition: int) -> list[int]:
@@ -141,11 +141,11 @@ class Model:
 
     @property
     def branches(self) -> tuple[str, ...]:
-        """What each addition puts into :attr:`notation`, in its names; empty for one that is an operation."""
+        """Branch that each addition puts into :attr:`notation`, with its names there; empty for an operation."""
         return self._grown()[1]
 
     def _grown(self) -> tuple[str, tuple[str, ...]]:
-        """The network with its branches, and each of these."""
+        """Notation of the network with its branches, and of each branch."""
         network, branches = _with_labels(self.network), dict[int, str]()
         names = {place.name: _inner_name(network, place) for place in self.network.places()}
         order = sorted(range(len(self.additions)), key=lambda i: self.additions[i].effect.is_outermost)
@@ -190,8 +190,8 @@ def build(network: Network, additions: Sequence[Addition], scales: Scales, start
     additions : sequence of Addition
     scales : Scales
     starts : sequence of dict
-        For each addition the shapes at which it was found, which centre their priors; of a branch, the values of its
-        elements with which the search begins.
+        For each addition the shapes at which it was found, which are the centres of their priors; for a branch, start
+        values of its elements.
 
     Returns
     -------
@@ -260,7 +260,7 @@ def build(network: Network, additions: Sequence[Addition], scales: Scales, start
         operations.append(Operation(effect.operation, path, own_names, constants))
     kernel = Kernel(grown, operations)
     by_name = {p.name: p for p in (*branch_parameters, *parameters)}
-    # Branches stand among the elements of the grown network; the kernel's order is turned into ours by Kernel.elements.
+    # Elements of branches stand among those of the grown network: the network's own elements are put first again.
     if branch_parameters:
         rank = {e: k for k, e in enumerate(kernel.elements)}
         first = list(network.elements)
@@ -271,7 +271,7 @@ def build(network: Network, additions: Sequence[Addition], scales: Scales, start
 
 
 class _Reordered(Kernel):
-    """A kernel whose parameters begin with the elements of the network as given, wherever branches were put in."""
+    """A kernel whose first parameters are the elements of the network as given, whatever the places of branches."""
 
     def __init__(self, network: Network, operations: Sequence[Operation], first: Sequence[str]) -> None:
         super().__init__(network, operations)
@@ -284,14 +284,14 @@ class _Reordered(Kernel):
 
 
 def inner_places(model: Model) -> dict[str, tuple[int, ...]]:
-    """Where every place of the network as given is in the kernel's network; the port is the outermost."""
+    """Path in the kernel's network of every place of the network as given; the port is the outermost."""
     inner, grown = _with_labels(model.network), model.kernel.network
     paths = {p.name: _find(grown, _inner_name(inner, p)).path for p in model.network.places()}
     return {**paths, "port": ()}
 
 
 def _with_labels(network: Network) -> Network:
-    """The network with a label on every group, so that places stay where they are when something is put beside them."""
+    """The network with a label on every group, by which places are found again after branches were inserted."""
     for k, place in enumerate(network.places()):
         node = network.at(place)
         if not isinstance(node, Element) and node.label is None:
@@ -305,7 +305,7 @@ def _inner_name(inner: Network, place: Place) -> str:
 
 
 def _find(network: Network, name: str) -> Place:
-    """Where the group with a label, or an element, is."""
+    """Place of the group with a label, or of an element."""
     for path, node in network.walk():
         if name in (node.label, node._notation()):
             return Place(path, name)
@@ -313,7 +313,7 @@ def _find(network: Network, name: str) -> Place:
 
 
 def _without_labels(network: Network) -> Network:
-    """The network without the labels that were put on for a while."""
+    """The network without the temporary labels."""
     if isinstance(network, Element):
         return network
     parts = [_without_labels(part) for part in network.parts]
@@ -324,7 +324,7 @@ def _without_labels(network: Network) -> Network:
 
 
 def _renamed(branch: Network, network: Network) -> Network:
-    """A branch whose elements have names that are still free in a network."""
+    """The branch with its elements renamed to names that are free in a network."""
     for old in branch.elements:
         letter, number = kind_of(old).letter, 1
         taken = {*network.elements, *branch.elements}

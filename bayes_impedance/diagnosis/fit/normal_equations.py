@@ -1,4 +1,4 @@
-r"""Quadratic expansion of everybody's likelihood in the additions' parameters, with the elements left free.
+r"""Quadratic expansion of each person's likelihood in the additions' parameters, with the elements left free.
 
 With the elements of every recording free, person i's log likelihood of the additions' parameters y (shared ones and the
 person's own coefficients c) is quadratic, :math:`h_i\cdot y - \tfrac12 y^TD_iy`: coefficients act linearly. Between
@@ -7,7 +7,7 @@ people :math:`c_i \sim N(\mu, \operatorname{diag}\tau^2)`, and with :math:`a = (
 
 .. math:: \ell_i(a, \tau) = h_i\cdot a - \tfrac12 a^TD_ia + \tfrac12 q_i^TW_iq_i - \tfrac12\ln|1 + D_{cc}T| .
 
-The sum is quadratic in a: its maximum is where the shared parameters and the means go.
+The sum is quadratic in a; its maximum gives the shared parameters and the means.
 """
 
 from __future__ import annotations
@@ -25,25 +25,30 @@ from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood, normal_eq
 from bayes_impedance.runtime.broadcast import Lent
 
 _FREEDOM = 5.0
-"""Standard deviations of the population within which elements are free: as good as free where the band sees them."""
+"""Prior width of the elements in standard deviations of the population. By choice: practically free where the band
+determines them, and bounded where it does not."""
 
 _SMALL_PIECE, _LARGE_PIECE = 4_000, 25_000
 """Smallest and largest piece of work, in points (recordings times frequencies). Below the first, a third of a
 millisecond, threads do not pay. Above the second, two milliseconds, load balancing would suffer."""
 
 _FEW_PIECES, _MOST_PIECES = 4, 64
-"""Pieces of few people, enough for the threads of a small machine; and of many: a task costs a cluster milliseconds."""
+"""Number of pieces for few people, enough for the threads of a small machine, and for many: each task has an overhead
+of milliseconds on a cluster. By choice."""
 
 
 @dataclass(frozen=True)
 class Population:
-    """Population parameters of the varying parameters, V of them.
+    """Population parameters of the V varying parameters.
 
     Attributes
     ----------
     mu : ndarray, shape (V,)
+        Means.
     covariance : ndarray, shape (V, V)
+        Between people.
     rho : ndarray, shape (V,)
+        Standard deviations between repetitions.
     """
 
     mu: np.ndarray
@@ -53,14 +58,14 @@ class Population:
 
 @dataclass(frozen=True)
 class Equations:
-    """Everybody's chi-square, gradient and information, recordings stacked (M of them, P parameters)."""
+    """Chi-square (M,), gradient (M, P) and information (M, P, P) of all M recordings."""
 
     chi: np.ndarray
     gradient: np.ndarray
     information: np.ndarray
 
     def with_rows(self, rows: np.ndarray, other: Equations) -> Equations:
-        """These, but for some recordings (bool, shape (M,)) those of `other`."""
+        """A copy with some recordings (bool, shape (M,)) taken from `other`."""
         return Equations(
             np.where(rows, other.chi, self.chi),
             np.where(rows[:, None], other.gradient, self.gradient),
@@ -74,21 +79,21 @@ def owners(data: Sequence[Likelihood]) -> np.ndarray:
 
 
 def weights(data: Sequence[Likelihood], chi: np.ndarray) -> np.ndarray:
-    """1/scale^2 of everybody's noise from the recordings' chi-squares, shape (N,)."""
+    """1/scale^2 of each person's noise from the recordings' chi-squares, shape (N,)."""
     total = np.bincount(owners(data), chi, minlength=len(data))
     return np.asarray((SCALE_SHAPE + counts(data)) / (SCALE_SHAPE + 0.5 * total))
 
 
 def counts(data: Sequence[Likelihood]) -> np.ndarray:
-    """Complex numbers of everybody, shape (N,)."""
+    """Number of complex values of each person, shape (N,)."""
     return np.array([d.z.shape[0] * d.omega.size for d in data], dtype=float)
 
 
 @dataclass(frozen=True)
 class Stack:
-    """All recordings, those with the same frequencies one after the other, in a few long pieces of about equal work.
+    """All recordings, ordered by frequency grid, in a few long pieces of about equal work.
 
-    Pieces are lent (:class:`~bayes_impedance.runtime.broadcast.Lent`): the data do not travel each time.
+    Pieces are lent (:class:`~bayes_impedance.runtime.broadcast.Lent`), so that the data are sent to workers only once.
 
     Attributes
     ----------
@@ -104,7 +109,7 @@ class Stack:
 
     @classmethod
     def of(cls, data: Sequence[Likelihood]) -> Stack:
-        """Of everybody's data."""
+        """Stack of all people's data."""
         owner = owners(data)
         people: dict[bytes, list[int]] = {}
         for i, d in enumerate(data):
@@ -191,10 +196,10 @@ def equations_at(
 def quadratic(
     model: Model, data: Sequence[Likelihood], u: np.ndarray, equations: Equations, covariance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Everybody's h (N, A) and D (N, A, A), and how the elements of every recording follow y, (M, E, A).
+    """Each person's h (N, A) and D (N, A, A), and the elements' response to y in every recording, (M, E, A).
 
-    Elements are free to five standard deviations of the population's `covariance`: one that the band does not see would
-    run away otherwise.
+    Elements have a prior width of five standard deviations of the population's `covariance`: one that the band does not
+    determine would diverge otherwise.
     """
     e, a = slice(0, model.n_elements), slice(model.n_elements, None)
     owner = owners(data)
@@ -215,7 +220,7 @@ def quadratic(
 
 @dataclass(frozen=True)
 class MarginalDensity:
-    """The likelihood of a = (phi, mu) with everybody's own coefficients integrated out.
+    """The likelihood of a = (phi, mu) with each person's coefficients integrated out.
 
     Attributes
     ----------
@@ -232,7 +237,7 @@ class MarginalDensity:
 
 
 def marginal(model: Model, h: np.ndarray, d: np.ndarray, tau: np.ndarray) -> MarginalDensity:
-    """Integrate everybody's coefficients out.
+    """Integrate each person's coefficients out.
 
     Parameters
     ----------
@@ -270,7 +275,7 @@ def _marginal(model: Model, h: np.ndarray, d: np.ndarray, tau: np.ndarray) -> tu
 
 
 def sums(values: np.ndarray, owner: np.ndarray, n: int) -> np.ndarray:
-    """Sums over everybody's recordings: (M, ...) to (N, ...)."""
+    """Sums over the recordings of each person: (M, ...) to (N, ...)."""
     total = np.zeros((n, *values.shape[1:]))
     np.add.at(total, owner, values)
     return total

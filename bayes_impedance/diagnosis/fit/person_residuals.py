@@ -1,4 +1,4 @@
-r"""Whitened residuals of everybody's recordings, outside of the tangent space of the elements.
+r"""Whitened residuals of all recordings, outside of the tangent space of the elements.
 
 With noise sd sigma (the person's own scale included) and z - Z stacked as real parts, then imaginary parts,
 
@@ -63,7 +63,8 @@ class PersonResiduals:
 
 
 _SHARPER = 1.5
-"""Ratio of variances from which on roughness, and not the residual, decides on the noise: less may be chance."""
+"""Ratio of variances above which roughness instead of the residual gives the noise: a smaller one may be chance. By
+choice."""
 
 
 def person_residuals(fit: Refit, names: Sequence[str], executor: Executor | None = None) -> list[PersonResiduals]:
@@ -75,7 +76,7 @@ def person_residuals(fit: Refit, names: Sequence[str], executor: Executor | None
     names : sequence of str
         Of the people.
     executor : Executor, optional
-        Works person by person; here, one after the other, if not given.
+        Distributes the persons; without it they are computed one after the other.
     """
     ends = np.cumsum([d.z.shape[0] for d in fit.data])[:-1]
     function = partial(_residuals_of, fit.model.kernel, fit.model.n_elements)
@@ -86,7 +87,7 @@ def person_residuals(fit: Refit, names: Sequence[str], executor: Executor | None
 
 
 def _residuals_of(kernel: Kernel, n_elements: int, d: Likelihood, name: str, u: np.ndarray) -> PersonResiduals:
-    """One person's, at u (J, P)."""
+    """Residuals of one person, at u (J, P)."""
     frequency = d.omega / (2 * np.pi)
     z, dz = kernel.derivative(u, frequency)
     difference = (d.z[:, 0] + 1j * d.z[:, 1] - z) * np.sqrt(d.weight)
@@ -104,7 +105,7 @@ def _residuals_of(kernel: Kernel, n_elements: int, d: Likelihood, name: str, u: 
 
 
 def own_weight(white: np.ndarray, basis: np.ndarray) -> float:
-    """1/scale^2 of a person's noise from what is outside of the elements, with the numbers they use up taken off.
+    """1/scale^2 of a person's noise from the residuals outside of the elements, corrected for degrees of freedom.
 
     Parameters
     ----------
@@ -118,10 +119,10 @@ def own_weight(white: np.ndarray, basis: np.ndarray) -> float:
 
 
 def sharper_weight(weight: float, residual: np.ndarray) -> float:
-    """1/scale^2 of a person's noise, from the residual's roughness if that says that the noise is much smaller.
+    """1/scale^2 of a person's noise, from the residual's roughness if that implies a much smaller noise.
 
-    The scale that a fit infers counts as noise whatever the model misses. A smooth misfit hardly enters the difference
-    between a point and the mean of its neighbours, which has 3/2 of the variance of white noise.
+    The scale that a fit infers counts all misfit as noise. A smooth misfit hardly enters the difference between a point
+    and the mean of its neighbours, which has 3/2 of the variance of white noise.
     """
     rough = residual[:, 1:-1] - 0.5 * (residual[:, :-2] + residual[:, 2:])
     square = float(np.mean(np.abs(rough) ** 2)) / (2 * 1.5)
@@ -130,7 +131,7 @@ def sharper_weight(weight: float, residual: np.ndarray) -> float:
 
 
 def orthonormal(columns: np.ndarray) -> np.ndarray:
-    """Orthonormal bases of columns (..., 2 F, P); zeros where a column depends on the others or is not seen."""
+    """Orthonormal bases of columns (..., 2 F, P); zeros where a column is zero or depends on the others."""
     length = np.linalg.norm(columns, axis=-2, keepdims=True)
     unit = columns / np.where(length > 0, length, 1.0)
     u, singular, _ = np.linalg.svd(unit, full_matrices=False)

@@ -1,24 +1,25 @@
-r"""Profile posterior of the body's additions, from everybody's evidence and not from a quadratic expansion of it.
+r"""Profile posterior of the body's additions, from the evidence of all people instead of its quadratic expansion.
 
 With the elements free (:mod:`bayes_impedance.diagnosis.fit.normal_equations`) a coefficient's likelihood is quadratic
-near the fit only. Tissue that relaxes at the skin, of which another stiffness imitates one half, lies on a bent ridge:
-its damping may be 0.7 or 1.5 of what it is, and the curvature in one point of the ridge says 5 %. And people who are
-given the same time constant, because the recordings are too few to show that they differ, determine it too well.
+near the fit only. The posterior of relaxing tissue at the skin, half of which another stiffness can imitate, is a
+curved ridge: its damping may be 0.7 or 1.5 times the true one, while the curvature at one point of the ridge says 5 %.
+And a time constant held equal in all people, because the recordings are too few to show a difference, gets too small a
+standard error.
 
-So the additions to the body are held at values :math:`t`, everything else is fitted, and the sum of everybody's
-evidence (:mod:`bayes_impedance.diagnosis.fit.fitter`) is looked at as a function of :math:`t`: coefficients by their
-logarithms, shapes as they are, all of them free to differ between people, a coefficient and its first shape perhaps
-together: who has much damping may relax slowly. A quadratic through
+So the additions to the body are held at values :math:`t`, all other parameters are fitted, and the sum of all people's
+evidence (:mod:`bayes_impedance.diagnosis.fit.fitter`) is taken as a function of :math:`t`. Coefficients enter by their
+logarithms, shapes as they are. All may differ between people, and a coefficient may be correlated with its first shape:
+a person with much damping may also relax slowly. A quadratic through
 
 .. math:: t_0, \quad t_0 \pm 1.3\, s_k, \quad t_0 + s_k + s_l
 
 (s: columns of a root of the covariance) gives the next centre and covariance, until neither moves. Dispersions between
-people and those correlations are weighed on a grid, one after the other, in turn with the centre until both rest:
-people who may differ more look like others in the mean. Then the evidence is interpolated around the centre and drawn
-from (:mod:`bayes_impedance.diagnosis.fit.interpolated_density`), as it is at once where no quadratic comes to rest.
-Each draw is moved with dispersions and correlations of its own: where one of them changes by one step of the grid, the
-gradient tells by how much the centre follows, which is taken to be proportional to a correlation and to the square of a
-dispersion; and each is weighed with the centre that belongs to it. What the rig adds follows by regression.
+people and those correlations are evaluated on a grid, one after the other, alternating with the centre until both have
+converged: the mean depends on the dispersion that is assumed. Then the evidence is interpolated around the centre and
+sampled (:mod:`bayes_impedance.diagnosis.fit.interpolated_density`); where the quadratic does not converge, this is done
+at once. Each draw gets its own dispersions and correlations, and is shifted with them: the change of the gradient over
+one step of the grid gives the shift of the centre, which is taken as proportional to a correlation and to the square of
+a dispersion; grid values are weighted with the centre that belongs to them. Additions of the rig follow by regression.
 
 Only for the body: its additions vary between people as the elements do, by assumption. The rig's are the same for all,
 and a likelihood in which the elements are free does not depend on what distribution people have.
@@ -38,47 +39,53 @@ from bayes_impedance.diagnosis.fit.model import ELEMENT_SD, Addition, Model
 from bayes_impedance.diagnosis.fit.refit import Refit
 
 MINIMUM_PERSONS = 10
-"""Fewer people say too little about what they differ by: a dispersion of ten is known to 24 %."""
+"""With fewer people a dispersion is hardly determined: from ten people its standard error is 24 %."""
 
 MOST_PARAMETERS = 4
-"""A quadratic in more of them takes too many refits."""
+"""By choice: a quadratic in four parameters takes 15 refits, and the number grows with the square of theirs."""
 
 _DISPERSIONS = np.array([0.003, 0.01, 0.03, 0.08, 0.15, 0.22, 0.3, 0.4, 0.55])
 _CORRELATIONS = np.array([-0.9, -0.7, -0.45, -0.2, 0.0, 0.2, 0.45, 0.7, 0.9])
-"""Grids on which dispersions and correlations are weighed: each value costs a refit, so that they are coarse."""
+"""Grids on which dispersions (the upper one) and correlations are evaluated. By choice: coarse, because each value
+costs a refit."""
 
 _SAME_FACTOR, _SAME_CORRELATION = 1.2, 0.3
 """Largest change of a dispersion (factor) and of a correlation after which the centre is not fitted again; about one
 step of the grids."""
 
 _STARTS = (0.25, 0.08)
-"""Dispersions of a coefficient and of a shape at which the search begins: what people usually differ by."""
+"""Dispersions of a coefficient and of a shape at which the search begins: typical differences between people."""
 
 _ROUNDS, _STEPS = 30, 5
-"""Rounds of each refit, which begins near its end, and steps towards the maximum before the ridge counts as bent."""
+"""Rounds of each refit, which begins near its end, and steps towards the maximum before the ridge counts as curved. By
+choice."""
 
 _FEW_DRAWS = 500
-"""Draws that give centre and covariance of a bent ridge while the dispersions are still being sought."""
+"""Draws for centre and covariance of a curved ridge while the dispersions still change: a mean from 500 draws has an
+error of 0.04 standard deviations."""
 
 _SMALLEST_SD, _LARGEST_SD = 1e-4, 0.5
-"""Standard deviations that are explored: below, refits differ by their convergence; above, they run away."""
+"""Limits of the standard deviations that are explored: below the first, differences between refits are convergence
+error; above the second, refits diverge."""
 
 _NEAR, _SETTLED_STRETCH = 0.25, 2.0
-"""Step of the centre (standard deviations) and change of a variance (factor) at which the maximum has been found."""
+"""Step of the centre (standard deviations) and change of a variance (factor) below which the maximum
+has been found. By choice."""
 
 _STRETCH, _LONGEST = 9.0, 2.0
-"""Largest change of a variance (factor), and of the centre (standard deviations), in one step."""
+"""Largest change of a variance (factor), and of the centre (standard deviations), in one step. By choice."""
 
 _TURNS, _REST = 6, 0.5
-"""Largest number of turns between centre and dispersions, and the step of the centre, in standard deviations, at which
-they end."""
+"""Largest number of alternations between centre and dispersions, and the step of the centre, in standard deviations,
+below which they end. By choice."""
 
 _FARTHEST = 3.0
-"""Largest shift of a draw with its own dispersion, in standard deviations: the slope is known near the centre only."""
+"""Largest shift of a draw with its own dispersion, in standard deviations: the slope is valid near the centre
+only."""
 
 
 def has_surface(addition: Addition) -> bool:
-    """Whether an addition is the body's, with one coefficient that cannot be negative and shapes besides."""
+    """Whether an addition is the body's, with one non-negative coefficient, its other parameters being shapes."""
     effect = addition.effect
     if effect.side != "body" or not effect.operation or effect.signed or effect.pooling == "some":
         return False
@@ -86,7 +93,7 @@ def has_surface(addition: Addition) -> bool:
 
 
 def from_evidence(refitter: Refitter, fit: Refit, posterior: CoefficientPosterior, seed: int) -> CoefficientPosterior:
-    """The posterior with the body's additions drawn from everybody's evidence.
+    """The posterior with the body's additions drawn from the evidence of all people.
 
     Parameters
     ----------
@@ -99,7 +106,7 @@ def from_evidence(refitter: Refitter, fit: Refit, posterior: CoefficientPosterio
     Returns
     -------
     CoefficientPosterior
-        The same one where there are too few people, or nothing or too much of the body's.
+        `posterior` itself if there are too few people, no addition of the body, or too many of them.
     """
     surface = _Surface.of(refitter, fit)
     if surface is None:
@@ -110,7 +117,7 @@ def from_evidence(refitter: Refitter, fit: Refit, posterior: CoefficientPosterio
     best = centre
     for turn in range(_TURNS):
         peak = surface.maximum(centre, root)
-        bent = peak is None  # or without an end
+        bent = peak is None  # or unbounded
         if peak is None:
             draws = explored(surface.value, centre, root, seed, _FEW_DRAWS).draws
             peak = draws.mean(axis=0), _root(np.atleast_2d(np.cov(draws.T)))
@@ -119,7 +126,7 @@ def from_evidence(refitter: Refitter, fit: Refit, posterior: CoefficientPosterio
         length = float(np.linalg.norm(np.linalg.solve(root, step)))
         if (not moved and length < _REST) or (bent and turn >= 1):
             break
-        # Where the dispersions follow the centre, both creep along a ridge in ever smaller steps of one direction.
+        # Where dispersions follow the centre, both creep along a ridge in ever smaller steps: extrapolate the last one.
         centre = best + step * min(1.0, _LONGEST / max(length, 1e-12)) * (not bent)
     rng = np.random.default_rng(seed)
     n_draws, size = posterior.central.shape
@@ -157,13 +164,15 @@ def from_evidence(refitter: Refitter, fit: Refit, posterior: CoefficientPosterio
 
 @dataclass(frozen=True)
 class _Weighed:
-    """A dispersion, or a correlation of coefficient and first shape, that is weighed on a grid.
+    """A dispersion, or a correlation of coefficient and first shape, that is evaluated on a grid.
 
     Attributes
     ----------
     column : int
-        Of the parameter that differs, among those of the additions; of the coefficient.
+        Index, among the additions' parameters, of the parameter with this dispersion; for a correlation, of the
+        coefficient.
     correlates : bool
+        Whether it is a correlation.
     """
 
     column: int
@@ -171,16 +180,16 @@ class _Weighed:
 
     @property
     def grid(self) -> np.ndarray:
-        """Values that are weighed."""
+        """Values on the grid."""
         return _CORRELATIONS if self.correlates else _DISPERSIONS
 
     def now(self, model: Model) -> float:
-        """The value that a model has."""
+        """The value in a model."""
         parameter = model.parameters[self.column]
         return model.additions[parameter.addition].correlation if self.correlates else parameter.dispersion
 
     def held(self, model: Model, value: float) -> Model:
-        """The model with another value."""
+        """The model with this value held."""
         addition = model.parameters[self.column].addition
         own = [c - model.n_elements for c in model.columns(addition)]
         if self.correlates:
@@ -189,15 +198,15 @@ class _Weighed:
         return with_pooling(model, addition, "free", spreads)
 
     def log_prior(self, value: float) -> float:
-        """Half-normal of a dispersion, flat of a correlation."""
+        """Half-normal for a dispersion, flat for a correlation."""
         return 0.0 if self.correlates else -0.5 * value**2
 
     def abscissa(self, value: np.ndarray | float) -> np.ndarray:
-        """What the centre follows."""
+        """Abscissa in which the centre's shift is linear: a correlation itself, or the square of a dispersion."""
         return np.asarray(value if self.correlates else np.square(value))
 
     def differs(self, value: float, other: float) -> bool:
-        """Whether the centre may have to move."""
+        """Whether two values differ enough for the centre to be fitted again."""
         return (
             abs(value - other) > _SAME_CORRELATION
             if self.correlates
@@ -213,11 +222,11 @@ class _Surface:
     ----------
     refitter : Refitter
     fit : Refit
-        Of the model in which all that is the body's differs between people.
+        Of the model in which all parameters of the body's additions differ between people.
     columns : list of int
         Of the body's parameters, among those of the additions.
     linear : ndarray of bool, shape (A,)
-        Which of the additions' parameters are coefficients of the body: they have a logarithm.
+        Which of the additions' parameters are coefficients of the body, which enter by their logarithm.
     """
 
     refitter: Refitter
@@ -227,7 +236,7 @@ class _Surface:
 
     @classmethod
     def of(cls, refitter: Refitter, fit: Refit) -> _Surface | None:
-        """Of a fit; None if there is nothing or too much of the body's, or too few people."""
+        """Of a fit; None without additions of the body, with too many parameters in them, or with too few people."""
         model, columns = fit.model, list[int]()
         for i, addition in enumerate(fit.model.additions):
             if has_surface(addition):
@@ -245,18 +254,18 @@ class _Surface:
 
     @property
     def _positions(self) -> list[int]:
-        """Of the columns among the varying parameters."""
+        """Indices of the columns among the varying parameters."""
         model = self.fit.model
         varying = np.flatnonzero(~model.shared)
         return [int(np.searchsorted(varying, model.n_elements + c)) for c in self.columns]
 
     def base_values(self) -> np.ndarray:
-        """Where the fit is."""
+        """Values of the fit (A,): logarithms of coefficients, shapes as they are."""
         mean = self.fit.population.mu[self._positions]
         return np.where(self.linear[self.columns], np.log(np.maximum(mean, 1e-9)), mean)
 
     def at(self, values: np.ndarray, fit: Refit | None = None) -> Refit:
-        """Everything else fitted with the additions held at `values`."""
+        """Fit of all other parameters with the additions held at `values` (A,)."""
         fit = fit or self.fit
         linear, first = self.linear[self.columns], fit.model.n_elements
         mu, u = fit.population.mu.copy(), fit.u.copy()
@@ -279,7 +288,7 @@ class _Surface:
         return float(self.at(values).evidence.sum()) + prior
 
     def maximum(self, centre: np.ndarray, root: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """Centre and root of the covariance of a normal distribution in place of the posterior; None if not found."""
+        """Normal approximation of the posterior: mean and root of the covariance; None if it does not converge."""
         points, heights = list[np.ndarray](), list[float]()
         for _ in range(_STEPS):
             for offset in design(centre.size):
@@ -300,7 +309,7 @@ class _Surface:
 
     @property
     def weighed(self) -> list[_Weighed]:
-        """All that is weighed on a grid: the dispersions of all columns first."""
+        """Everything evaluated on a grid: the dispersions of all columns first, then correlations."""
         parameters = self.fit.model.parameters
         found = [_Weighed(c, False) for c in self.columns]
         for c in self.columns:
@@ -309,7 +318,7 @@ class _Surface:
         return found
 
     def with_covariances(self, centre: np.ndarray) -> tuple[_Surface, list[np.ndarray], bool]:
-        """With dispersions and correlations most likely at a centre; their distributions on the grids; if any moved."""
+        """Surface with the most probable dispersions and correlations at a centre; their grid weights; if any moved."""
         fit, weights, moved = self.at(centre), list[np.ndarray](), False
         for weighed in self.weighed:
             heights, fits = [], []
@@ -325,7 +334,7 @@ class _Surface:
         return replace(self, fit=fit), weights, moved
 
     def follows(self, centre: np.ndarray, root: np.ndarray) -> list[np.ndarray]:
-        """By how much the centre (A,) moves with the abscissa of all that is weighed, in standard deviations."""
+        """Shift of the centre (A,), in standard deviations, per unit of the abscissa of each quantity on a grid."""
         slopes = []
         for weighed in self.weighed:
             grid = weighed.grid
@@ -343,12 +352,12 @@ class _Surface:
         return slopes
 
     def shared_coefficients(self, model: Model) -> set[int]:
-        """Columns of coefficients that a model has as the same for everybody."""
+        """Columns of the coefficients that are shared in a model."""
         return {c for c in self.columns if self.linear[c] and model.parameters[c].shared}
 
 
 def _root(covariance: np.ndarray) -> np.ndarray:
-    """Lower root of a covariance whose standard deviations are kept to what can be explored."""
+    """Lower Cholesky root of a covariance, its standard deviations limited to the range that can be explored."""
     sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     kept = np.clip(sd, _SMALLEST_SD, _LARGEST_SD) / sd
     covariance = covariance * np.outer(kept, kept)

@@ -1,4 +1,4 @@
-"""A model with additions as it was fitted to everybody: what :mod:`.fitter` returns."""
+"""Result of fitting a model with additions to all people, as :mod:`.fitter` returns it."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ class Refit:
     u : ndarray, shape (M, P)
         Parameters of every recording, person by person.
     persons : ndarray, shape (N, V)
-        Everybody's v_i.
+        v_i of each person.
     population : Population
     equations : Equations
         At u.
     evidence : ndarray, shape (N,)
     settled : bool
-        Whether persons and population came to rest.
+        Whether persons and population converged.
     """
 
     model: Model
@@ -58,5 +58,5 @@ class Refit:
 
     @property
     def weight(self) -> np.ndarray:
-        """1/scale^2 of everybody's noise, shape (N,)."""
+        """1/scale^2 of each person's noise, shape (N,)."""
         return weights(self.data, self.equations.chi)

@@ -1,12 +1,13 @@
 r"""Spike and slab: a coefficient that is zero in some people and normally distributed among the others.
 
-With the quadratic log likelihood :math:`h_ic - \tfrac12D_ic^2` of everybody's own coefficient,
+With the quadratic log likelihood :math:`h_ic - \tfrac12D_ic^2` of each person's coefficient,
 
 .. math:: c_i \sim (1 - \pi)\,\delta_0 + \pi\,N(\mu, \tau^2), \qquad
           \ln\int e^{hc - Dc^2/2} N(c; \mu, \tau^2)\,dc = \frac{h^2\tau^2 + 2h\mu - D\mu^2}{2(1 + D\tau^2)}
           - \tfrac12\ln(1 + D\tau^2)
 
-is maximised by expectation-maximisation and compared with everybody having it (pi = 1, with mean and dispersion free).
+is maximised by expectation-maximisation and compared with the model in which all people have it (pi = 1, with mean and
+dispersion free).
 """
 
 from __future__ import annotations
@@ -20,31 +21,35 @@ from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.fit.two_group_mixture import log_mixture, membership, share_of
 
 _ROUNDS = 200
-"""Of expectation-maximisation. A dispersion that is not zero has converged to rounding by then. One that goes to zero
-has not: on 10 of 30 simulated populations it was still at 1 to 8 % of the mean, the gain being off by 0.7 at most."""
+"""Rounds of expectation-maximisation. A dispersion that is not zero has converged to rounding by then. One that goes to
+zero has not: on 10 of 30 simulated populations it was still at 1 to 8 % of the mean, the gain being off by 0.7 at
+most."""
 
 _SMALLEST_FRACTION = 0.02
-"""The mixture's share stays between this and one less this: with an empty group the others are undetermined."""
+"""The mixture's share stays between this and one minus this: parameters of an empty group are undetermined. By
+choice."""
 
 _MOST_FRACTION = 0.85
-"""From this share on an effect is said to belong to everybody: the few others may as well have little of it."""
+"""Share from which an effect is attributed to all people: the few others may have a small one. By choice."""
 
 _FEWEST_MEMBERS = 2.5
-"""Expected number of people who must have an effect: one or two are outliers, of which no group follows."""
+"""Expected number of people who must have an effect: one or two are outliers and not a group."""
 
 _LEAST_GAIN = 3.0
-"""Log likelihood by which "some have it" must exceed "everybody has it", which has one parameter less."""
+"""Log likelihood by which "some have it" must exceed "all have it", which has one parameter less: a
+likelihood ratio of 20."""
 
 _START_DISPERSION, _SMALLEST_DISPERSION, _LARGEST_DISPERSION = 0.3, 1e-3, 1.5
-"""Relative to the mean: what people usually differ by; numerically nothing; and more than a coefficient of one sign can
-vary by, so that a wide slab is no second spike."""
+"""Dispersions relative to the mean: a typical one; one that is numerically zero; and an upper limit beyond what a
+coefficient of one sign can have, so that a wide slab does not act as a second spike. By choice."""
 
 _STARTS = (0.6, 0.8, 0.95)
-"""Quantiles of everybody's own estimates at which the slab's mean begins: for many, some, or few people with the
-effect, because the likelihood may have a local maximum for each."""
+"""Quantiles of the people's own estimates at which the slab's mean starts, for many, some, or few people with the
+effect: the likelihood may have a local maximum for each."""
 
 _OUTLYING = 0.02
-"""Quantile beyond which own estimates are clipped for the starts only: a person of whom nothing is known has any."""
+"""Quantile beyond which own estimates are clipped, for the starts only: a person without information may have any
+estimate."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,13 +59,13 @@ class Members:
     Attributes
     ----------
     probability : ndarray, shape (N,)
-        That a person has it.
+        Probability that each person has it.
     fraction, q05, q95 : float
-        Part of the people who have it, with a 90 % interval.
+        Fraction of people who have it, with a 90 % interval.
     mean, mean_sd, dispersion : float
         Of the coefficient among those who have it; the dispersion is relative to the mean.
     gain : float
-        Log likelihood over everybody having it.
+        Gain of log likelihood over the model in which all people have it.
     """
 
     probability: np.ndarray
@@ -74,14 +79,14 @@ class Members:
 
     @property
     def only_some(self) -> bool:
-        """Whether a good part of the people clearly lack the effect, and more than one or two have it."""
+        """Whether a substantial part of the people lacks the effect, and more than one or two have it."""
         return bool(
             self.gain > _LEAST_GAIN and self.fraction < _MOST_FRACTION and self.probability.sum() > _FEWEST_MEMBERS
         )
 
 
 def members(fit: Refit, addition: int) -> Members:
-    """Spike and slab of the coefficient of an addition; its shapes and all other additions stay where they are."""
+    """Spike and slab of the coefficient of an addition, with its shapes and all other additions held."""
     h, d, _ = quadratic(fit.model, fit.data, fit.u, fit.equations, fit.population.covariance)
     column = fit.model.columns(addition)[0] - fit.model.n_elements
     others = [i for i in range(h.shape[1]) if i != column]

@@ -7,10 +7,10 @@ Person i's data have the log likelihood :math:`\ell_{i0}` if the person belongs 
           r_i = \Bigl[1 + \tfrac{1 - \pi}{\pi}\,e^{\ell_{i0} - \ell_{i1}}\Bigr]^{-1}
 
 are the log likelihood and the probability that the person belongs to the second group (the E step). The M step of the
-share is the mean of the memberships :math:`r_i`, kept away from 0 and 1: there one group is empty and its parameters
-are undetermined. The M steps of the groups' own parameters stand where the groups are described:
+share is the mean of the memberships :math:`r_i`, kept away from 0 and 1, where one group is empty and its parameters
+are undetermined. The M steps of the groups' own parameters are in the modules that define the groups:
 
-* spike at zero and normal slab, everybody's own curvature: :mod:`bayes_impedance.diagnosis.fit.spike_slab`;
+* spike at zero and normal slab, with each person's own curvature: :mod:`bayes_impedance.diagnosis.fit.spike_slab`;
 * amplitudes of unit variance: :mod:`bayes_impedance.diagnosis.residuals.amplitudes`, whose M step is a weighted mean
   and variance;
 * two groups along a direction, many directions at once: :mod:`bayes_impedance.diagnosis.heterogeneity.two_groups`;

@@ -1,17 +1,16 @@
 r"""Parametric bootstrap under the null hypothesis: replicates of pulls and weights of a fitted normal population.
 
-A statistic that looks for the largest of many things has no textbook distribution, but it can be simulated: everybody
-keeps the information H that their own recording has, the elements come from the fitted population, and the same
-statistic is computed again. In white coordinates (:mod:`bayes_impedance.diagnosis.heterogeneity.reml`), with M = L^T H
-L, the linear coefficient of a person's likelihood is :math:`\tilde b \sim N(0, M(I + M))` and the pull is
-:math:`(I + M)^{-1}\tilde b`.
+The largest of many statistics has no tabulated distribution, but it can be simulated: each person keeps the information
+H of the own recordings, the elements are drawn from the fitted population, and the same statistic is computed. In white
+coordinates (:mod:`bayes_impedance.diagnosis.heterogeneity.reml`), with M = L^T H L, the linear coefficient of a
+person's likelihood is :math:`\tilde b \sim N(0, M(I + M))` and the pull is :math:`(I + M)^{-1}\tilde b`.
 
-The population has to be estimated again from each replicate, or the statistic would not be the same one. One step of
-Fisher scoring from the population that the replicate was drawn from is nearly enough: its start is as close as
+The population must be re-estimated from each replicate, or the statistic would be a different one. One step of Fisher
+scoring from the population that the replicate was drawn from is nearly enough: its start is as close as
 :math:`N^{-1/2}`, so the step ends within :math:`1/N` of the maximum (Davidson and MacKinnon, International Economic
-Review 40, 487-508, 1999), and is exact if everybody sees every element. The information matrix is the same for all
-replicates, so all of them are computed at once. Steps of expectation-maximisation follow, which cannot go downhill;
-more scoring with the old information could.
+Review 40, 487-508, 1999), and is exact if every recording determines every element. The information matrix is the same
+for all replicates, so all of them are computed at once. Steps of expectation-maximisation follow, which never decrease
+the likelihood; further scoring with the old information could.
 """
 
 from __future__ import annotations
@@ -27,16 +26,17 @@ _STEPS = 3
 """One of scoring, two of expectation-maximisation (see the module's docstring)."""
 
 _LARGEST_RATIO = 10.0
-"""Largest ratio of a variance after a step to the one before; the replicate's population is far nearer than that."""
+"""Largest ratio of a variance after a step to the one before. By choice: the replicate's population is much closer."""
 
 _TAIL = 0.1
-"""Part of the replicates, the largest, from which the exponential tail is estimated."""
+"""Upper fraction of the replicates from which the exponential tail is estimated. By choice."""
 
 _SMALLEST_SCALE = 2.0
 """Smallest scale of the exponential tail: that of a likelihood ratio, chi-square with two degrees of freedom."""
 
 _FEWEST_IN_TAIL = 3
-"""With fewer replicates in the tail its mean excess is not estimated, and p-values are counted."""
+"""With fewer replicates in the tail its mean excess is not estimated, and p-values are obtained by counting. By
+choice."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Residuals:
 
     @classmethod
     def of(cls, fit: Fit) -> Residuals:
-        """Of the real data."""
+        """Residuals of the real data."""
         return cls(fit.factor[None], fit.pull[None], fit.weight[None])
 
 
@@ -71,7 +71,7 @@ def replicates(fit: Fit, count: int, batch: int, seed: int) -> Iterator[Residual
     fit : Fit
         The population, with a full or a diagonal covariance.
     count, batch : int
-        How many there are, and how many at a time.
+        Number of replicates, and number computed at a time.
     seed : int
 
     Yields
@@ -102,7 +102,7 @@ def replicates(fit: Fit, count: int, batch: int, seed: int) -> Iterator[Residual
                 break
             excess = np.swapaxes(pull, 1, 2) @ pull - weight.sum(axis=1) + fixed
             gradient = 0.5 * np.tensordot(basis, excess, ([1, 2], [1, 2]))
-            # Expectation-maximisation acts as if everybody saw everything: n / 2 in place of the information.
+            # Expectation-maximisation uses the information of complete data: n / 2 in place of the observed one.
             step = (np.linalg.solve(information, gradient) if k == 0 else 2 * gradient / n).T
             ratio, directions = np.linalg.eigh(np.eye(p) + np.tensordot(step, basis, 1))
             root_ratio = np.sqrt(np.clip(ratio, 1 / _LARGEST_RATIO, _LARGEST_RATIO))
@@ -121,11 +121,11 @@ def _fitted(x: np.ndarray, weight: np.ndarray, free: np.ndarray) -> np.ndarray:
 
 
 def tail_probability(statistic: float, null: np.ndarray) -> float:
-    """Probability that a statistic is as large if nothing is missing, from replicates (R,).
+    """Probability that a statistic is at least as large under the null hypothesis, from replicates (R,).
 
-    Up to the highest tenth it is counted. Beyond, likelihood ratios fall off like exp(-x / 2), or a bit slower; the
-    mean excess of the highest tenth is used, with 1.5 times its own standard error added and never below 2: what is
-    said about a statistic beyond all replicates errs on the side of nothing being missing.
+    Up to the highest tenth, replicates are counted. Beyond, likelihood ratios fall off like exp(-x / 2) or slightly
+    slower; the scale is the mean excess of the highest tenth plus 1.5 times its standard error, and at least 2. So the
+    p-value of a statistic beyond all replicates is conservative.
     """
     count = null.size
     counted = (1 + float(np.sum(null >= statistic))) / (count + 1)

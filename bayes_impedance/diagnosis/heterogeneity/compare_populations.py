@@ -1,13 +1,13 @@
 r"""Elementwise comparison of a claimed population with the recorded one: centres and dispersions, with p-values.
 
-With the information :math:`K_i - T^{-1}` of every person's recordings about the person's elements, the population's
+With the information :math:`K_i - T^{-1}` of each person's recordings about the elements, the population's
 centre has the precision :math:`\sum_i (T + V_i)^{-1}`, :math:`V_i = (K_i - T^{-1})^{-1}`, and a dispersion, with
-:math:`\kappa_i = \tau^2/(\tau^2 + v_i)` the part of it that a person's recordings resolve, the variance
+:math:`\kappa_i = \tau^2/(\tau^2 + v_i)` the fraction of it that a person's recordings resolve, the variance
 
 .. math:: \operatorname{var}(\ln \tau) = \Bigl(2\sum_i \kappa_i^2\Bigr)^{-1} .
 
 Differences of logarithms between two independent populations are compared with the root of the summed variances, and
-p-values are corrected for all that are compared (Holm).
+p-values are corrected for the number of comparisons (Holm).
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ _NORMAL_Q95 = 1.6449
 """95 % quantile of the standard normal distribution."""
 
 _LARGEST_SD = 3.0
-"""Largest standard error of a difference of logarithms that is reported: a factor of 20 (one standard error) says that
-the recordings do not see the element."""
+"""Largest standard error of a difference of logarithms that is reported: with a factor of 20 (one standard error)
+the recordings do not determine the element."""
 
 _UNSEEN_VARIANCE = 1e6
-"""Variance of the centre of an element of which nothing is known, in place of infinity."""
+"""Variance of the centre of an undetermined element, in place of infinity."""
 
 
 def compare_populations(claimed: Refit, recorded: Refit, unit: str) -> tuple[ParameterDifference, ...]:

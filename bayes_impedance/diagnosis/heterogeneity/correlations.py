@@ -1,13 +1,13 @@
 r"""Score test of correlations between elements: a diagonal against a full covariance between persons.
 
 At the diagonal maximum the derivative of the log likelihood with respect to all covariances :math:`T_{ab}` at once is
-:math:`G = \sum (uu^T - W + WVW)`, with everybody's pull u and weight W
+:math:`G = \sum (uu^T - W + WVW)`, with each person's pull u and weight W
 (:mod:`bayes_impedance.diagnosis.heterogeneity.reml`), and their expected information I is known. With the variances'
 share projected out (they are estimated as well), the score :math:`g^T I^{-1} g` of all covariances is to first order
 the likelihood ratio of a full to a diagonal covariance, without a fit of the full one for every replicate. The score of
-one covariance, :math:`g_{ab}^2 / I_{ab,ab}`, is much sharper if only one pair varies together. Both are looked at, each
-against replicates of a diagonal population (:mod:`bayes_impedance.diagnosis.heterogeneity.bootstrap`): twice the
-smaller p counts.
+one covariance, :math:`g_{ab}^2 / I_{ab,ab}`, is much more powerful if only one pair is correlated. Both are tested,
+each against replicates of a diagonal population (:mod:`bayes_impedance.diagnosis.heterogeneity.bootstrap`): the result
+is twice the smaller p.
 
 The sizes of the correlations come from the full covariance at its restricted maximum, with the standard error of
 :math:`\operatorname{artanh} r` from the information.
@@ -25,18 +25,18 @@ from bayes_impedance.diagnosis.heterogeneity.reml import Fit, FullCovariance, ce
 from bayes_impedance.diagnosis.multiple_testing import bonferroni, holm
 
 REPLICATES = 200
-"""Replicates only scale the scores and their sum: 200 give a standard deviation to 5 %."""
+"""Number of replicates. They only scale the scores and their sum: 200 give a standard deviation to 5 %."""
 
 MINIMUM_PERSONS = 8
-"""With fewer, a correlation must be near one to be seen at all."""
+"""With fewer persons only a correlation near one could be detected. By choice."""
 
 _BATCH = 50
-"""Replicates at a time: a matter of memory only."""
+"""Replicates computed at a time. By choice: it limits memory only."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Correlation:
-    """Two elements.
+    """Correlation of two elements.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class CorrelationTest:
     reason : str
         Why nothing was tested; empty if it was.
     remarks : tuple of str
-        What was left out.
+        Elements that were left out.
     """
 
     statistic: float
@@ -99,13 +99,13 @@ class CorrelationTest:
 
 
 def correlation_test(likelihoods: PersonLikelihoods, seed: int, count: int = REPLICATES) -> CorrelationTest:
-    """Test whether any elements vary together between persons.
+    """Test whether any elements are correlated between persons.
 
     Parameters
     ----------
     likelihoods : PersonLikelihoods
     seed : int
-        Of the replicates.
+        For the replicates.
     count : int
         Number of replicates.
 
@@ -129,7 +129,7 @@ def correlation_test(likelihoods: PersonLikelihoods, seed: int, count: int = REP
     single, whole = scores(Residuals.of(diagonal), diagonal, pairs)
     null = [scores(r, diagonal, pairs) for r in replicates(diagonal, count, _BATCH, seed)]
     null_single, null_whole = (np.concatenate(parts) for parts in zip(*null, strict=True))
-    # With few persons scores are not quite as wide as they should be: the replicates say how wide.
+    # With few persons the scores' standard deviation is not quite one: it is estimated from the replicates.
     z = single[0] / np.sqrt(np.mean(null_single**2, axis=0))
     p_pair = 2 * norm.sf(np.abs(z))
     # A scaled chi-square with the replicates' mean, and their variance if that is the larger one.

@@ -2,8 +2,8 @@ r"""Cross-validated gain of a covariate or a drift: log likelihood of people who
 
 The population is fitted to the people outside of a fold with and without the slopes that were found; the gain of a
 person in the fold is the difference of the log likelihoods that the two populations give to the person's recordings,
-the elements integrated out (:func:`bayes_impedance.diagnosis.heterogeneity.person_likelihoods.log_marginal`). Which
-slopes were looked at was decided with everybody: what is held out is their size.
+the elements integrated out (:func:`bayes_impedance.diagnosis.heterogeneity.person_likelihoods.log_marginal`). The
+slopes were selected with all people: only the estimation of their size is held out.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from bayes_impedance.diagnosis.heterogeneity.regression import RepetitionLikelih
 from bayes_impedance.diagnosis.heterogeneity.reml import Covariance, FullCovariance, centred_fit, fit_normal_population
 
 HELD_OUT = ("body.covariate", "body.drift")
-"""Effects whose gain is computed here; of other structures only a likelihood ratio is known."""
+"""Effects whose gain is computed here; for other structures only a likelihood ratio is computed."""
 
 
 def gain_of_covariate(
@@ -38,7 +38,7 @@ def gain_of_covariate(
     Returns
     -------
     gain, se : float
-        Sum over people who know the regressor, in natural logarithms, and its standard error.
+        Sum over people with a known regressor, in natural logarithms, and its standard error.
     """
     known = np.isfinite(regressor)
     people = likelihoods.persons(known)

@@ -1,18 +1,18 @@
-r"""Everybody's quadratic log likelihood of the log elements, and its marginal under a normal population.
+r"""Quadratic log likelihood of each person's log elements, and its marginal under a normal population.
 
 Near its mode, a person's log likelihood is
 
 .. math:: \ln p(z_i\,|\,\theta) = b_i^T\theta - \tfrac12\,\theta^T H_i\,\theta + \text{const},
 
-where H may be singular: the band need not see every element. With :math:`\theta_i \sim N(m_i, T)`, any root
-:math:`T = LL^T` and :math:`g_i = b_i - H_i m_i` the integral over the elements is closed,
+where H may be singular: the band need not determine every element. With :math:`\theta_i \sim N(m_i, T)`, any root
+:math:`T = LL^T` and :math:`g_i = b_i - H_i m_i` the integral over the elements has the closed form
 
 .. math:: \ln p_i = b_i^T m_i - \tfrac12 m_i^T H_i m_i - \tfrac12 \ln|I + L^T H_i L|
           + \tfrac12\, g_i^T L\,(I + L^T H_i L)^{-1} L^T g_i ,
 
 which needs no inverse of H, nor of T.
 
-What is tested on top of it: whether elements follow a covariate or drift
+Tests based on it: whether elements follow a covariate or drift
 (:mod:`bayes_impedance.diagnosis.heterogeneity.regression`), vary together
 (:mod:`bayes_impedance.diagnosis.heterogeneity.correlations`), or differ in a group of people
 (:mod:`bayes_impedance.diagnosis.heterogeneity.subgroups`).
@@ -27,7 +27,7 @@ import numpy as np
 from bayes_impedance.errors import InputError
 
 DETERMINED_SD = 0.3
-"""Largest standard error of a log element, from all persons together, with which it takes part in the tests: 30 %, as
+"""Largest standard error of a log element, from all persons together, with which it is included in the tests: 30 %, as
 for the elements that a fit reports (:mod:`bayes_impedance.population.em`)."""
 
 NORMAL_Q95 = 1.645
@@ -43,7 +43,7 @@ class PersonLikelihoods:
     elements : tuple of str
     linear : ndarray, shape (N, P)
     information : ndarray, shape (N, P, P)
-        Symmetric, not negative, possibly singular; `linear` lies in its range.
+        Symmetric, positive semidefinite, possibly singular; `linear` lies in its range.
     """
 
     elements: tuple[str, ...]
@@ -69,7 +69,7 @@ class PersonLikelihoods:
         return PersonLikelihoods(self.elements, self.linear - shift, self.information)
 
     def persons(self, chosen: np.ndarray) -> PersonLikelihoods:
-        """Some persons, by a mask or by numbers."""
+        """Likelihoods of some persons, by a mask or by indices."""
         return PersonLikelihoods(self.elements, self.linear[chosen], self.information[chosen])
 
 
@@ -82,7 +82,7 @@ def log_marginal(likelihoods: PersonLikelihoods, means: np.ndarray, covariance: 
     means : ndarray, shape (N, P) or (P,)
         Of the population at each person.
     covariance : ndarray, shape (P, P)
-        Between persons; it may be singular, and zero.
+        Between persons; it may be singular, or zero.
 
     Returns
     -------

@@ -1,18 +1,18 @@
 r"""Regression of the elements on covariates of the person, and on the number of the repetition (drift).
 
 **Covariates.** :math:`\theta_i = \mu + B x_i + N(0, T)`, with mu, T and the slopes of all elements free: an element's
-slope is then its own and not what a correlated element lends it. The statistic is the restricted estimate over its
-standard error, against Student's t, with Kenward and Roger's standard error and degrees of freedom: exact if everybody
-sees every element, whatever N. Nothing has to be simulated, and p values have no floor. Each covariate is tested beside
-those already found (the best one is added as long as its p, times everything tried, is below `alpha`): if contact force
-happens to grow with age, an effect of the force is not attributed to age. Corrected p values are Holm's over all
-elements times all covariates.
+slope is then its own and not induced by a correlated element. The statistic is the restricted estimate over its
+standard error, against Student's t, with Kenward and Roger's standard error and degrees of freedom: exact if every
+recording determines every element, whatever N. No simulation is needed, and p values have no lower limit. Each
+covariate is tested beside those already found (the best one is added as long as its p, times everything tried, is below
+`alpha`): if contact force happens to grow with age, an effect of the force is not attributed to age. Corrected p values
+are Holm's over all elements times all covariates.
 
-A covariate x that is positive enters as ln x. Elements are positive and their logarithms normal, so the plain law
+A covariate x that is positive enters as ln x. Elements are positive and their logarithms normal, so the simplest law
 between two positive quantities is a power, :math:`\text{element} \propto x^b`: stiffness and damping of a fingertip
-grow with contact force as :math:`F^{0.35}`. Its exponent has no unit. Linear stay covariates that are not positive,
-that take two values (a code, where ln is the same test in an odd unit) and temperatures in Celsius, whose zero is
-arbitrary.
+grow with contact force as :math:`F^{0.35}`. Its exponent has no unit. Covariates that are not positive or take two
+values (a code, where ln is the same test in an odd unit), and temperatures in Celsius, whose zero is arbitrary, enter
+linearly.
 
 **Drift.** The deviation of repetition j from the person's elements is
 
@@ -20,9 +20,9 @@ arbitrary.
           \beta_i \sim N(0, \operatorname{diag}\omega^2),\quad a_i \sim N(0, 1)
 
 with c the repetition's number. Offsets a are left free because the person's elements are themselves estimated from
-these recordings. Slopes may differ between persons (omega): otherwise people who drift to either side, without any
-common trend, make the common trend look surer than it is. All repetitions of a person are one vector of J P elements,
-so means, variances and degrees of freedom are those of :mod:`bayes_impedance.diagnosis.heterogeneity.reml`.
+these recordings. Slopes may differ between persons (omega): otherwise, if people drift to either side without a common
+trend, the standard error of the common trend would be too small. All repetitions of a person are one vector of J P
+elements, so means, variances and degrees of freedom are those of :mod:`bayes_impedance.diagnosis.heterogeneity.reml`.
 """
 
 from __future__ import annotations
@@ -44,32 +44,32 @@ from bayes_impedance.diagnosis.multiple_testing import bonferroni, holm
 from bayes_impedance.errors import InputError
 
 ALPHA = 0.005
-"""Corrected p-value below which a covariate joins those beside which the others are tested."""
+"""Corrected p-value below which a covariate is added to the model in which the others are tested. By choice."""
 
 MINIMUM_PERSONS = 5
-"""With fewer, a slope has hardly any degree of freedom left, and nothing is tested."""
+"""With fewer persons a slope has hardly any degrees of freedom, and nothing is tested. By choice."""
 
 _CELSIUS = ("_c", "_degc", "_celsius")
 """Endings of the names of covariates whose zero is arbitrary: no logarithm is taken."""
 
 _START_RHO, _START_OMEGA = 0.05, 0.01
-"""Dispersion between repetitions, and of slopes per repetition, at which the fit of a drift begins."""
+"""Dispersion between repetitions, and of slopes per repetition, at which the fit of a drift starts. By choice."""
 
 _OFFSET_SD = 1.0
-"""Prior standard deviation of everybody's offset: flat beside deviations of some per cent."""
+"""Prior standard deviation of each person's offset: flat relative to deviations of some per cent."""
 
 _LARGEST_SLOPE_SD = 1.0
 """Largest standard error with which a slope is tested, in log elements per standard deviation of the covariate (per
-repetition for a drift): an error by a factor e says that the element is not determined."""
+repetition for a drift): with an error by a factor e the element is undetermined."""
 
 _SPARE_PERSONS = 3
-"""Persons who must be left when each covariate has taken one: mean, and two degrees of freedom for the variance."""
+"""Persons required in addition to one per covariate: for the mean, and two degrees of freedom for the variance."""
 LARGEST_COVARIATE = 1e150
-"""Of a covariate that is not taken as its logarithm: squares must be finite, and so must be sums of them."""
+"""Largest value of a covariate that is not taken as its logarithm: squares and their sums must be finite."""
 
 _COLLINEAR = 0.1
-"""Smallest singular value of the standardised covariates, per root of the persons: below, a covariate is the others'
-combination to within 10 %, and no recording could tell which of them it is."""
+"""Smallest singular value of the standardised covariates, per root of the persons: below, a covariate is a
+combination of the others to within 10 %, and their effects cannot be separated."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ class Trends:
     tried : int
         How many were tested, for which p is corrected.
     beside : tuple of str
-        Covariates beside which the others were tested, in the order in which they were found.
+        Covariates in the model in which the others were tested, in the order in which they were found.
     reason : str
         Why nothing was tested; empty if something was.
     remarks : tuple of str
@@ -147,7 +147,7 @@ class RepetitionLikelihoods:
         :class:`~bayes_impedance.diagnosis.heterogeneity.person_likelihoods.PersonLikelihoods`.
     information : tuple of ndarray, shape (J_i, P, P)
     order : tuple of ndarray, shape (J_i,)
-        Number of each repetition, from 0; a repetition that is missing leaves its number out.
+        Number of each repetition, from 0; numbers of missing repetitions are left out.
     """
 
     elements: tuple[str, ...]
@@ -168,7 +168,7 @@ class RepetitionLikelihoods:
     def stacked(self) -> tuple[PersonLikelihoods, np.ndarray]:
         """Persons with at least two repetitions as likelihoods of U P elements, and the U numbers of repetitions.
 
-        A repetition that somebody lacks is one without information.
+        A repetition that a person lacks has no information.
         """
         chosen = [i for i, order in enumerate(self.order) if len(order) > 1]
         numbers = np.unique(np.concatenate([self.order[i] for i in chosen])) if chosen else np.empty(0, dtype=int)
@@ -193,9 +193,9 @@ def find_covariates(
     likelihoods : PersonLikelihoods
         Of N persons.
     covariates : mapping of str to ndarray, shape (N,)
-        NaN where unknown: the person is left out of that covariate's tests.
+        NaN where unknown; the person is then left out of that covariate's tests.
     alpha : float
-        Corrected p below which a covariate joins those beside which the others are tested.
+        Corrected p below which a covariate is added to the model in which the others are tested.
 
     Returns
     -------
@@ -255,7 +255,7 @@ def find_drift(repetitions: RepetitionLikelihoods) -> Trends:
 
 
 def drift_model(repetitions: RepetitionLikelihoods) -> tuple[PersonLikelihoods, np.ndarray, AdditiveCovariance]:
-    """Likelihoods of persons with repetitions, the design of a slope for every element, and where variances begin."""
+    """Likelihoods of persons with repetitions, design of a slope for every element, and start values of variances."""
     stacked, numbers = repetitions.stacked()
     n, p = len(stacked), len(repetitions.elements)
     c = numbers - numbers.mean()
@@ -270,7 +270,7 @@ def drift_model(repetitions: RepetitionLikelihoods) -> tuple[PersonLikelihoods, 
 
 @dataclass(frozen=True)
 class _Search:
-    """What the fits beside different covariates have in common."""
+    """What all fits of covariates have in common."""
 
     likelihoods: PersonLikelihoods
     covariance: np.ndarray
@@ -278,7 +278,7 @@ class _Search:
     kept: np.ndarray
 
     def slopes(self, beside: list[str], name: str) -> list[Trend]:
-        """Slopes of all elements on one covariate, with others in the model; empty if that cannot be done."""
+        """Slopes of all elements on one covariate, with others in the model; empty if they cannot be estimated."""
         columns = np.array([self.regressors[q][0] for q in [*beside, name]]).T
         rows = np.all(np.isfinite(columns), axis=1)
         n, k = int(rows.sum()), columns.shape[1]
@@ -300,7 +300,7 @@ class _Search:
 
 
 def regressors_of(covariates: Mapping[str, np.ndarray], remarks: list[str]) -> dict[str, tuple[np.ndarray, str]]:
-    """Covariates as they enter the model, with the name of the transform; those that cannot are remarked upon."""
+    """Covariates as they enter the model, with the name of the transform; unusable ones are listed in `remarks`."""
     found = {}
     for name, raw in covariates.items():
         values = np.where(np.isfinite(np.asarray(raw, dtype=float)), raw, np.nan)

@@ -1,4 +1,4 @@
-r"""Restricted maximum likelihood (REML) of a normal population from everybody's quadratic likelihood.
+r"""Restricted maximum likelihood (REML) of a normal population from quadratic likelihoods of the persons.
 
 The derivative of a person's log marginal likelihood (:mod:`bayes_impedance.diagnosis.heterogeneity.person_likelihoods`)
 with respect to the population's mean is the *pull* :math:`u_i = (I + H_iT)^{-1} (b_i - H_i m_i)`. It is :math:`N(0,
@@ -12,14 +12,14 @@ every test of the population is a function of them:
   :math:`\ln|R|` of its correlations (:mod:`bayes_impedance.population.parameters` has the same), which weighs about as
   much as two persons without any correlation. Fisher scoring, :math:`I_{ab} = \tfrac12\sum\operatorname{tr}(W E_a W
   E_b)`, in coordinates in which every step is a covariance again (:math:`T \leftarrow L\,e^A L^T`), with a line search:
-  it cannot go downhill.
+  the objective never decreases.
 * **Few persons.** T is estimated, so the variance of a coefficient is larger than V, and it is compared with Student's
   t of 2 V^2 / var(V) degrees of freedom, with var(V) from the restricted information of T (Kenward and Roger,
-  Biometrics 53, 983-997, 1997). That is the ordinary t test with N - K for K regressors if everybody sees everything,
-  and there are fewer degrees of freedom if few persons tell the dispersion.
+  Biometrics 53, 983-997, 1997). That is the ordinary t test with N - K for K regressors if every recording
+  determines every element, with fewer degrees of freedom if few persons determine the dispersion.
 
-Everybody is expanded around an anchor, the own mode under the first guess of the population: b and H can be 1e8, and
-what matters is of order one.
+Each person's likelihood is expanded around an anchor, the mode under the first guess of the population: b and H can be
+1e8, while the differences that matter are of order one.
 """
 
 from __future__ import annotations
@@ -32,29 +32,31 @@ import numpy as np
 from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import DETERMINED_SD, PersonLikelihoods, data_sd
 
 COEFFICIENT_SD = 10.0
-"""Standard deviation of the normal prior of every coefficient around the centre: flat, but never singular."""
+"""Standard deviation of the normal prior of every coefficient around the centre. By choice: practically flat, but never
+singular."""
 
 PRIOR_PERSONS = 2.0
-"""Number of persons without correlations as which the LKJ(2) prior of the correlations counts."""
+"""Weight of the LKJ(2) prior of the correlations, in persons without correlations."""
 
 _START_DISPERSION = 0.3
-"""Standard deviation of the log elements at which the fit begins: what people usually differ by."""
+"""Standard deviation of the log elements at which the fit starts: a typical difference between people."""
 
 _MAX_ITERATIONS, _MAX_HALVINGS = 60, 12
-"""Limits of the iteration, which usually ends by itself, and of the line search: what is left then is rounding."""
+"""Limits of the iteration, which usually converges earlier, and of the line search, after which only rounding remains.
+By choice."""
 
 _LONGEST_STEP = 1.5
-"""Largest change of the logarithm of a variance in one step, a factor of 4.5."""
+"""Largest change of the logarithm of a variance in one step, a factor of 4.5. By choice."""
 
 _CONVERGED = 1e-5
-"""Log likelihood still to be gained at which the fit ends."""
+"""Expected remaining gain of log likelihood at which the fit ends. By choice."""
 
 _DAMPING = 1e-4
-"""Added to the information. It is small, because variances that go to zero take many steps with more."""
+"""Damping added to the information. By choice: small, because with more, variances that go to zero take many steps."""
 
 
 class Covariance(Protocol):
-    """A covariance T with coordinates phi in which a step of any size leads to a covariance again."""
+    """A covariance T with coordinates phi in which a step of any size gives a valid covariance."""
 
     @property
     def matrix(self) -> np.ndarray:
@@ -107,7 +109,7 @@ class FullCovariance:
         return 0.5 * PRIOR_PERSONS * float(value), PRIOR_PERSONS * slope
 
     def curvature(self, factor: np.ndarray) -> np.ndarray:
-        """Of that logarithm, where the step is zero."""
+        """Curvature of that logarithm at a zero step."""
         rows = factor / np.linalg.norm(factor, axis=1, keepdims=True)
         turned = rows @ self.directions(factor)  # (A, D, D)
         along = np.einsum("apq,pq->ap", turned, rows)
@@ -140,12 +142,12 @@ class AdditiveCovariance:
         return np.asarray(np.linalg.solve(factor, np.swapaxes(left, 1, 2)))
 
     def moved(self, step: np.ndarray) -> AdditiveCovariance:
-        """Variances times 1 + step: what only a sum of them determines stays on its straight ridge."""
+        """Variances times 1 + step: variances of which only a sum is determined stay on its straight ridge."""
         stretched = self.variances * np.maximum(1 + step, np.exp(-_LONGEST_STEP))
         return AdditiveCovariance(self.fixed, self.parts, np.maximum(stretched, 1e-12))
 
     def penalty(self, factor: np.ndarray) -> tuple[float, np.ndarray]:
-        """None."""
+        """No penalty."""
         return 0.0, np.zeros_like(factor)
 
     def curvature(self, factor: np.ndarray) -> np.ndarray:  # noqa: ARG002
@@ -162,7 +164,7 @@ def diagonal_covariance(variances: np.ndarray) -> AdditiveCovariance:
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
-    """The population at its restricted maximum, and the white pulls and weights that every test is made of.
+    """The population at its restricted maximum, and the white pulls and weights on which all tests are based.
 
     Attributes
     ----------
@@ -200,7 +202,7 @@ class Fit:
 
     @property
     def determined(self) -> np.ndarray:
-        """Which of the D elements all persons together determine, with the others free in the population, (D,)."""
+        """Which of the D elements the persons together determine, with the others free within the population, (D,)."""
         return data_sd(self.problem.likelihoods, self.covariance) < DETERMINED_SD
 
     @property
@@ -221,7 +223,7 @@ class Fit:
         return np.asarray(np.tensordot(y @ self.variance, y, ([0, 2], [0, 2])))
 
     def small_sample(self) -> tuple[np.ndarray, np.ndarray]:
-        """Variance of each coefficient with T being estimated, and its degrees of freedom: both shape (K,)."""
+        """Variance of each coefficient, allowing for the estimation of T, and its degrees of freedom, both (K,)."""
         e = self.structure.directions(self.factor)
         y = self.weight @ self.white_design  # W X
         ey = e[:, None] @ y  # (A, N, D, K)
@@ -231,7 +233,7 @@ class Fit:
         # Restricted information: tr(P E_a P E_b) / 2 with P = W - W X V X^T W.
         first = np.tensordot(ey, wey @ self.variance, ([1, 2, 3], [1, 2, 3]))
         information = 0.5 * (_traces(self.weight, e) - 2 * first + np.tensordot(fv, fv, ([1, 2], [2, 1])))
-        # Where the data say nothing of a variance (it is zero beside their noise) it does not matter either.
+        # A variance that the data do not determine (it is zero relative to their noise) has no influence either.
         root = np.linalg.cholesky(0.5 * (information + information.T) + 1e-9 * np.eye(e.shape[0]))
         # dV/dphi_a = V f_a V, divided by the root of the information.
         slope = np.linalg.solve(root, np.einsum("kl,alm,mk->ak", self.variance, f, self.variance))
@@ -248,12 +250,12 @@ class Fit:
 
 @dataclass(frozen=True)
 class Problem:
-    """Likelihoods and design, everybody expanded around an anchor.
+    """Likelihoods and design, each person's likelihood expanded around an anchor.
 
     Attributes
     ----------
     likelihoods : PersonLikelihoods
-        Of what the population is about: theta less some centre, so that coefficients are of order one.
+        Likelihoods of theta less some centre, so that coefficients are of order one.
     design : ndarray, shape (N, D, K)
         The mean of person i is design[i] @ coefficients.
     anchor : ndarray, shape (N, D)
@@ -268,13 +270,13 @@ class Problem:
 
     @classmethod
     def of(cls, likelihoods: PersonLikelihoods, design: np.ndarray, covariance: np.ndarray) -> Problem:
-        """Anchors are everybody's modes under N(0, covariance)."""
+        """Problem with the modes of each person under N(0, covariance) as anchors."""
         precision = np.linalg.inv(covariance)
         anchor = np.linalg.solve(likelihoods.information + precision, likelihoods.linear[..., None])[..., 0]
         return cls(likelihoods, design, anchor, likelihoods.around(anchor).linear)
 
     def fit(self, structure: Covariance) -> Fit:
-        """Everything that follows from a covariance."""
+        """The quantities of a :class:`Fit` at a given covariance."""
         factor = np.linalg.cholesky(structure.matrix)
         inner = np.eye(factor.shape[0]) + factor.T @ self.likelihoods.information @ factor
         shrink = np.linalg.inv(inner)
@@ -319,7 +321,7 @@ def fit_normal_population(likelihoods: PersonLikelihoods, design: np.ndarray, st
     design : ndarray, shape (N, D, K)
         The mean of person i is design[i] @ coefficients.
     start : Covariance
-        Where to begin, and which kind it is.
+        Start value; its class defines the structure of the covariance.
 
     Returns
     -------
@@ -359,7 +361,7 @@ def centred_fit(
     ----------
     likelihoods : PersonLikelihoods
     start : ndarray, shape (P, P), optional
-        Covariance to begin with.
+        Start value of the covariance.
     diagonal : bool
         Elements vary independently.
 
@@ -374,7 +376,7 @@ def centred_fit(
     covariance = np.eye(p) * _START_DISPERSION**2 if start is None else start
     structure: Covariance = diagonal_covariance(np.diag(covariance)) if diagonal else FullCovariance(covariance)
     centre = np.zeros(p)
-    # The prior of the mean is around the centre, and rounding is least there: go there first, and last.
+    # The prior of the mean is around the centre, and rounding is least there: recentre first, and last.
     for rounds in range(4):
         around = likelihoods.around(centre)
         design = np.broadcast_to(np.eye(p), (len(around), p, p))

@@ -5,15 +5,15 @@ One population :math:`\theta_i \sim N(\mu, T)` is compared with two of the same 
 .. math:: \theta_i \sim (1-\pi)\,N(\mu, T) + \pi\,N(\mu + \delta, T),
 
 where delta is a change of one element, or of all of them in any proportion. These are two searches, each with its own
-largest likelihood ratio (:mod:`bayes_impedance.diagnosis.heterogeneity.two_groups`); twice the smaller p counts.
-Likelihood ratios of mixtures have no chi-square distribution, so p comes from replicates of one population in which
-everything is done again (:mod:`bayes_impedance.diagnosis.heterogeneity.bootstrap`). Replicates are made in batches, and
-no more of them once the first ones have shown that there is nothing.
+largest likelihood ratio (:mod:`bayes_impedance.diagnosis.heterogeneity.two_groups`); the result is twice the smaller p.
+Likelihood ratios of mixtures have no chi-square distribution, so p comes from replicates of one population to which
+the whole search is applied (:mod:`bayes_impedance.diagnosis.heterogeneity.bootstrap`). Replicates are made in
+batches, and stopped once p is clearly not significant.
 
-The covariance of the single population is full, whatever the fitted one: correlated elements, persons of whom little is
-known and elements that the band does not see are no groups. A distribution of the log elements with heavy tails or a
-skew is not normal either, and two groups may describe it best: `separation` below two means that the groups overlap so
-much that there need not be two.
+The covariance of the single population is full, whatever the fitted one: correlated elements, persons with little
+information and undetermined elements are therefore not mistaken for groups. A distribution of the log elements with
+heavy tails or a skew is not normal either, and two groups may describe it best: `separation` below two means that the
+groups overlap so much that there need not be two.
 
 What is reported is the maximum of the whole likelihood, found from there by expectation-maximisation: the change of one
 element unless the change of all is significantly more likely. Standard errors of mean, shift and share are from the
@@ -45,33 +45,34 @@ REPLICATES = 200
 (:func:`~bayes_impedance.diagnosis.heterogeneity.bootstrap.tail_probability`)."""
 
 MINIMUM_PERSONS = 12
-"""With fewer, two groups of at least three differ by chance too often for any shift to stand out."""
+"""With fewer persons, two groups of at least three differ by chance too often for a shift to be significant. By
+choice."""
 
 _BATCH = 40
-"""Replicates at a time: after each batch it is decided whether more are needed."""
+"""Replicates at a time: after each batch it is decided whether more are needed. By choice."""
 
 _ENOUGH_ABOVE = 6
-"""Replicates of each batch with a larger statistic from which on no more are made: p is above 0.1, not significant."""
+"""Replicates of each batch with a larger statistic at which sampling stops: p is then above 0.1."""
 
 _ROUNDS = 60
-"""Of expectation-maximisation of the reported groups, begun at the best mixture of the search."""
+"""Rounds of expectation-maximisation of the reported groups, from the best mixture of the search. By choice."""
 
 _AXIS_LEVEL = 0.01
-"""Level at which a change of all elements must be better than that of one for all to be reported."""
+"""Level at which a change of all elements must fit better than that of one element to be reported. By choice."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Subgroup:
-    """The group that differs most from the others, and whether it is one.
+    """The group that differs most from the others, and its significance.
 
     Attributes
     ----------
     element : str
-        The one that is changed; empty if the change is of all elements.
+        The element that differs; empty if all elements do.
     shift, shift_q05, shift_q95 : ndarray, shape (P,)
         Change of the log elements in the group, with 90 % intervals; zero for elements that do not change.
     share, share_q05, share_q95 : float
-        Part of the population that belongs to the group, which is the smaller one.
+        Fraction of the population in the group, which is the smaller of the two.
     separation : float
         Distance between the groups in standard deviations within a group.
     statistic : float
@@ -113,7 +114,7 @@ class Subgroup:
 def find_subgroup(
     likelihoods: PersonLikelihoods, mu: np.ndarray, covariance: np.ndarray, seed: int, count: int = REPLICATES
 ) -> Subgroup:
-    """Look for a group of people with other elements.
+    """Look for a group of people with different elements.
 
     Parameters
     ----------
@@ -121,7 +122,7 @@ def find_subgroup(
     mu : ndarray, shape (P,) or (N, P)
         Mean of the population, at each person if it follows covariates. A common correction is fitted.
     covariance : ndarray, shape (P, P)
-        Between persons: where the fit of the single population begins.
+        Between persons: start value for the fit of the single population.
     seed : int
         Of the replicates.
     count : int
@@ -154,7 +155,7 @@ def find_subgroup(
     every = np.eye(len(elements))
     shape = every[:, [element]]
     groups, free = _Groups.of(fit, one.best(1)).maximised(shape), _Groups.of(fit, anything).maximised(every)
-    # Freedom to change the other elements too raises twice the log likelihood by chi-square(P - 1) if only one does.
+    # If only one element differs, freeing the others raises twice the log likelihood by chi-square(P - 1).
     axis = 2 * (free.log_likelihood() - groups.log_likelihood()) < chi2.isf(_AXIS_LEVEL, max(len(elements) - 1, 1))
     groups, shape = (groups, shape) if axis else (free, every)
     shift, sd, share_sd = groups.shift, *groups.errors(shape)
@@ -200,7 +201,7 @@ class _Groups:
 
     @classmethod
     def of(cls, fit: Fit, mixture: Mixture) -> _Groups:
-        """From a mixture along one direction, whose groups' spread is less than that of all."""
+        """Groups from a mixture along one direction, the spread within the groups being less than that of all."""
         middle, shift, spread = (float(v[0, 0]) for v in (mixture.middle, mixture.shift, mixture.spread))
         along = fit.factor @ mixture.direction[0, 0]
         covariance = fit.covariance + (spread - 1) * np.outer(along, along)
@@ -213,7 +214,7 @@ class _Groups:
         return first, log_marginal(self.likelihoods, self.mean + self.shift, self.covariance)
 
     def log_likelihood(self) -> float:
-        """Of all persons."""
+        """Log likelihood of all persons."""
         first, second = self.both()
         return float(np.sum(first + log_mixture(second - first, self.share)))
 
@@ -223,7 +224,7 @@ class _Groups:
         return membership(second - first, self.share)
 
     def maximised(self, shape: np.ndarray) -> _Groups:
-        """After rounds of expectation-maximisation, the shift being shape (P, K) times anything."""
+        """Groups after rounds of expectation-maximisation, the shift being a linear combination of `shape` (P, K)."""
         groups = self
         n, p = self.likelihoods.linear.shape
         h = self.likelihoods.information
@@ -234,7 +235,7 @@ class _Groups:
             own, second = weight.sum(axis=0), np.tensordot(r, weight, 1)
             normal = np.block([[own, second @ shape], [shape.T @ second, shape.T @ second @ shape]])
             right = np.concatenate([free.sum(axis=0), shape.T @ (r @ free)])
-            # A shift that nobody's data can see stays zero.
+            # A shift that no data determine stays zero.
             solution = np.linalg.lstsq(normal, right, rcond=1e-12)[0]
             mean, shift = solution[:p], shape @ solution[p:]
             covariance = groups.covariance
@@ -258,7 +259,7 @@ class _Groups:
         return inverse.T @ (np.eye(p) - shrink) @ inverse, free
 
     def errors(self, shape: np.ndarray) -> tuple[np.ndarray, float]:
-        """Standard errors of the shift, (P,), and of the share's logit; infinite where the data do not tell."""
+        """Standard errors of the shift, (P,), and of the share's logit; infinite where undetermined."""
         p, k = shape.shape
         r = self.membership()
         weight, free = self.weights()
@@ -276,7 +277,7 @@ class _Groups:
         if values[0] <= 1e-9 * values[-1]:
             return np.where(np.any(shape != 0, axis=1), np.inf, 0.0), np.inf
         variance = (vectors / values) @ vectors.T
-        # As in an analysis of covariance: what the unchanged elements let expect has been estimated too.
+        # As in an analysis of covariance: the regression on the unchanged elements has been estimated too.
         n, others = len(r), p - k
         larger = n / max(n - 2 - others, 1) * (1 + others / max(n - others - 3, 1))
         return np.sqrt(larger * np.diag(shape @ variance[p:-1, p:-1] @ shape.T)), float(np.sqrt(variance[-1, -1]))

@@ -1,7 +1,7 @@
 """All tests of the population: covariates, drift, subgroups, correlations, as entries of the verdict.
 
-The tests are those of :mod:`bayes_impedance.diagnosis.heterogeneity.regression` and its neighbours; here everybody's
-quadratic likelihood is made for them from a fit, and what is significant is collected.
+The tests are those of :mod:`bayes_impedance.diagnosis.heterogeneity.regression` and its neighbours; here each person's
+quadratic likelihood is computed from a fit, and significant structures are collected.
 """
 
 from __future__ import annotations
@@ -30,17 +30,19 @@ ALPHA = 0.003
 together, about as many as the search for missing physics (1 %)."""
 
 _SMALLEST_RHO = 1e-3
-"""Dispersion between repetitions, of log elements, below which it is set to this: a precision must be finite."""
+"""Lower bound of the dispersion of log elements between repetitions. By choice: a precision must be finite."""
 
 _MEMBER = 0.5
-"""Probability of membership above which a person is named as one of a subgroup."""
+"""Probability of membership above which a person is named as a member of a subgroup: membership is then more probable
+than not."""
 
 _REPORTED_PAIR = 0.05
-"""Corrected p-value below which a pair of elements is named once the correlations as a whole are significant."""
+"""Corrected p-value below which a pair of elements is named once the correlations as a whole are significant. By
+choice."""
 
 
 def person_likelihoods(fit: Refit) -> PersonLikelihoods:
-    """Everybody's likelihood of the log elements, deviations between repetitions integrated out."""
+    """Each person's likelihood of the log elements, deviations between repetitions integrated out."""
     h, linear = _recordings(fit)
     e = fit.model.n_elements
     precision = np.maximum(fit.population.rho[:e], _SMALLEST_RHO) ** -2.0
@@ -84,7 +86,7 @@ class ElementTrends:
     covariate : str or None
         None for the repetitions.
     trends : tuple of Trend
-        The surest first; at least one.
+        The most significant first; at least one.
     gain, gain_se : float
         On held-out people, with its standard error.
     """
@@ -109,7 +111,7 @@ def find_structures(
     fit : Refit
     recordings : Recordings
     diagonal : bool
-        Whether the claim is that elements vary independently of each other.
+        Whether the claimed population has independent elements.
     seed : int
     """
     found: list[Structure] = []
@@ -141,6 +143,6 @@ def find_structures(
 
 
 def covariates_of(recordings: Recordings) -> dict[str, np.ndarray]:
-    """Everybody's covariates by name, each (N,); NaN where one is not known."""
+    """Covariates of all people by name, each (N,); NaN where unknown."""
     names = sorted({name for s in recordings.subjects for name in s.covariates})
     return {n: np.array([float(s.covariates.get(n, np.nan)) for s in recordings.subjects]) for n in names}

@@ -1,17 +1,17 @@
 r"""Mixtures of two groups along given directions: likelihood ratios to one group, for many directions at once.
 
-If the groups differ by a shift along v, all that the data say about the groups is in the projections of everybody's
-pull and weight, :math:`s_i = v^Tu_i` and :math:`I_i = v^TW_iv`. Together they are one measurement
-:math:`x_i = s_i/I_i` for each person, with variance :math:`1/I_i`, of which :math:`t_0 = 1/(v^TT^{-1}v)` is the spread
-between persons along v and the rest is what the other elements and the noise leave open. With the spread t free and
-:math:`w_i = I_i / (1 + I_i (t - t_0))`
+If the groups differ by a shift along v, the projections of each person's pull and weight are sufficient statistics,
+:math:`s_i = v^Tu_i` and :math:`I_i = v^TW_iv`. Together they are one measurement :math:`x_i = s_i/I_i` for each person,
+with variance :math:`1/I_i`, of which :math:`t_0 = 1/(v^TT^{-1}v)` is the spread between persons along v and the rest is
+the uncertainty from the other elements and the noise. With the spread t free and :math:`w_i = I_i / (1 + I_i (t -
+t_0))`
 
 .. math:: x_i \sim (1-\pi)\,N(m, 1/w_i) + \pi\,N(m + d, 1/w_i)
 
-is a mixture in one dimension, whatever the number of elements; somebody who does not see v has :math:`w_i = 0` and
-drops out. Its reference has m and t free as well, and d = 0. This is exact: a shift along v changes nothing but m, and
-taking the spread of the groups out of T along v changes nothing but t (Sherman and Morrison). In white coordinates T is
-the identity, and :math:`t_0 = 1` for a unit vector.
+is a mixture in one dimension, whatever the number of elements; a person without information on v has :math:`w_i = 0`
+and does not contribute. Its reference has m and t free as well, and d = 0. This is exact: a shift along v changes
+nothing but m, and taking the spread of the groups out of T along v changes nothing but t (Sherman and Morrison). In
+white coordinates T is the identity, and :math:`t_0 = 1` for a unit vector.
 
 Both are maximised by expectation-maximisation, with a scoring step for t because the noise differs between persons.
 The spread within the groups is common to both; the likelihood would be unbounded otherwise.
@@ -27,23 +27,25 @@ from bayes_impedance.diagnosis.fit.two_group_mixture import log_mixture, members
 from bayes_impedance.diagnosis.heterogeneity.bootstrap import Residuals
 
 SMALLEST_SHARE, SMALLEST_GROUP = 0.05, 3.0
-"""A group has at least this share of the persons, and at least so many: fewer are outliers, not a group."""
+"""Smallest share and smallest number of persons of a group. By choice: fewer are outliers, not a group."""
 
 _SPLITS = (0.1, 0.35, 0.65, 0.9)
-"""Quantiles of the persons, ordered along a direction, at which a start splits them: small, medium and large groups."""
+"""Quantiles of the persons, ordered along a direction, at which a start splits them: small, medium and large groups. By
+choice."""
 
 _FIRST, _MORE = 6, 24
-"""Rounds of expectation-maximisation that tell which start or direction is best, and those that follow from there. The
-replicates are treated in the same way, so that what has not converged does not bias the p-value."""
+"""Rounds of expectation-maximisation to select the best start or direction, and rounds that follow from it. By choice:
+replicates are treated in the same way, so that incomplete convergence does not bias the p-value."""
 
 _REFINEMENTS, _STARTS = 6, 3
-"""How often a direction follows the difference between its groups, and how many directions do."""
+"""Updates of a direction to the difference between its groups, and number of directions that are updated. By choice."""
 
 _SMALLEST_SPREAD = 0.02
-"""Smallest variance within the groups, of the variance that one group has along v: two points would have none."""
+"""Smallest variance within the groups, as a fraction of the variance of one group along v: with two points it would
+be zero. By choice."""
 
 _RIDGE = 1e-3
-"""Added to the mean weight, so that directions that nobody sees have an inverse."""
+"""Added to the mean weight, so that it can be inverted in undetermined directions. By choice."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,22 +94,22 @@ class Mixture:
 
 
 def along_elements(residuals: Residuals, elements: np.ndarray) -> Mixture:
-    """Mixtures whose groups differ in one element, each of some (numbers): twice as many directions.
+    """Mixtures whose groups differ in one element, for each of `elements` (indices): two directions per element.
 
-    First an element beyond what the others let expect of it: sharpest if they are correlated. Then the element as such
-    (it shifts, and the others shift as they usually do along with it): a large shift makes chance differences between
-    the groups look like correlations, and what the others then let expect is beside the point.
+    First the element conditional on the others, which is most powerful if they are correlated. Then the element
+    marginally, the others shifting with it by regression: a large shift makes chance differences between the groups
+    look like correlations, and the conditional expectation is then misleading.
     """
     beyond = np.swapaxes(np.linalg.inv(residuals.factor)[:, :, elements], 1, 2)
     return along(residuals, _unit(np.concatenate([beyond, residuals.factor[:, elements]], axis=1)))
 
 
 def along_any(residuals: Residuals, first: Mixture) -> Mixture:
-    """The best mixture along any direction, searched from the best elements and from the least normal directions.
+    """The best mixture along any direction, searched from the best elements and the least normal directions.
 
     Two groups make the distribution along the line between them flat, or skewed if they are unequal. So eigenvectors of
     the fourth moments, and the third moment, are further starts (Tyler, Critchley, Dümbgen and Oja, J. R. Statist. Soc.
-    B 71, 549-592, 2009). From a few of the best, v follows the difference between the groups as they are.
+    B 71, 549-592, 2009). From a few of the best, v is updated to the difference between the groups.
 
     Returns
     -------
@@ -136,7 +138,7 @@ def along_any(residuals: Residuals, first: Mixture) -> Mixture:
 def along(residuals: Residuals, direction: np.ndarray, more: int = _MORE, belongs: np.ndarray | None = None) -> Mixture:
     """Mixtures along unit vectors in white coordinates, shape (R, S, P).
 
-    Unless memberships (R, S, N) are given to begin with, the best of some splits of the persons is the start.
+    The start is `belongs`, memberships (R, S, N), if given, else the best of some splits of the persons.
     """
     s = direction @ np.swapaxes(residuals.pull, 1, 2)
     r, n, p, _ = residuals.weight.shape
@@ -147,7 +149,7 @@ def along(residuals: Residuals, direction: np.ndarray, more: int = _MORE, belong
     smallest = _SMALLEST_SPREAD * spread
     reference = _log_likelihood(x, information, middle, spread, np.zeros_like(middle), np.full_like(middle, 0.5))
     if belongs is None:
-        # Everybody above a quantile of the standardised values is the second group.
+        # Persons above a quantile of the standardised values form the second group.
         rank = np.argsort(np.argsort(s / np.sqrt(np.maximum(information, 1e-12)), axis=2), axis=2)
         split = (rank[:, :, None] >= np.array(_SPLITS)[:, None] * n).astype(float)  # (R, S, starts, N)
         wide, wide_information = x[:, :, None], information[:, :, None]

@@ -1,18 +1,18 @@
 r"""Spectral leakage of mains hum: with a finite averaging time a line is spread over the analyser's window.
 
-A lock-in that averages K periods of its own frequency f takes of a hum at :math:`f_h`, with the phase that it happens
-to have, the part :math:`\operatorname{sinc}(K(f_h/f - 1))`. So hum of the random phase that an unsynchronised sweep
-meets adds scatter of the variance
+A lock-in that averages over K periods of its own frequency f passes the fraction
+:math:`\operatorname{sinc}(K(f_h/f - 1))` of hum at :math:`f_h`. In a sweep that is not synchronised with the mains the
+phase of the hum is random, so it adds scatter, with the total variance
 
 .. math:: v(f) = B(f)\,\Bigl[1 + a\,p(f)\Bigr], \qquad
           p(f) = \sum_h h^{-2\gamma} \operatorname{sinc}^2\bigl(K(h f_1/f - 1)\bigr)
 
-over a smooth background B. A noise estimate that is smooth in frequency takes this for noise of its own, so the scatter
-itself is looked at: the contrasts between the repetitions of each person, of which a misfit of the network is no part,
-and a change of the elements was taken out. The logarithm of their mean square over people is normal with known
+over a smooth background B. A noise estimate that is smooth in frequency attributes this to noise, so the scatter itself
+is tested: the contrasts between the repetitions of each person, which contain no misfit of the network, and from which
+changes of the elements were projected out. The logarithm of their mean square over people is normal with known
 variance; ln B is a cubic spline with about one knot per factor e, and for every :math:`f_1`, K and gamma the amplitude
-a is profiled. Hum is claimed if the best :math:`f_1` of all is that of a mains, and better than none after correction
-for everything that was tried. Where the background is rougher than its spline, that counts as scatter.
+a is profiled. Hum is reported if the best :math:`f_1` is a mains frequency, and significantly better than no hum after
+correction for all tests. Roughness of the background beyond its spline is counted as scatter.
 """
 
 from __future__ import annotations
@@ -29,40 +29,45 @@ from bayes_impedance.diagnosis.hum.neighbours import projected
 from bayes_impedance.diagnosis.multiple_testing import bonferroni
 
 PERIODS = (3.0, 5.0, 7.0, 10.0, 14.0, 20.0)
-"""Averaging times in periods of the excitation: with fewer the window covers an octave, with more it is a line."""
+"""Averaging times in periods of the excitation: with fewer the window covers an octave, with more it is a
+line."""
 
 _DECAYS = (0.0, 1.0)
 """Exponents gamma: harmonics of equal strength, and falling as 1/h."""
 
 _AMPLITUDES = np.geomspace(0.03, 3000.0, 36)
-"""Values of a, hum over background variance, 39 % apart: from what no population shows to what hides all else."""
+"""Values of a, hum over background variance, 39 % apart: from undetectable to dominating all other scatter. By
+choice."""
 
 _FIRST_HZ = np.geomspace(33.0, 90.0, 101)
-"""First harmonics that compete with those of the mains, 1 % apart."""
+"""First harmonics that compete with those of the mains, 1 % apart. By choice: both mains frequencies and their
+surroundings."""
 
 _OF_MAINS = 0.03
-"""The best first harmonic may be this far from the mains', three steps of its grid."""
+"""Largest relative distance of the best first harmonic from the mains frequency: three steps of its grid."""
 
 _AFFECTED = 3.0
-"""Points whose noise is doubled are left out; less is covered by the noise as it is estimated."""
+"""Ratio of hum to background variance above which a point is left out: its noise standard deviation is doubled. Smaller
+ratios are covered by the estimated noise."""
 
 _FEWEST_FREEDOM, _FEWEST_POINTS = 30.0, 30
-"""Degrees of freedom at every point, with which the logarithm of a mean square is nearly normal, and points, of which
-spline and pattern take a dozen."""
+"""Smallest number of degrees of freedom at every point, for the logarithm of a mean square to be nearly normal, and of
+points, because spline and pattern take a dozen parameters. By choice."""
 
 _REACH = (0.38, 13.0)
-"""What is looked at, in multiples of the first harmonics: noise that grows below is none of it."""
+"""Frequency range of the test, in multiples of the first harmonics: low-frequency noise below it is excluded. By
+choice."""
 
 
 def find_skirts(residuals: Sequence[PersonResiduals], alpha: float = 0.01) -> Hum | None:
-    """Look for hum that is smeared by the averaging time.
+    """Look for hum that is spread over frequency by the averaging time.
 
     Parameters
     ----------
     residuals : sequence of PersonResiduals
         All on the same frequencies, some people with several repetitions; otherwise nothing is found.
     alpha : float
-        Probability of finding hum where there is none.
+        Probability of a false detection.
 
     Returns
     -------
@@ -96,7 +101,7 @@ def find_skirts(residuals: Sequence[PersonResiduals], alpha: float = 0.01) -> Hu
                 k = int(np.argmin(found))
                 if best is None or found[k] < best[0]:
                     best = float(found[k]), float(first), float(_AMPLITUDES[k]), periods, p
-    assert best is not None  # there is something to try
+    assert best is not None  # the grids are not empty
     least, first, amplitude, periods, p = best
     line = min(LINES_HZ, key=lambda f: abs(first / f - 1))
     rough = max(least / (grid.size - design.shape[1] - 4), 1.0)
@@ -110,16 +115,17 @@ def find_skirts(residuals: Sequence[PersonResiduals], alpha: float = 0.01) -> Hu
 
 
 def pattern(frequency_hz: np.ndarray, first_hz: float, periods: float, decay: float) -> np.ndarray:
-    """p(f): what an average over some periods takes of hum whose harmonics fall as 1/h^decay, shape (F,)."""
+    """p(f): variance of hum with harmonics falling as 1/h^decay after averaging over some periods, shape (F,)."""
     harmonics = np.arange(1, HARMONICS + 1)[:, None]
     window = np.sinc(periods * (harmonics * first_hz / frequency_hz - 1)) ** 2
     return np.asarray(np.sum(harmonics ** (-2 * decay) * window, axis=0))
 
 
 def _scatter(residuals: Sequence[PersonResiduals]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean square of contrasts between repetitions, its freedom, and what a unit of variance adds to it, all (F,).
+    """Mean square of contrasts between repetitions, its freedom, and its response to a unit of variance, all (F,).
 
-    Contrasts are relative to the impedance and to the person's own mean square, so that everybody has the same weight.
+    Contrasts are relative to the impedance and to the person's own mean square, so that all people have the same
+    weight.
     """
     size = residuals[0].frequency_hz.size
     total, freedom, felt = np.zeros(size), np.zeros(size), np.zeros(size)

@@ -1,16 +1,16 @@
 r"""Hum of the electric mains: a narrow additive line at 50 or 60 Hz and its harmonics.
 
-Hum has the phase of the mains, which is random in each recording unless something is synchronised. So it is excess
-scatter at few points (:mod:`~bayes_impedance.diagnosis.hum.neighbours`), or, if it is synchronised, the same error in
-all recordings. It must not reach to the next points, and it must scatter between the repetitions of a person: a
-resonance that is described badly is wide, and the same in all repetitions.
+Hum has the phase of the mains, which is random in each recording unless the recording is synchronised to them. So it
+appears as excess scatter at few points (:mod:`~bayes_impedance.diagnosis.hum.neighbours`) or, if synchronised, as the
+same error in all recordings. Hum must not extend to the neighbouring points, and it must scatter between the
+repetitions of a person: a badly described resonance is wide, and the same in all repetitions.
 
 Weak hum may be significant at no single harmonic. Therefore Fisher's combination of the first m of them,
 
 .. math:: -2 \sum_{k \le m} \ln p_k \sim \chi^2_{2m},
 
-is tried as well for a few m. If the best is significant, those of its harmonics that are so at one per cent count as
-affected.
+is also tested for a few m. If the smallest of these p-values is significant, those of its harmonics that are
+significant at 1 % by themselves count as affected.
 """
 
 from __future__ import annotations
@@ -27,23 +27,28 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.recordings.files import Recordings
 
 LINES_HZ = (50.0, 60.0)
+"""Nominal frequencies of public mains."""
+
 HARMONICS = 10
 """Above the tenth, 3 % reach from one harmonic nearly to the next."""
 
 NEAR = 0.03
-"""A point further from a harmonic than this part of its frequency is not hum."""
+"""A point further from a harmonic than this fraction of its frequency is not attributed to hum. By choice."""
 
 _MAINS_ACCURACY = 0.01
-"""On a dense grid, hum may be this far from where it should be; on others, as far as the next point."""
+"""On a dense grid, hum may deviate from its nominal frequency by this fraction; on others, by the spacing of points. By
+choice."""
 
 _COMBINED = (2, 3, 5, 10)
-"""Numbers of harmonics whose p-values are combined: hum with few harmonics, and with many."""
+"""Numbers of harmonics whose p-values are combined, for hum with few harmonics and with many. By choice: each number is
+one more test to correct for."""
 
 _AFFECTED_P = 0.01
-"""Level at which a harmonic counts as affected once the combination is significant."""
+"""Level at which a single harmonic counts as affected once the combination is significant. By choice."""
 
 CHI_SQUARE_Q90, _NORMAL_Q95 = 2.706, 1.645
-"""Quantiles that make 90 % intervals: fall of twice the log likelihood, and half the width in standard errors."""
+"""Quantiles for 90 % intervals: of chi-square with one degree of freedom (drop of twice the log likelihood), and of the
+standard normal (half width in standard errors)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,14 +64,14 @@ class Hum:
     frequencies_hz : tuple of float
         Points of the recordings that are affected.
     near : float
-        No affected point is further from its harmonic than this part of it.
+        Largest relative distance of an affected point from its harmonic.
     amplitude, q05, q95 : float
         Root mean square of the hum's real and of its imaginary part, over recordings and affected harmonics, in the
         impedance's unit, with its 90 % interval.
     coherent : bool
         Whether it is the same in all recordings rather than of random phase.
     p_value : float
-        Corrected for both lines and everything that was tried at them.
+        Corrected for all tests at both lines.
     """
 
     line_hz: float
@@ -82,7 +87,7 @@ class Hum:
 
 @dataclass(frozen=True, eq=False)  # a test is equal to itself only
 class _Test:
-    """One point near one harmonic, for scatter or for what is the same in all recordings."""
+    """Test of one point near one harmonic, for excess scatter or (`coherent`) for a common error in all recordings."""
 
     harmonic: int
     column: int
@@ -92,7 +97,7 @@ class _Test:
 
     @property
     def frequency_hz(self) -> np.ndarray:
-        """Of the point in each recording that has it."""
+        """Frequency of the point in each recording that has it, in Hz."""
         column = self.table.frequency_hz[:, self.column]
         return np.asarray(column[np.isfinite(column)])
 
@@ -104,20 +109,20 @@ def find_mains(residuals: Sequence[PersonResiduals], alpha: float = 0.01, absolu
     ----------
     residuals : sequence of PersonResiduals
     alpha : float
-        Probability of finding hum where there is none.
+        Probability of a false detection.
     absolute : bool
-        Predict the noise at the line from its neighbours', because the noise as estimated may contain the hum. If
-        False, the noise is believed.
+        Predict the noise at the line from neighbouring points, because the estimated noise may contain the hum. If
+        False, the estimated noise is used.
 
     Returns
     -------
     Hum or None
-        None as well if no point is near a harmonic and has enough neighbours.
+        None if no hum was found, or if no point is near a harmonic and has enough neighbours.
 
     Raises
     ------
     InputError
-        If there is nobody.
+        If there are no residuals.
     """
     if not residuals:
         raise InputError("there are no residuals to look for hum in: give at least one person's")
@@ -142,7 +147,7 @@ def find_mains(residuals: Sequence[PersonResiduals], alpha: float = 0.01, absolu
         affected[line] = [t for t in tests[line] if bonferroni(t.excess.p_value, tried) < alpha or t in members]
 
     def evidence(line: float) -> tuple[float, int]:
-        # 300 and 600 Hz are harmonics of both: the line with the lower harmonic has them if nothing else tells.
+        # 300 and 600 Hz are harmonics of both lines: without other evidence the line with the lower harmonic is named.
         strongest = _strongest(affected[line])
         gain = sum(-np.log10(max(t.excess.p_value, 1e-300)) for t in strongest)
         return float(gain), -min((t.harmonic for t in strongest), default=HARMONICS + 1)
@@ -167,7 +172,7 @@ def find_mains(residuals: Sequence[PersonResiduals], alpha: float = 0.01, absolu
 
 
 def affected_points(frequency_hz: np.ndarray, hum: Hum) -> np.ndarray:
-    """Points of any grid (F,) that are as near to an affected harmonic as those where hum was found: bool (F,)."""
+    """Points of a grid (F,) within the same relative distance of an affected harmonic as the hum found: bool (F,)."""
     harmonics = hum.line_hz * np.array(hum.harmonics, dtype=float)
     return np.asarray(np.any(np.abs(frequency_hz[:, None] / harmonics - 1) <= hum.near + 1e-9, axis=1))
 
@@ -189,7 +194,7 @@ def _tests(table: Neighbourhood, harmonic: int, line: float) -> list[_Test]:
 
 
 def _combined(tests: Sequence[_Test]) -> list[tuple[float, list[_Test]]]:
-    """P-values of the scatter at the nearest points of the first few harmonics, and those that are affected then."""
+    """Combined p-values of the scatter at the first few harmonics' nearest points, each with its affected tests."""
     from scipy.stats import chi2
 
     nearest = [t for t in tests if t.column == t.table.middle and not t.coherent]
@@ -211,7 +216,7 @@ def _strongest(tests: Sequence[_Test]) -> list[_Test]:
 
 
 def _amplitude(tests: Sequence[_Test]) -> tuple[float, float, float]:
-    """Root mean square over harmonics of the hum's part, and the ends of its 90 % interval."""
+    """Root mean square of the hum's real or imaginary part over harmonics, and the ends of its 90 % interval."""
     squares = []
     for test in tests:
         table, column, level = test.table, test.column, test.excess.level
@@ -226,7 +231,7 @@ def _amplitude(tests: Sequence[_Test]) -> tuple[float, float, float]:
         else:
             squares.append(_variance(parts**2 / level, left, level * sd**2, test.excess.freedom))
     best, low, high = np.array(squares).T
-    # Intervals of sums of independent terms: distances add in quadrature.
+    # For a sum of independent terms, the distances to the interval's ends add in quadrature.
     lower = np.sqrt(np.sum((best - low) ** 2)) / best.size
     upper = np.sqrt(np.sum((high - best) ** 2)) / best.size
     mean = float(best.mean())
@@ -234,17 +239,17 @@ def _amplitude(tests: Sequence[_Test]) -> tuple[float, float, float]:
 
 
 def _variance(energy: np.ndarray, left: np.ndarray, variance: np.ndarray, freedom: float) -> tuple[float, float, float]:
-    """Mean square of the hum's part from the likelihood, with its 90 % interval.
+    """Maximum-likelihood mean square of the hum's real or imaginary part, with its 90 % interval.
 
     Parameters
     ----------
     energy, left : ndarray, shape (2, R)
-        Squared projected residuals over the noise's variance, and 1 - leverage: noise alone has the mean `left`, hum
-        of the mean square a adds left^2 a / variance.
+        Squared projected residuals over the noise variance, and 1 - leverage. Their mean is `left` for noise alone; hum
+        of mean square a adds left^2 a / variance.
     variance : ndarray, shape (R,)
         Of the noise.
     freedom : float
-        Degrees of freedom with which it is known.
+        Degrees of freedom of the noise variance.
     """
     from scipy.optimize import brentq, minimize_scalar
 
@@ -269,6 +274,6 @@ def _variance(energy: np.ndarray, left: np.ndarray, variance: np.ndarray, freedo
 
 
 def without_hum(recordings: Recordings, hum: Hum) -> Recordings:
-    """The recordings without the points that hum has spoilt."""
+    """The recordings without the points that are affected by hum."""
     subjects = tuple(s.at(~affected_points(s.frequency_hz, hum)) for s in recordings.subjects)
     return replace(recordings, subjects=subjects)

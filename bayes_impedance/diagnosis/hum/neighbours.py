@@ -1,18 +1,18 @@
 r"""F test of the points nearest to one frequency against their neighbours in frequency.
 
-All recordings are aligned at that point. With white residuals r, h their leverage and Q what the elements absorb, a
-column k has the mean square
+All recordings are aligned at that point. With white residuals r, their leverage h and an orthonormal basis Q of the
+elements' tangent space, column k has the mean square
 
 .. math:: x_k = \sum |(1-QQ^T) r|_k^2 \Big/ \sum (1 - h_k), \qquad F = x_k / \bar x
 
-over all recordings, or, for what is the same in all of them, the square of their sum, with two degrees of freedom. The
-neighbours' mean square is their level. The noise is not known exactly from point to point: the scatter of ln x over the
-neighbours beyond chance, e^2, bounds what they know about the point. Their level counts with as many degrees of freedom
-as have this variance, :math:`2/\nu = 2/\nu_{\bar x} + e^2`.
+over all recordings; for a common error of all recordings it is the square of their sum, with two degrees of freedom.
+The neighbours' mean square is the level :math:`\bar x`. The noise is not known exactly from point to point: the scatter
+e^2 of ln x over the neighbours in excess of chance limits how well they predict the point. So the level is given the
+degrees of freedom that correspond to this variance, :math:`2/\nu = 2/\nu_{\bar x} + e^2`.
 
-A noise shape that was estimated from repetitions may contain the excess already, and then whitening hides it. In
-*absolute* units the noise is therefore predicted from the neighbours': a parabola in log frequency through the
-logarithm of sd or of sd/\|Z\|, whichever is the smoother.
+A noise shape that was estimated from repetitions may already contain the excess, and whitening then hides it.
+Therefore the noise is predicted in *absolute* units from that of the neighbours: by a parabola in log frequency through
+the logarithm of sd or of sd/\|Z\|, whichever fits better.
 """
 
 from __future__ import annotations
@@ -26,20 +26,23 @@ from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
 from bayes_impedance.diagnosis.residuals.nodes import MINIMUM_CONTRASTS, contrast_matrix
 
 _LEAST_COLUMNS, _MOST_COLUMNS = 40, 300
-"""Points that are looked at on either side: of coarse grids more than the neighbours, of dense ones not all."""
+"""Smallest and largest number of points used on either side: on coarse grids more than the neighbours, on dense ones
+not all. By choice."""
 
 _REACH_OCTAVES = (0.5, 1.0, 1.5)
-"""How far neighbours reach, the first that has enough of them: the further, the less the noise there is the same."""
+"""Distance up to which points are neighbours; the first with enough of them is used, because the noise may differ at
+larger distances. By choice."""
 
 _FEWEST_NEIGHBOURS = 8
-"""Neighbours in each recording: a parabola takes three, and the rest tell the scatter."""
+"""Smallest number of neighbours in each recording: a parabola takes three, and the others give the scatter. By
+choice."""
 
 _FLANK, _FLANK_P, _FLANK_RATIO = 2, 0.01, 30.0
-"""Points on either side that must not stand out at this level, unless the point itself has so many times their mean
-square: the window of an analyser lets strong hum leak into them."""
+"""Number of points on either side that must not be significant at this level, unless the mean square of the point
+itself is so many times theirs: strong hum leaks into them through the analyser's window. By choice."""
 
 _SAME_P = 0.01
-"""Level at which people's means must exceed the contrasts for the contrasts alone to be used."""
+"""Level at which the people's means must exceed the contrasts for the contrasts alone to be used. By choice."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -62,7 +65,7 @@ class Neighbourhood:
     owner : ndarray of int, shape (R,)
         Person.
     level_error : float
-        Variance of the noise predicted at the point, in units of the scatter of the neighbours'.
+        Variance of the log noise predicted at the point, in units of the neighbours' scatter.
     """
 
     frequency_hz: np.ndarray
@@ -93,7 +96,7 @@ class Neighbourhood:
     def between_repetitions(self, column: int) -> tuple[float, float] | None:
         """Mean square of the contrasts at a column, and its degrees of freedom.
 
-        None if there are few, and where people's means are no larger, so that these can be used, too.
+        None if there are too few, or if the people's means are not significantly larger and can be used as well.
         """
         from scipy.stats import f
 
@@ -110,7 +113,7 @@ class Neighbourhood:
 
 @dataclass(frozen=True)
 class Excess:
-    """How a column compares with its neighbours, whose level is known with `freedom` degrees of freedom."""
+    """Comparison of a column with its neighbours: p-value, their level, and the degrees of freedom of the level."""
 
     p_value: float
     level: float
@@ -141,14 +144,14 @@ def around(
         Of `projected`.
     frequency : float
     near : float
-        Persons whose nearest point is further away than this part of the frequency are left out.
+        Persons whose nearest point is further away, relative to the frequency, are left out.
     excluded_hz : ndarray, shape (E,)
-        Points as near to one of these are no neighbours.
+        Points that are as near to one of these are not used as neighbours.
 
     Returns
     -------
     Neighbourhood or None
-        None if nobody has a point that is near, or one has too few neighbours.
+        None if no person has a near point, or if any recording has too few neighbours.
     """
     log_f = np.log(frequency)
     closest = [int(np.argmin(np.abs(np.log(p.frequency_hz) - log_f))) for p in residuals]
@@ -186,10 +189,10 @@ def around(
 
 
 def predicted(table: Neighbourhood, frequency: float) -> Neighbourhood:
-    """The same, whitened by the noise that a parabola through the neighbours predicts."""
+    """The table whitened by the noise that a parabola through the neighbours predicts."""
     u = np.nan_to_num(np.log(table.frequency_hz / frequency))
     scale = np.max(np.abs(u) * table.neighbour)
-    u = np.clip(u, -scale, scale)  # what is further away is not used
+    u = np.clip(u, -scale, scale)  # points further away are not used
     sides = min(int(np.sum(table.neighbour & (side * u > 0), axis=1).min()) for side in (-1, 1))
     design = (u / scale)[..., None] ** np.arange(3 if sides >= 3 else 2)
     weighted = design * table.neighbour[..., None]
@@ -215,16 +218,15 @@ def excess(table: Neighbourhood, column: int, meant: np.ndarray, together: bool)
     table : Neighbourhood
     column : int
     meant : ndarray of bool, shape (K,)
-        Columns that may have the same excess; the nearest two on either side of the column that are not meant are its
-        flanks.
+        Columns that may have the same excess. The flanks are the nearest two others on either side of the column.
     together : bool
-        Look for what is the same in all recordings, and not for scatter.
+        Test for a common error in all recordings instead of scatter.
 
     Returns
     -------
     Excess
-        Of scatter, only what differs between the repetitions of a person if people's means have more. The p-value is 1
-        where the flanks stand out as well, unless they are far lower: what is meant is narrow.
+        For scatter, only that between the repetitions of a person if the people's means scatter more. The p-value is 1
+        where the flanks are significant as well, unless they are far lower: hum is narrow.
     """
     from scipy.special import polygamma
     from scipy.stats import f
@@ -232,7 +234,7 @@ def excess(table: Neighbourhood, column: int, meant: np.ndarray, together: bool)
     x, n = table.mean_square(table.neighbour, together)
     used = n > 0.5 * n.max()
     level, freedom = float(np.sum(x[used] * n[used]) / n[used].sum()), float(n[used].sum())
-    if not together:  # with two degrees of freedom each, chance alone scatters too much to tell what is beyond it
+    if not together:  # with two degrees of freedom each, chance scatters too much to estimate the excess
         wiggle = float(np.var(np.log(np.maximum(x[used], 1e-12)), ddof=1))
         beyond = max(wiggle - float(np.mean(polygamma(1, n[used] / 2))), 0.0)
         freedom = 2.0 / (2.0 / freedom + beyond + table.level_error * wiggle)

@@ -1,5 +1,5 @@
-"""Which measurement would tell two explanations apart.
+"""Design of the next experiment: which measurement would separate two explanations.
 
-In come two fitted models; out come expected separations in natural logarithms, and the best sentence.
-Open :mod:`.expected_separation` first; :mod:`.virtual_recordings` says what each proposed experiment would record.
+Input: two fitted models. Output: expected separations in natural logarithms, and a sentence with the best proposal.
+Open :mod:`.expected_separation` first; :mod:`.virtual_recordings` predicts the recordings of each proposed experiment.
 """

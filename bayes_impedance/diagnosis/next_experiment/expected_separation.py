@@ -1,31 +1,31 @@
 r"""Expected separation of two explanations by further measurements, from a linearised fit of virtual recordings.
 
-The winner is taken to be true. It says what would be recorded in each of several experiments that nobody has made yet:
-on a wider band, with a contactor that is heavier by a known mass, under another preload, at another position of the
-finger. The alias then follows as well as it can. With everything divided by the noise,
+The winner is assumed to be true. It predicts the recordings of several further experiments: on a wider band, with a
+contactor that is heavier by a known mass, under another preload, at another position of the finger. The alias is then
+fitted to these predictions. With all quantities divided by the noise,
 
 .. math:: Q_i = \min \sum_j \left|r_{ij} - J_{ij}\,\delta\theta_{ij} - G_{ij}\,\delta y_i\right|^2
           + (c_i - \mu)^T T^{-1} (c_i - \mu),
 
 where r is the difference of the two impedances in person i's recording j, J the derivative by the elements, which are
-free in every recording, and G that by the alias's additions y = (phi, c): shared parameters are one column for all,
-coefficients that vary are everybody's own around a common mean, the same in all recordings of a person. A few
-Gauss-Newton steps first make r so small that this linearisation holds. What is left of r is what the experiment would
-show. As in :mod:`bayes_impedance.person.likelihood` a misfit may also be taken for noise, so of N complex numbers it
-costs :math:`(\alpha + N) \ln(1 + \tfrac12 Q_i/(\alpha + N))`, which is Q/2 if it is small.
+free in every recording, and G that by the alias's additions y = (phi, c): shared parameters are one column for
+all people; varying coefficients are each person's own around a common mean, the same in all recordings of a person. A
+few Gauss-Newton steps first make r so small that this linearisation holds. The remaining r is what the experiment would
+reveal. As in :mod:`bayes_impedance.person.likelihood` a misfit may also be attributed to noise, so for N complex
+numbers it costs :math:`(\alpha + N) \ln(1 + \tfrac12 Q_i/(\alpha + N))`, which is Q/2 if it is small.
 
-A coefficient that varies makes what it predicts uncertain, with covariance :math:`S = 1 + GTG^T`. With D the
+A varying coefficient makes the prediction uncertain, with covariance :math:`S = 1 + GTG^T`. With D the
 information of a person's recordings about c,
 
 .. math:: o_i = \ln|1 + D_iT| - \operatorname{tr} D_iT(1 + D_iT)^{-1}
 
-and the expected difference (the Kullback-Leibler divergence of the two predictions, at the people whom there are) is
+and the expected difference (the Kullback-Leibler divergence of the two predictions, for the present people) is
 
 .. math:: \sum_i \tfrac12 (Q_i + o_i)_\text{alias} - \tfrac12 (Q_i + o_i)_\text{winner} .
 
-The noise of a new recording is, relative to its magnitude, that of the present one at this frequency; beyond the band
-it stays as it is at the edge. A wider band takes the place of the present recordings. All other experiments come in
-addition to them, so a gain of two is what the same recordings once more would bring.
+The noise of a new recording relative to its magnitude is that of the present one at the same frequency; beyond the band
+it is that at the edge. A recording on a wider band replaces the present one. All other experiments are additional, so a
+repetition of the present recordings would have a gain of two.
 """
 
 from __future__ import annotations
@@ -47,38 +47,41 @@ from bayes_impedance.units import hertz, number_with_unit, significant
 KINDS = ("none", "wider_high", "wider_low", "contactor_mass", "preload", "position")
 
 WIDER = 3.0
-"""Factor by which a band is extended: half a decade, which many analysers have to spare."""
+"""Factor by which a band is extended: half a decade. By choice: many analysers can do that."""
 
 ENOUGH = 5.0
-"""Difference in natural logarithms from which two explanations count as told apart: odds of 150 to one."""
+"""Difference in natural logarithms from which two explanations count as separated: odds of 150 to one."""
 
 _MASSES = (0.3, 1.0, 3.0)
-"""Known masses, in units of the mass whose impedance is that of the finger at the upper end of the band."""
+"""Known masses, in units of the mass whose impedance equals that of the finger at the upper end of the band. By choice:
+half a decade to either side."""
 
 _STIFFER = {"m": 0.0, "n": -np.log(1.5), "r": np.log(1.3)}
 """Change of log elements under about three times the preload: stiffness and damping grow as its power 0.35 or less."""
 
 _OTHER_POSITION_SD = 0.3
-"""Standard deviation by which log elements differ at another position of the finger: about as between people."""
+"""Standard deviation by which log elements differ at another position of the finger: about that between
+people."""
 
 _POSITION_SEED = 20
-"""Fixed, so that proposals do not depend on anything drawn before."""
+"""Fixed seed, so that proposals do not depend on previous draws; its value is arbitrary."""
 
 _STEPS, _LONGEST_STEP = 8, 1.0
-"""Gauss-Newton steps, and the largest change of any parameter in one: they begin at fits of similar recordings."""
+"""Largest number of Gauss-Newton steps, and largest change of any parameter in one. By choice: few suffice, because
+they start at fits of similar recordings."""
 
 _NEGLIGIBLE = 0.01
-"""Separation below which a ratio of separations is not formed, in natural logarithms."""
+"""Lower bound, in natural logarithms, of the separations of which ratios are formed. By choice."""
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """A further measurement, and what it promises.
+    """A further measurement, and its expected separation.
 
     Attributes
     ----------
     measurement : str
-        What to measure, a part of a sentence.
+        What to measure, as part of a sentence.
     kind : str
         One of :data:`KINDS`; ``none`` is the present experiment.
     elpd : float
@@ -102,7 +105,7 @@ def separation(winner: Refit, alias: Refit, people: int = 8) -> tuple[Proposal, 
     winner, alias : Refit
         Two models, fitted to the same recordings.
     people : int
-        How many people stand for all of them; they are evenly spread in how far their recordings keep the two apart.
+        Number of representative people; they are evenly spread in how far their recordings separate the two.
 
     Returns
     -------
@@ -112,7 +115,7 @@ def separation(winner: Refit, alias: Refit, people: int = 8) -> tuple[Proposal, 
     Raises
     ------
     InputError
-        If the two were fitted to different recordings, or nobody is to be looked at.
+        If the two were fitted to different recordings, or `people` is below one.
     """
     if len(winner.data) != len(alias.data) or len(winner.u) != len(alias.u):
         raise InputError(
@@ -134,7 +137,7 @@ def separation(winner: Refit, alias: Refit, people: int = 8) -> tuple[Proposal, 
 def best_sentence(proposals: Sequence[Proposal]) -> str:
     """Name the best further measurement and its expected separation.
 
-    A measurement is worth naming if it tells the two apart and brings more than the same recordings once more.
+    A measurement is named only if it separates the two and gains more than a repetition of the present recordings.
     """
     now = next((p.elpd for p in proposals if p.kind == "none"), 0.0)
     for p in sorted(proposals, key=lambda p: -p.elpd):
@@ -148,7 +151,7 @@ def best_sentence(proposals: Sequence[Proposal]) -> str:
 
 
 def _representatives(winner: Refit, alias: Refit, people: int) -> tuple[list[Recording], float]:
-    """A present recording of each of those who stand for all, and for how many each stands."""
+    """Present recordings of the representative people, and the number of people each of them represents."""
     everybody = present_recordings(winner)
     if people >= len(everybody):
         return everybody, 1.0
@@ -158,13 +161,13 @@ def _representatives(winner: Refit, alias: Refit, people: int) -> tuple[list[Rec
     apart = follower.through_noise(follower.step(follower.start).misfit)
     middles = ((np.arange(people) + 0.5) * apart.size / people).astype(int)
     chosen = np.argsort(apart, kind="stable")[middles]
-    # By what each person contributes at present, as far as that is more than noise, and else by numbers.
+    # Weighted by each person's present separation where it exceeds noise, else by number.
     share = float(np.sum(apart + 1) / np.sum(apart[chosen] + 1))
     return [replace(everybody[i], person=k) for k, i in enumerate(chosen.tolist())], share
 
 
 def _plans(fit: Refit, present: list[Recording]) -> list[tuple[str, str, list[Recording]]]:
-    """Kind, name and recordings of every experiment, the present one first."""
+    """Kind, name and recordings of each experiment, the present one first."""
     scales, elements = fit.model.scales, fit.model.network.elements
     stiffer = np.array([_STIFFER[kind_of(e).letter] for e in elements])
     rng = np.random.default_rng(_POSITION_SEED)
@@ -192,7 +195,7 @@ def _plans(fit: Refit, present: list[Recording]) -> list[tuple[str, str, list[Re
 
 
 def _expected(winner: Refit, alias: Refit, recordings: Sequence[Recording], share: float) -> float:
-    """Expected difference of the log likelihoods in an experiment; every representative stands for `share` people."""
+    """Expected difference of the log likelihoods in an experiment; each representative counts as `share` people."""
     ports = {mass: Port(winner.model, mass) for mass in {r.mass for r in recordings}}
     truth = [ports[r.mass].impedance(_parameters(winner, r), r.frequency_hz) for r in recordings]
     behind = _Follower(alias, recordings, truth, share).cost() - _Follower(winner, recordings, truth, share).cost()
@@ -207,31 +210,31 @@ def _parameters(fit: Refit, recording: Recording) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _State:
-    """Parameters during the fit: elements (R, E), additions of everybody (n, A) and means (V,)."""
+    """Parameters during the fit: elements (R, E), additions of each person (n, A) and means (V,)."""
 
     elements: np.ndarray
     own: np.ndarray
     mean: np.ndarray
 
     def moved(self, step: _State, part: float) -> _State:
-        """A part of a step further, nothing farther than a limit."""
+        """State after a fraction of a step, each change being limited."""
         pairs = ((self.elements, step.elements), (self.own, step.own), (self.mean, step.mean))
         return _State(*(now + np.clip(part * by, -_LONGEST_STEP, _LONGEST_STEP) for now, by in pairs))
 
 
 @dataclass(frozen=True)
 class _Step:
-    """A Gauss-Newton step of everything.
+    """A Gauss-Newton step of all parameters.
 
     Attributes
     ----------
     change : _State
     objective : float
-        After it, if all were linear.
+        After the step, in the linear approximation.
     misfit : ndarray, shape (n,)
-        Everybody's part of it: |r|^2, and what holds the person's coefficients to the means.
+        Part of each person: |r|^2, and the prior of the person's coefficients around the means.
     information : ndarray, shape (n, A, A)
-        D.
+        D of each person.
     """
 
     change: _State
@@ -241,7 +244,7 @@ class _Step:
 
 
 class _Follower:
-    """A fitted model that is fitted again to virtual recordings.
+    """A fitted model that is refitted to virtual recordings.
 
     Parameters
     ----------
@@ -250,7 +253,7 @@ class _Follower:
         R of them, of n people.
     truth : sequence of ndarray, complex, shape (F,)
     share : float
-        How many people each of these stands for: the priors of the additions count only once.
+        Number of people that each of them represents: the priors of the additions count only once.
     """
 
     def __init__(self, fit: Refit, recordings: Sequence[Recording], truth: Sequence[np.ndarray], share: float) -> None:
@@ -262,7 +265,7 @@ class _Follower:
         self.n = int(self.owner.max()) + 1
         self.shared, self.varying = np.flatnonzero(fit.model.shared[e:]), np.flatnonzero(~fit.model.shared[e:])
         self.tau = np.sqrt(np.diag(fit.population.covariance)[e:])
-        # Elements and additions stay within their priors, so that what no recording sees does not run away.
+        # Priors keep elements and additions bounded that no recording determines.
         prior_sd = np.array([p.prior_sd for p in fit.model.parameters])[np.r_[self.shared, self.varying]]
         self.prior = 1 / (share * prior_sd**2)
         u = np.array([_parameters(fit, r) for r in recordings])
@@ -270,9 +273,9 @@ class _Follower:
         self.start = _State(u[:, :e], u[first, e:], fit.population.mu[e:])
 
     def cost(self) -> float:
-        """(Q + o)/2, Q through the unknown scale of the noise."""
+        """(Q + o)/2, where Q allows for the unknown scale of the noise."""
         state, objective = self.start, self._objective(self.start)
-        if objective == 0.0 and not self.varying.size:  # the winner follows itself, and is certain
+        if objective == 0.0 and not self.varying.size:  # the winner fits itself exactly, without uncertainty
             return 0.0
         step = self.step(state)
         for _ in range(_STEPS):
@@ -290,7 +293,7 @@ class _Follower:
         return float(np.sum(self.through_noise(step.misfit) + 0.5 * uncertain))
 
     def through_noise(self, misfit: np.ndarray) -> np.ndarray:
-        """Everybody's difference of log likelihoods for a misfit, as the scale of the noise is unknown, shape (n,)."""
+        """Difference of log likelihoods of each person for a misfit, with unknown noise scale, shape (n,)."""
         points = [r.copies * r.frequency_hz.size for r in self.recordings]
         shape = SCALE_SHAPE + np.bincount(self.owner, points, minlength=self.n)
         return np.asarray(shape * np.log1p(0.5 * misfit / shape))
@@ -299,7 +302,7 @@ class _Follower:
         """Eliminate the elements of every recording, then solve for the additions of all people together."""
         n_elements, a = state.elements.shape[1], state.own.shape[1]
         s, v = self.shared.size, self.varying.size
-        where = np.empty((self.n, a), dtype=int)  # unknowns: shared ones, means, everybody's own
+        where = np.empty((self.n, a), dtype=int)  # unknowns: shared ones, means, each person's own
         where[:, self.shared] = np.arange(s)
         where[:, self.varying] = s + v + np.arange(self.n * v).reshape(self.n, v)
         misfit, pull, information = np.zeros(self.n), np.zeros((self.n, a)), np.zeros((self.n, a, a))
@@ -343,7 +346,7 @@ class _Follower:
         return np.concatenate([state.elements[k], state.own[self.owner[k]]])
 
     def _apart(self, state: _State) -> np.ndarray:
-        """Prior term of everybody's coefficients, squared distance to the means over the variance, shape (n,)."""
+        """Prior term of each person's coefficients, squared distance to the means over the variance, shape (n,)."""
         return np.asarray(np.sum(((state.own[:, self.varying] - state.mean) / self.tau) ** 2, axis=1))
 
     def _common(self, state: _State) -> np.ndarray:
@@ -353,7 +356,7 @@ class _Follower:
         return float(np.sum(self.prior * (self._common(state) - self._common(self.start)) ** 2))
 
     def _prior(self, state: _State) -> tuple[np.ndarray, np.ndarray]:
-        """Precision and linear term of the priors of means, shared parameters and everybody's coefficients."""
+        """Precision and linear term of the priors of means, shared parameters and each person's coefficients."""
         c, v, n = self.prior.size, self.varying.size, self.n
         precision, right = np.zeros((c + n * v,) * 2), np.zeros(c + n * v)
         precision[range(c), range(c)] = self.prior
@@ -378,5 +381,5 @@ def _heavier(mass: float, impedance_unit: str) -> str:
 
 
 def _two_digits(value: float) -> str:
-    """Two digits, a zero among them, and zeros for those that follow."""
+    """The value rounded to two significant digits, as text."""
     return significant(float(f"{value:.2g}"), 2)

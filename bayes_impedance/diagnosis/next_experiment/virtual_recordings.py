@@ -12,7 +12,7 @@ from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.operations import Operation
 
 _POINTS_PER_DECADE = 20.0
-"""Density of a wider band where the present recording has a single frequency, and thus none of its own."""
+"""Points per decade of a wider band where the present recording has a single frequency and so no spacing. By choice."""
 
 _KNOWN = "known mass"
 """Name of the known mass among the kernel's parameters."""
@@ -20,20 +20,20 @@ _KNOWN = "known mass"
 
 @dataclass(frozen=True, kw_only=True)
 class Recording:
-    """A recording that could be made.
+    """A virtual recording.
 
     Attributes
     ----------
     person : int
         Number of the person.
     row : int
-        Of the present recording in the fits' u.
+        Row of the present recording in the fits' u.
     copies : int
-        How many recordings it stands for.
+        Number of recordings it represents.
     frequency_hz, relative_sd : ndarray, shape (F,)
         Noise over magnitude, of the mean of the copies.
     change : ndarray, shape (E,)
-        By how much the log elements differ from the present recording's.
+        Difference of the log elements from those of the present recording.
     mass : float
         Known mass that moves with the contactor.
     """
@@ -47,7 +47,7 @@ class Recording:
     mass: float = 0.0
 
     def wider(self, down: float, up: float) -> Recording:
-        """The same over a wider band, with as many points per decade; the noise stays as it is at the edges."""
+        """The recording over a wider band, with the same points per decade, and noise beyond it as at its edges."""
         f = self.frequency_hz
         decades = np.log10(f[-1] / f[0])
         density = (f.size - 1) / decades if decades > 0 else _POINTS_PER_DECADE
@@ -62,7 +62,7 @@ class Recording:
 
 
 def present_recordings(fit: Refit) -> list[Recording]:
-    """One recording of everybody as it is, with the noise that the mean of all recordings of this person has."""
+    """One present recording of each person, with the noise of the mean of all recordings of that person."""
     result, row = [], 0
     for i, (d, scale) in enumerate(zip(fit.data, fit.weight, strict=True)):
         frequency = d.omega / (2 * np.pi)
@@ -85,7 +85,7 @@ def present_recordings(fit: Refit) -> list[Recording]:
 
 
 class Port:
-    """What a model predicts for recordings with a known mass on the contactor, parameters in the model's order."""
+    """Predictions of a model for recordings with a known mass on the contactor, parameters in the model's order."""
 
     def __init__(self, model: Model, mass: float) -> None:
         kernel = model.kernel
@@ -93,7 +93,7 @@ class Port:
             side = {p.name: model.additions[p.addition].effect.side for p in model.parameters}
             rig = {name for name, where in side.items() if where == "rig"}
             operations = list(kernel.operations)
-            # What the rig does to a recording it does to the mass as well: the mass is nearer to the finger.
+            # Effects of the rig act on the mass as well: the mass is nearer to the finger.
             at = [k for k, operation in enumerate(operations) if rig & set(operation.parameters)]
             known = Operation("add", _finger(model, rig), (_KNOWN,), (mass, 1.0, 0.0))
             operations.insert(min(at, default=len(operations)), known)
@@ -121,7 +121,7 @@ class Port:
 
 
 def _finger(model: Model, rig: set[str]) -> tuple[int, ...]:
-    """Path of what is left of a model's network without the branches of the rig, which are outermost."""
+    """Path of a model's network without the branches of the rig, which are outermost."""
     path: tuple[int, ...] = ()
     node = model.kernel.network
     while rig & set(node.elements):

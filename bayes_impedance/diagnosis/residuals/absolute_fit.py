@@ -1,9 +1,8 @@
-"""Whether a network describes recordings at all, and whether the people are people: in absolute terms.
+"""Absolute checks: whether a network describes the recordings at all, and whether the people are distinct.
 
-Tests of what is missing compare explanations. All of them take for granted that something near the network is right,
-that residuals are of the size of the noise for everybody, and that people are different people. Where that is not so,
-"nothing is missing" would be said of recordings of another quantity. Each function returns sentences; none if all is
-well.
+Tests of missing effects compare explanations. They assume that the network is approximately right, that residuals are
+of the size of the noise for each person, and that no person's recordings are copies of another's. Otherwise they could
+find "nothing is missing" in recordings of another quantity. Each function returns sentences; none if a check passes.
 """
 
 from __future__ import annotations
@@ -16,29 +15,30 @@ from bayes_impedance.quality.curve_anomalies import duplicates
 from bayes_impedance.recordings.files import Recordings
 
 GROSS_ERROR = 0.3
-"""Relative error of people's own best networks from which nothing may be used: neither magnitude (30 %) nor phase
+"""Relative error of each person's best network from which results must not be used: neither magnitude (30 %) nor phase
 (17 degrees) is described then. By choice."""
 
 GROSS_NOISE = 2.0
-"""Ratio of residual to noise that must go with it: recordings whose noise is large differ from any network by much."""
+"""Ratio of residual to noise that is required as well: with large noise, recordings differ much from any network. By
+choice."""
 
 MANY_COPIES = 0.1
-"""Share of people who are copies of others from which on a dispersion between people means nothing. By choice; the
-standard deviation of a tenth fewer people is 5 % less sure."""
+"""Fraction of people who are copies of others from which a dispersion between people is not reported. By choice: with a
+tenth fewer people the standard error of a standard deviation is 5 % larger."""
 
 _MOST_NAMED = 5
-"""People whom a sentence names."""
+"""Largest number of people named in a sentence. By choice."""
 
 
 def far_off(error: np.ndarray, noise_scale: np.ndarray) -> list[str]:
-    """Whether the network is grossly wrong for the people together.
+    """Whether the network is grossly wrong for the people as a whole.
 
     Parameters
     ----------
     error : ndarray, shape (N,)
-        Relative root mean square of everybody's own best network.
+        Relative root mean square error of each person's best network.
     noise_scale : ndarray, shape (N,)
-        Ratio of everybody's residuals to the estimated noise.
+        Ratio of each person's residuals to the estimated noise.
     """
     middle, factor = _usual(error), _usual(noise_scale)
     if middle < GROSS_ERROR or factor < GROSS_NOISE:
@@ -51,7 +51,7 @@ def far_off(error: np.ndarray, noise_scale: np.ndarray) -> list[str]:
 
 
 def copies(recordings: Recordings) -> list[str]:
-    """Whether so many people are copies of others that nothing follows about people.
+    """Whether too many people are copies of others for statements about a population.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def badly_described(names: Sequence[str], noise_scale: np.ndarray) -> list[str]:
     ----------
     names : sequence of str
     noise_scale : ndarray, shape (N,)
-        Ratio of everybody's residuals to the estimated noise.
+        Ratio of each person's residuals to the estimated noise.
     """
     poor = np.flatnonzero((noise_scale > GROSS_NOISE * _usual(noise_scale)) & (noise_scale > GROSS_NOISE))
     if not poor.size or poor.size > 0.5 * noise_scale.size:
@@ -88,7 +88,7 @@ def badly_described(names: Sequence[str], noise_scale: np.ndarray) -> list[str]:
 
 
 def _usual(values: np.ndarray) -> float:
-    """The median; of two people, that of the better one."""
+    """The lower median: of two people, the smaller value."""
     return float(np.sort(values)[(values.size - 1) // 2])
 
 

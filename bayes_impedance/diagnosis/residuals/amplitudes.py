@@ -1,12 +1,12 @@
-r"""Which people have a structure that was found: tests of everybody's amplitude, and whether only a minority has it.
+r"""People who have a structure that was found: tests of each person's amplitude, and of whether only a minority has it.
 
 The structure is the span of the K templates A that were found. With :math:`t_i` the scores of A in the recordings of
 person i and :math:`M_i` their covariance, :math:`t_i^T M_i^{-1} t_i` is chi-square with K degrees of freedom if the
-person has none of it. The principal direction of all whitened scores gives everybody one signed amplitude
-:math:`z_i`, standard normal without structure. A structure that was found as excess energy has no template; its energy
-takes the amplitude's place.
+person has none of it. The principal direction of all whitened scores gives each person one signed
+amplitude :math:`z_i`, standard normal without structure. A structure that was found as excess energy has no template;
+then a normal score of the energy takes the amplitude's place.
 
-Two models of the amplitudes are compared. Either everybody has the structure, :math:`z_i \sim N(\mu, 1 + \tau^2)` (or
+Two models of the amplitudes are compared. Either all people have the structure, :math:`z_i \sim N(\mu, 1 + \tau^2)` (or
 amplitudes are log-normal, which is skew), or a share :math:`\pi` of the people has it,
 :math:`z_i \sim (1 - \pi)\, N(0, 1) + \pi\, N(\mu, 1 + \tau^2)`. People are named only if the second model is much
 more likely, if they are a minority, and if each of them is significant.
@@ -27,30 +27,32 @@ _MINIMUM_PERSONS = 6
 """With fewer, the mixture has nearly as many parameters (share, mean, spread) as a minority has people."""
 
 _LEAST_GAIN = 5.0
-"""Log likelihood by which "some have it" must exceed "everybody has it". The mixture has one parameter more and three
-forms of the rival are tried, so chance alone gains one or two; amplitudes that merely vary must name nobody."""
+"""Log likelihood by which "some have it" must exceed "all have it". The mixture has one parameter more and three forms
+of the rival are tried, so chance alone gains one or two. By choice above that: amplitudes that merely vary must not
+name anyone."""
 
 _SMALLEST_SHARE = 1e-3
-"""Less than one person of any population that was recorded: it only keeps logarithms finite."""
+"""Smallest share of the mixture, less than one person in the data: it only keeps logarithms finite."""
 
 _ROUNDS = 100
-"""Of expectation-maximisation from each start: groups whose gain matters are well separated and need few."""
+"""Rounds of expectation-maximisation from each start. By choice: groups with a relevant gain are well separated and
+converge in few."""
 
 _LEAST_COVERAGE = 0.05
-"""A person whose recordings see less than this part of the mean person's information about a structure has no
-amplitude: dividing by it would give any number."""
+"""Fraction of the mean information about a structure below which a person has no amplitude: the quotient would be
+arbitrary. By choice."""
 
 
 @dataclass(frozen=True)
 class Amplitudes:
-    """How much of a structure everybody has.
+    """Amplitude of a structure in each person.
 
     Attributes
     ----------
     z : ndarray, shape (N,)
         Amplitude in standard deviations of the noise; NaN where the person's recordings do not cover the structure.
     p_value : ndarray, shape (N,)
-        Of the hypothesis that the person has nothing, not corrected; 1 where the structure is not covered.
+        Of the null hypothesis that the person lacks the structure, not corrected; 1 where it is not covered.
     """
 
     z: np.ndarray
@@ -89,9 +91,9 @@ def energy_amplitudes(pooled: Pooled, inside: np.ndarray, noise: float) -> Ampli
     ----------
     pooled : Pooled
     inside : ndarray, shape (2 G,)
-        1 at the nodes that count, else 0.
+        1 at the nodes whose energy is summed, else 0.
     noise : float
-        Variance of the noise over the assumed one.
+        Ratio of the noise variance to the assumed one.
     """
     from scipy.stats import norm
 
@@ -134,7 +136,7 @@ def carriers(amplitudes: Amplitudes, alpha: float) -> tuple[np.ndarray, float]:
 
 
 def _mixture_gain(z: np.ndarray) -> tuple[float, np.ndarray]:
-    """Log likelihood ratio of "some have it" to "everybody has it" for z (N,), and everybody's membership."""
+    """Log likelihood ratio of "some have it" to "all have it" for z (N,), and the memberships (N,)."""
     nothing = _log_normal_density(z, 0.0, 1.0)
     everybody = float(np.sum(_log_normal_density(z, z.mean(), max(z.var(), 1.0))))
     everybody = max(everybody, _skew_log_likelihood(z), _skew_log_likelihood(-z))
@@ -161,7 +163,7 @@ def _log_normal_density(z: np.ndarray, mean: float | np.ndarray, variance: float
 
 
 def _skew_log_likelihood(z: np.ndarray) -> float:
-    """Largest log likelihood of z (N,) if everybody's amplitude is log-normal and positive."""
+    """Largest log likelihood of z (N,) if amplitudes are positive and log-normal."""
     nodes, weights = np.polynomial.hermite_e.hermegauss(24)
     middle = np.log(np.geomspace(0.3, max(float(z.max()), 1.0), 24))
     spread = np.linspace(0.05, 1.5, 12)

@@ -1,18 +1,18 @@
-r"""Bands of frequency in which residuals have structure, in magnitude or phase, and the people who have it.
+r"""Frequency bands in which residuals have structure, in magnitude or phase, and the people who have it.
 
-:mod:`~bayes_impedance.diagnosis.residuals.windows` says how significant each of many windows is. Here the significant
-ones are selected one after the other. The most significant window explains a part of the structure; with its template A
+:mod:`~bayes_impedance.diagnosis.residuals.windows` computes the significance of many windows. Here the significant ones
+are selected one after the other. The most significant window explains a part of the structure; with its template A
 absorbed from the pooled sums x,
 
 .. math:: x \leftarrow x - C A (A^T C A)^{-1} A^T x, \qquad C \leftarrow C - C A (A^T C A)^{-1} A^T C,
 
-the next one is found among what is left, until nothing significant is. Among windows that explain almost as much the
-narrowest is taken. So a structure that the elements' freedom has smeared over all frequencies is reported where it
-entered, not where it can be seen.
+the next one is selected from the remainder, until none is significant. Among windows that explain almost as much, the
+narrowest is taken. So a structure that the free elements have spread over all frequencies is reported at its origin,
+and not wherever it can be seen.
 
-Coherent structure comes first. What each recording's own amplitude of it does not explain is searched for incoherent
-structure. Its templates, too, are absorbed with each recording's amplitude; windows in which only the energy is too
-large are masked.
+Coherent structure is selected first. The remainder, after fitting its amplitude in each recording, is searched for
+incoherent structure. Templates of this kind are also absorbed with an amplitude for each recording; windows in which
+only the energy is too large are masked.
 """
 
 from __future__ import annotations
@@ -45,23 +45,26 @@ Noise = Literal["repetitions", "assumed"]
 
 _PARTS: tuple[Literal["magnitude"], Literal["phase"]] = ("magnitude", "phase")
 _MOST_WINDOWS = 12
-"""Of one kind; a structure in more windows is described by those that explain most of it."""
+"""Largest number of windows of one kind. By choice: a structure in more of them is described by those that explain
+most."""
 
 _LEAST_SHARE = {"coherent": 0.01, "incoherent": 0.05}
-"""Part of the largest gain that a further window must explain: less is how templates differ from the true shape."""
+"""Fraction of the largest gain that a further window must explain: smaller gains come from the difference between
+template and true shape. By choice."""
 
 _NEARLY = 0.8
-"""Part of the energy's statistic from which on a template is preferred: unlike energy, it has a shape and a sign."""
+"""Fraction of the energy's statistic from which a template is preferred: unlike energy, it has a shape and a sign. By
+choice."""
 
 _VISIBLE = 0.1
-"""Part of a template's variance that must be left, after windows found before, for it to be tested again."""
+"""Fraction of a template's variance that previous windows must leave for it to be tested. By choice."""
 
 _ONE_PART = 0.8
-"""Share of the structure from which on it is said to be in magnitude alone, or in phase alone."""
+"""Share of the structure from which it is reported in magnitude alone, or in phase alone. By choice."""
 
 _EXCESS = {"repetitions": 1.02, "assumed": 1.3}
-"""Variance between persons that is not called structure: rounding of a linear theory, and what one can know of the
-noise without repetitions."""
+"""Ratio of variance between persons to noise up to which it is not called structure: error of the linear theory, and of
+the noise if it was not estimated from repetitions. By choice."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,12 +76,12 @@ class MismatchBand:
     low_hz, high_hz : float
     part : {"magnitude", "phase"}
     kind : {"coherent", "incoherent"}
-        Whether everybody has the same or everybody has something else.
+        Whether the structure is the same in all people or differs between them.
     statistic : float
-        Standard deviations from nothing; signed if coherent (the sign where the magnitude or phase is too large
+        Normal score of the null hypothesis; signed if coherent (the sign where the magnitude or phase is too large
         is positive, or of the slope or bend if its mean is zero).
     p_value : float
-        Corrected for everything that was tried.
+        Corrected for all tests.
     """
 
     low_hz: float
@@ -91,12 +94,12 @@ class MismatchBand:
 
 @dataclass(frozen=True, kw_only=True)
 class Location:
-    """Where structure is left.
+    """Where structure remains.
 
     Attributes
     ----------
     p_value : float
-        Of the hypothesis that there is none, corrected for everything that was tried.
+        Of the hypothesis that there is none, corrected for all tests.
     bands : tuple of MismatchBand
         Most significant first; disjoint within a part and kind; empty if there is no significant structure.
     part : {"magnitude", "phase", "both"}
@@ -104,7 +107,7 @@ class Location:
     magnitude_share : float
         Part of the structure, as chi-square, that is in magnitude; NaN if there is none.
     subjects : "all" or tuple of str
-        The few who have it.
+        The people who have it, if a minority.
     subjects_p_value : float
         Largest corrected p-value of a named person; 1 if nobody is named.
     """
@@ -119,7 +122,7 @@ class Location:
 
 @dataclass(frozen=True, kw_only=True)
 class _Found:
-    """One window: nodes low <= k < high of a part, what it explains, and its template unless it is about energy."""
+    """One window: nodes low <= k < high of a part, what it explains, and its template (None for energy)."""
 
     low: int
     high: int
@@ -138,23 +141,23 @@ def locate(
     alpha: float = 0.01,
     draws: int = 500,
 ) -> Location:
-    """Find where structure is left in everybody's residuals.
+    """Find where structure remains in the residuals.
 
     Parameters
     ----------
     residuals : sequence of PersonResiduals
         N persons.
     seed : int
-        Of the Monte-Carlo draws.
+        For the Monte-Carlo draws.
     alpha : float
-        Probability of a mismatch where there is none.
+        Probability of a false detection.
     draws : int
-        Of the null distribution.
+        Number of draws of the null distribution.
 
     Raises
     ------
     InputError
-        If there is nobody.
+        If there are no residuals.
     """
     if not residuals:
         raise InputError("there are no residuals to locate structure in: give at least one person's")
@@ -223,7 +226,7 @@ def _coherent(
             variance = np.sum(shapes * (covariance @ shapes), axis=0)
             return np.asarray((shapes.T @ x) ** 2 / np.maximum(variance, 1e-6))
 
-        # c says what is significant. Among that, z says what explains most: c stops growing with the structure's size.
+        # Significance is judged by c. Among significant templates z ranks: c saturates with the structure's size.
         best, low, high, template = refined(pooled, scan, np.where(c >= min(limit, c.max()), z**2, 0.0), explained)
         gain = float(explained(template[:, None])[0])
         if not found:
@@ -305,7 +308,7 @@ def _incoherent(
 
 
 def _amplitudes(pooled: Pooled, found: list[_Found]) -> Amplitudes:
-    """Everybody's amplitude of what was found: of its templates, or of its energy if that is the larger part."""
+    """Amplitudes of the structure in each person: of its templates, or of its energy if that has the larger gain."""
     main = max(found, key=lambda f: f.gain)
     if main.template is not None:
         return pattern_amplitudes(pooled, np.array([f.template for f in found if f.template is not None]).T)
@@ -339,14 +342,14 @@ def _bands(found: list[_Found], frequency_hz: np.ndarray) -> tuple[MismatchBand,
 
 
 def residual_maps(residuals: Sequence[PersonResiduals], frequency_hz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Everybody's residual outside of what the elements absorb, for pictures.
+    """Residual of each person outside of what the elements absorb, for plots.
 
     Parameters
     ----------
     residuals : sequence of PersonResiduals
         N persons.
     frequency_hz : ndarray, shape (F,)
-        Of the picture; a person's nearest point, in log frequency, is shown, since interpolation would shrink noise.
+        Of the plot. The person's nearest point in log frequency is shown, because interpolation would reduce the noise.
 
     Returns
     -------

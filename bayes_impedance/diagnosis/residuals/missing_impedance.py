@@ -1,14 +1,14 @@
 r"""The missing one-port at a place of the network: the relative change of its impedance that explains the residuals.
 
-If the impedance of place p changed by the part :math:`\rho(\omega)`, the port would feel :math:`a_p z_p \rho`. The
-ratio is the same complex curve for everybody, written in K bumps over log frequency,
+If the impedance of place p changes by the fraction :math:`\rho(\omega)`, that of the port changes by
+:math:`a_p z_p \rho`. The ratio is one complex curve for all people, expanded in K bumps over log frequency,
 
 
 .. math:: \rho(\omega) = \sum_k (x_k + j y_k)\, B_k(\ln \omega),
 
 and with the elements of every recording free its coefficients are the weighted least squares solution over the whole
-population: averaged coherently, so that what hides below one person's noise adds up. The improvement of chi-square is
-the share of the mismatch that can be closed at that place.
+population. This averages coherently, so that an effect below the noise of one person becomes visible. The improvement
+of chi-square, relative to the total excess, is the share of the mismatch that can be explained at that place.
 """
 
 from __future__ import annotations
@@ -23,20 +23,22 @@ from bayes_impedance.diagnosis.residuals.sensitivity import local_impedances
 from bayes_impedance.diagnosis.types import OnePort
 
 _BUMPS = 12
-"""Basis functions over the band, four per decade between 5 Hz and 5 kHz: noise is averaged, broad resonances stay."""
+"""Basis functions over the band, four per decade between 5 Hz and 5 kHz: noise is averaged, broad resonances
+remain. By choice."""
 
 _POINTS = 60
-"""Frequencies at which the ratio is reported, five for each basis function."""
+"""Frequencies at which the ratio is reported, five for each basis function. By choice."""
 
 _BUMP_WIDTH = 0.7
-"""Standard deviation of a bump in units of their distance: their sum is flat, and neighbours are still distinct."""
+"""Standard deviation of a bump in units of their distance: their sum is flat, and neighbours are still distinct.
+By choice."""
 
 _RIDGE = 1.0
 """Prior standard deviation of each coefficient: a change by the impedance itself."""
 
 
 def missing_one_ports(fit: Refit, residuals: Sequence[PersonResiduals]) -> tuple[OnePort, ...]:
-    """The missing one-port at every place, the place that closes most of the gap first.
+    """The missing one-port at every place, the place that explains most of the mismatch first.
 
     Parameters
     ----------

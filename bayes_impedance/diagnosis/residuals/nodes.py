@@ -1,8 +1,8 @@
 r"""Residuals of all people pooled on common frequency nodes, as errors of magnitude and of phase.
 
-White residuals are turned by :math:`e^{-i\arg Z}`, so that their first half is an error of magnitude and the second one
-of phase, projected, and summed over the points nearest to a node. With B the turned and summed basis of what the
-elements absorb, and D the numbers of points, a recording's sums are
+White residuals are rotated by :math:`e^{-i\arg Z}`, so that their first half is an error of magnitude and the second
+one of phase, projected, and summed over the points nearest to a node. With B the rotated and summed basis of the
+elements' tangent space, and D the numbers of points, a recording's sums are
 
 .. math:: x_r \sim N(0, C_r), \qquad C_r = D_r - B_r B_r^T
 
@@ -20,13 +20,13 @@ from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
 from bayes_impedance.person.noise import contrasts
 
 MINIMUM_CONTRASTS = 10
-"""Contrasts between repetitions from which on the noise is estimated from them: its variance is then known to 45 % at
-one real point, and better over a window; with fewer, the noise as assumed is the better guess."""
+"""Number of contrasts between repetitions from which the noise is estimated from them: its variance then has a standard
+error of 45 % at one real point, and less over a window. With fewer, the assumed noise is the better estimate."""
 
 
 @dataclass(frozen=True)
 class Pooled:
-    """Everybody's residuals on common nodes, magnitude first, then phase.
+    """Residuals of all recordings on common nodes, magnitude first, then phase.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class Pooled:
     count : ndarray, shape (R, 2 G)
         Number of these points.
     basis : ndarray, shape (R, 2 G, P)
-        Of what the elements absorb, summed in the same way.
+        Basis of the elements' tangent space, summed in the same way.
     """
 
     frequency_hz: np.ndarray
@@ -49,7 +49,7 @@ class Pooled:
 
     @property
     def persons(self) -> int:
-        """Their number N."""
+        """Number of persons N."""
         return int(self.owner[-1]) + 1
 
     def variance(self, templates: np.ndarray) -> np.ndarray:
@@ -92,7 +92,7 @@ def contrast_matrix(owner: np.ndarray) -> np.ndarray:
     Parameters
     ----------
     owner : ndarray of int, shape (R,)
-        Whose recording it is; each person's are adjacent.
+        Person of each recording; those of one person are adjacent.
 
     Returns
     -------
@@ -108,9 +108,9 @@ def contrast_matrix(owner: np.ndarray) -> np.ndarray:
 
 
 def pool(residuals: Sequence[PersonResiduals]) -> Pooled:
-    """Turn residuals into magnitude and phase, project them, and sum them on common nodes.
+    """Rotate residuals into magnitude and phase, project them, and sum them on common nodes.
 
-    The nodes are the grid itself if it is everybody's, else quantiles of all frequencies.
+    The nodes are the frequency grid if all people share it, else quantiles of all frequencies.
     """
     first = residuals[0].frequency_hz
     same = all(r.frequency_hz.shape == first.shape and np.allclose(r.frequency_hz, first) for r in residuals)
@@ -140,7 +140,7 @@ def pool(residuals: Sequence[PersonResiduals]) -> Pooled:
 
 
 def turn(person: PersonResiduals, vectors: np.ndarray) -> np.ndarray:
-    """Whitened vectors (J, 2 F, ...), real and imaginary, as parts along and across the model's impedance."""
+    """Rotate whitened vectors (J, 2 F, ...) from real and imaginary parts to along and across the model's impedance."""
     f = person.frequency_hz.size
     unit = person.model / np.abs(person.model)
     unit = unit.reshape(unit.shape + (1,) * (vectors.ndim - 2))

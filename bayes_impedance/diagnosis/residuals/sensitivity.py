@@ -1,7 +1,7 @@
 r"""Local impedance at every place of a network, and its adjoint sensitivity: the derivative of the port's impedance.
 
-From the leaves to the port impedances are added up; from the port back to the leaves the derivative
-:math:`a_p = \partial z_\text{port}/\partial z_p` is handed down:
+Impedances are combined from the leaves up to the port. The derivative
+:math:`a_p = \partial z_\text{port}/\partial z_p` is propagated from the port down to the leaves:
 
 .. math:: \text{parallel: } a_\text{part} = a, \qquad \text{series: } a_\text{part} = a\,(z/z_\text{part})^2, \qquad
           \text{operation: } a_\text{inside} = a\,T'(z).
@@ -25,14 +25,14 @@ INSIDE = "port, inside the rig"
 
 @dataclass(frozen=True)
 class Local:
-    """A place in many recordings.
+    """Impedance and sensitivity at one place, in many recordings.
 
     Attributes
     ----------
     z : ndarray, complex, shape (M, F)
-        Impedance of what stands there.
+        Impedance at the place.
     adjoint : ndarray, complex, shape (M, F)
-        Derivative of the impedance at the port.
+        Derivative of the port's impedance with respect to it.
     """
 
     z: np.ndarray
@@ -40,7 +40,7 @@ class Local:
 
 
 def local_impedances(model: Model, u: np.ndarray, omega: np.ndarray) -> dict[str, Local]:
-    """Every place of the network as given, with the additions in place.
+    """Impedance and sensitivity at every place of the network as given, with the additions in the model.
 
     Parameters
     ----------
@@ -52,8 +52,8 @@ def local_impedances(model: Model, u: np.ndarray, omega: np.ndarray) -> dict[str
     Returns
     -------
     dict of str to Local
-        By the names of the places; ``port`` is the whole, after everything, and :data:`INSIDE` the port as the body's
-        effects have it, before the rig's operations.
+        By the names of the places. ``port`` is the port after all effects; :data:`INSIDE` is the port after the body's
+        effects and before the rig's operations.
     """
     kernel = model.kernel
     values = {name: u[:, i, None] for i, name in enumerate(kernel.elements)}

@@ -9,12 +9,13 @@ matched filter of the projected template, so the projection is accounted for.
 
 .. math:: c = z / \sqrt{\max(1, \phi)}
 
-is large only where the population's *mean* is; neither structure of random sign nor noise that was taken too small
-makes it so.
+is large only where the population's *mean* residual is. Structure of random sign, or a noise level that was taken too
+small, does not make it large.
 
-**Incoherent.** :math:`\phi` over the same for contrasts between repetitions is F distributed, whatever the shape of the
-noise over frequency. The energy of all points of a window gives a second such ratio, for structure that every person
-has elsewhere. Ratios are compared on the scale of a standard normal (Wilson and Hilferty's cube root).
+**Incoherent.** The ratio of :math:`\phi` to the same quantity for contrasts between repetitions is F distributed,
+whatever the shape of the noise over frequency. The energy of all points of a window gives a second such ratio, for
+structure at a different place in each person. Ratios are compared on the scale of a standard normal (Wilson and
+Hilferty's cube root).
 
 **Many windows.** The distribution of either maximum comes from Monte-Carlo draws with the population's covariance. Far
 in the tail, :math:`p = M(t)\,P(|N| > t)` with an effective number of windows M that is calibrated at 5 % and grows as
@@ -32,17 +33,20 @@ from bayes_impedance.diagnosis.residuals.nodes import Pooled, contrast_matrix
 
 _SMALLEST_WINDOW = 3.0
 _SHAPED_WINDOW = 6
-"""Points in the narrowest window, and in the narrowest that is also searched for a slope and for a bend."""
+"""Points in the narrowest window, and in the narrowest that is also searched for a slope and for a bend. By choice:
+three points average single ones; six are twice the three terms constant, slope and bend."""
 
 _ABSORBED = 0.05
-"""Part of a template's energy that the elements must leave: with less, the linear theory of the rest is unreliable."""
+"""Smallest part of a template's energy that the elements may leave: with less, the linear theory of the remainder is
+unreliable. By choice."""
 
 _CALIBRATED_AT = 0.05
-"""Part of the null draws, the largest, beyond which p-values follow the tail of a normal field: 25 of 500 draws."""
+"""Upper tail probability of the null draws beyond which p-values follow the tail of a normal field. By choice: of 500
+draws the tail is then calibrated on 25."""
 
 _INDISTINCT, _ALIKE = 2.0, 6.0
-"""Chi-square by which a narrower window may be worse, with the same shape and with another. The elements absorb much of
-what distinguishes a constant from a slope over a wider window."""
+"""Chi-square by which a narrower window may be worse, with the same shape and with another. By choice; the second is
+larger because elements absorb much of what distinguishes a constant from a slope over a wider window."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +58,7 @@ class Windows:
     low, high : ndarray of int, shape (B,)
         Nodes low <= k < high.
     inside : ndarray, shape (G, B)
-        1 inside of a window, else 0.
+        1 inside the window, else 0.
     window, form : ndarray of int, shape (T,)
         Window of each template, and whether it is a constant (0), a slope (1) or a bend (2).
     shape : ndarray, shape (G, T)
@@ -73,7 +77,7 @@ class Windows:
         return np.concatenate([self.window, self.window + self.low.size])
 
     def templates(self) -> np.ndarray:
-        """All of them, in magnitude and in phase, shape (2 G, 2 T)."""
+        """All templates in magnitude, then in phase, shape (2 G, 2 T)."""
         zero = np.zeros_like(self.shape)
         return np.block([[self.shape, zero], [zero, self.shape]])
 
@@ -82,7 +86,7 @@ def windows(frequency_hz: np.ndarray) -> Windows:
     """Windows of 1, 1/2, 1/4, ... of the range of log frequency, a quarter of their width apart."""
     x = np.log(frequency_hz)
     g, span = x.size, float(x[-1] - x[0])
-    # Every other window is also searched for slopes and bends: they need not be met as closely as edges.
+    # Only every other window is also searched for slopes and bends: their positions matter less than edges do.
     found, pieces = {(0, g): True}, 2
     while g / pieces >= _SMALLEST_WINDOW:
         start = x[0] + 0.25 * span / pieces * np.arange(4 * pieces - 3)
@@ -128,11 +132,11 @@ class Ratios:
     Attributes
     ----------
     excess : ndarray, shape (2 T + 2 B,)
-        Scatter between persons over that of the noise.
+        Ratio of the scatter between persons to that of the noise.
     freedom : ndarray, shape (2 T + 2 B,)
         Degrees of freedom of the numerator.
     noise_freedom : ndarray, shape (2 T + 2 B,)
-        Of the denominator; infinite if the noise is assumed.
+        Degrees of freedom of the denominator; infinite if the noise is assumed.
     noise : ndarray, shape (2 T + 2 B,)
         Scatter of the contrasts between repetitions over what was assumed; 1 if there are none.
     """
@@ -167,7 +171,7 @@ def scatter_ratios(pooled: Pooled, windows: Windows, use_contrasts: bool) -> Rat
     n = np.maximum(matrix**2 @ pooled.count, 1.0)
     energy = _in_windows(np.sum((matrix @ pooled.scores) ** 2 / n, axis=0), inside)
     expected = _in_windows(np.sum((matrix**2 @ node) / n, axis=0), inside)
-    # All points of a window know its noise better than one template does, unless the noise is not white.
+    # All points of a window estimate its noise better than one template does, unless the noise is not white.
     level = energy / np.maximum(expected, 1e-300)
     home = windows.home()
     noise = np.concatenate([np.maximum(within / np.maximum(usable.sum(axis=0), 1), level[home]), level])
@@ -183,7 +187,7 @@ def scatter_between(pooled: Pooled, templates: np.ndarray) -> tuple[np.ndarray, 
 def _between(
     pooled: Pooled, templates: np.ndarray, score: np.ndarray, variance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The same from the scores and their variances, shape (R, M)."""
+    """The same as :func:`scatter_between`, from the scores and their variances, shape (R, M)."""
     s, v = pooled.by_person(score), pooled.by_person(variance)
     usable = v > 1e-6 * pooled.by_person(pooled.count @ templates**2).max(axis=0)
     total = np.sum(np.where(usable, v, 0.0), axis=0)
@@ -198,7 +202,7 @@ def _in_windows(nodes: np.ndarray, inside: np.ndarray) -> np.ndarray:
 
 
 def normal_score(ratio: np.ndarray, freedom: np.ndarray, noise_freedom: np.ndarray) -> np.ndarray:
-    """The standard normal variable that is as unlikely as an F ratio, by Wilson and Hilferty's cube root."""
+    """Standard normal score of an F ratio, by Wilson and Hilferty's cube-root approximation."""
     root = np.cbrt(ratio)
     a, b = 2.0 / (9.0 * np.maximum(freedom, 1e-3)), 2.0 / (9.0 * np.maximum(noise_freedom, 1e-3))
     return np.asarray((root * (1 - b) - (1 - a)) / np.sqrt(a + root**2 * b))
@@ -206,16 +210,16 @@ def normal_score(ratio: np.ndarray, freedom: np.ndarray, noise_freedom: np.ndarr
 
 @dataclass(frozen=True)
 class Null:
-    """Distribution of the largest of many statistics if nothing is missing.
+    """Null distribution of the largest of many statistics, when nothing is missing.
 
     Attributes
     ----------
     maxima : ndarray, shape (D,)
-        Ascending.
+        Maximum of each draw, ascending.
     sides : int
         2 if the statistics are absolute values.
     number : int
-        Of statistics.
+        Number of statistics.
     """
 
     maxima: np.ndarray
@@ -223,7 +227,7 @@ class Null:
     number: int
 
     def p_value(self, largest: float) -> float:
-        """Probability of so large a maximum: from the draws where they reach, else from the tail."""
+        """Probability of a maximum at least this large: from the draws within their range, else from the tail."""
         from scipy.special import ndtr
 
         knot = max(float(np.quantile(self.maxima, 1 - _CALIBRATED_AT)), 1.0)
@@ -248,14 +252,14 @@ def null_distributions(
 ) -> tuple[Null, Null]:
     """Null distributions of the largest |c| and of the largest normal score of the F ratios.
 
-    A person's noise is drawn once, for all draws of the population: a population is then a random choice among these.
+    Noise of single persons is drawn once; each simulated population is a random choice of such persons.
 
     Parameters
     ----------
     pooled : Pooled
     windows : Windows
     usable : ndarray of bool, shape (2 T + 2 B,)
-        Templates and windows that the elements leave visible; a template is only if its window is.
+        Templates and windows that remain visible beside the elements; a template only if its window does.
     noise_freedom : int
         Number of contrasts between repetitions; 0 if the noise is assumed.
     rng : numpy.random.Generator
@@ -300,7 +304,7 @@ def _random_means(rows: np.ndarray, size: int, rng: np.random.Generator) -> np.n
 
 
 def visible(pooled: Pooled, windows: Windows, covariance: np.ndarray) -> np.ndarray:
-    """Whether the elements leave enough of each template and of each window to be seen, shape (2 T + 2 B,)."""
+    """Whether the elements leave enough of each template and of each window, bool, shape (2 T + 2 B,)."""
     templates, count = windows.templates(), pooled.count.sum(axis=0)
     left = np.sum(templates * (covariance @ templates), axis=0)
     area = _in_windows(np.diag(covariance), windows.inside)
@@ -314,22 +318,23 @@ def visible(pooled: Pooled, windows: Windows, covariance: np.ndarray) -> np.ndar
 def refined(
     pooled: Pooled, scan: Windows, strength: np.ndarray, explained: Callable[[np.ndarray], np.ndarray]
 ) -> tuple[int, int, int, np.ndarray]:
-    """The template that explains most, with the best edges near its window's, because windows come in octaves.
+    """The template that explains most, with its edges refined, because the scanned windows are an octave apart.
 
     Parameters
     ----------
     pooled : Pooled
     scan : Windows
     strength : ndarray, shape (2 T,)
-        Of all templates; the best constant, slope and bend are refined.
+        Strength of each template; the best constant, slope and bend are refined.
     explained : callable
-        What templates (2 G, M) explain, as chi-square, shape (M,).
+        Chi-square explained by templates (2 G, M), shape (M,).
 
     Returns
     -------
     best : int
-        Template before it was refined.
+        Index of the template before refinement.
     low, high : int
+        Refined edges, nodes low <= k < high.
     template : ndarray, shape (2 G,)
     """
     x, t = np.log(pooled.frequency_hz), scan.window.size

@@ -1,6 +1,6 @@
-"""The search: which candidates explain what is missing, and whether their names hold.
+"""The search: which candidates explain what is missing, and whether they can be named.
 
-In come a fitted network and the catalogue; out comes :class:`~.stepwise.Found`, the additions in the order they were
+Input: a fitted network and the catalogue. Output: :class:`~.stepwise.Found`, the additions in the order they were
 found. Open :mod:`.stepwise` first: it calls :mod:`.score_scan` (all candidates in one pass), :mod:`.shortlist` (refits)
 and :mod:`.compare` (which of two is better); then :mod:`.restart`, :mod:`.unnamed`, :mod:`.identifiability`,
 :mod:`.cross_validation`.

@@ -1,26 +1,26 @@
 r"""The one criterion: whether explanation A of the recordings is better than explanation B.
 
-The log evidence of a fitted model is that of everybody (:mod:`bayes_impedance.diagnosis.fit.fitter`), less half the
-logarithm of the number of recordings for each of the k values that the whole population shares (means and shared
-parameters), with the dispersions of what was added integrated over their prior:
+The log evidence of a fitted model is the sum over all people (:mod:`bayes_impedance.diagnosis.fit.fitter`), less half
+the logarithm of the number of recordings for each of the k population parameters (means and shared parameters), with
+the dispersions of the additions integrated over their prior:
 
 .. math:: \ln E = \sum_i \ell_i(\tau_0) - \tfrac{k}{2}\ln N_\text{rec}
           + \ln\int p(\tau)\,\frac{L(\tau)}{L(\tau_0)}\,d\tau .
 
-:math:`\ell_i` is worked out with the dispersions held at :math:`\tau_0`; L is the likelihood of the dispersions with
-everybody's own coefficients integrated out (:mod:`bayes_impedance.diagnosis.fit.normal_equations`).
+:math:`\ell_i` is computed with the dispersions held at :math:`\tau_0`; L is the likelihood of the dispersions with each
+person's coefficients integrated out (:mod:`bayes_impedance.diagnosis.fit.normal_equations`).
 
-**The same for all, or different in everybody**, is one question with one prior. What people differ by is
+**Shared or varying** coefficients are compared under one prior. The dispersion between people is
 
 .. math:: \ln\tau \sim N(\ln 0.35, (\ln 2)^2)
 
-relative to a coefficient's mean, or in the logarithm of a shape; devices differ by nothing, :math:`\tau = 0`. A
-coefficient that can be absent in some people may instead be zero in them
-(:mod:`bayes_impedance.diagnosis.fit.spike_slab`): the better of the two counts.
+relative to a coefficient's mean, or in the logarithm of a shape; for effects of the rig :math:`\tau = 0`. A coefficient
+that can be absent in some people may instead be zero in them (:mod:`bayes_impedance.diagnosis.fit.spike_slab`): the
+better of the two counts.
 
 A is better than B if the difference exceeds :data:`LEAST_GAIN` and :data:`SCATTERS` times its standard error over
-people: what one person gains is that person's local optimum and not physics. Both must have come to rest, which is the
-business of whoever calls (:mod:`bayes_impedance.diagnosis.selection.finalists`).
+people: a gain in one person only is a local optimum of that person and not physics. Both fits must have converged; the
+caller ensures it (:mod:`bayes_impedance.diagnosis.selection.finalists`).
 """
 
 from __future__ import annotations
@@ -38,32 +38,32 @@ from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.fit.spike_slab import members
 
 LEAST_GAIN = 3.0
-"""Natural logarithms by which evidence must be larger: odds of 20 to 1."""
+"""Difference of log evidence that decides: odds of 20 to 1."""
 
 SCATTERS = 2.0
-"""Standard errors over people by which evidence must be larger: 2.3 % by chance."""
+"""Standard errors over people that the difference must exceed: 2.3 % by chance."""
 
 FEWEST_TO_VARY = 3
-"""With fewer people, nothing can be said of a dispersion: coefficients are the same for all."""
+"""With fewer people a dispersion cannot be estimated, and all coefficients are shared."""
 
 FEWEST_PEOPLE = 10
-"""With fewer people, neither a standard error over people nor who has an effect and who has not can be estimated, and
+"""With fewer people neither a standard error over people nor membership (who has an effect) can be estimated, and
 five folds would hold less than two people each."""
 
 _SPREAD_OF_DISPERSIONS = np.log(2.0)
-"""What people differ by is known within a factor of two."""
+"""Prior standard deviation of a log dispersion: dispersions are known within a factor of two. By choice."""
 
 _GRID = np.linspace(-4.0, 4.0, 65)
-"""Of the logarithm of a dispersion, in standard deviations of its prior. Steps of 9 % resolve what 100 people say of a
-dispersion, about 7 %; beyond four standard deviations lies 6e-5 of the prior."""
+"""Grid of a log dispersion, in standard deviations of its prior. Steps of 9 % resolve the standard error of a
+dispersion of 100 people, about 7 %; beyond four standard deviations lies 6e-5 of the prior."""
 
 _SWEEPS = 3
-"""Over the dispersions, each with the others at their maxima. In 248 integrals of 46 concealed populations the third
-sweep changed 2 % by more than 0.1 (at most by 1.2), a fourth none by more than 0.06."""
+"""Sweeps over the dispersions, each integrated with the others at their maxima. In 248 integrals of 46 concealed
+populations the third sweep changed 2 % by more than 0.1 (at most by 1.2), a fourth none by more than 0.06."""
 
 
 _known: WeakKeyDictionary[Refit, float] = WeakKeyDictionary()
-"""Log evidences that were worked out, as long as the fits are kept: one is compared with many."""
+"""Log evidences already computed, kept as long as their fits: one fit is compared with many."""
 
 
 @dataclass(frozen=True)
@@ -73,9 +73,9 @@ class Comparison:
     Attributes
     ----------
     difference : float
-        Of log evidence, in natural logarithms.
+        Of log evidence (natural logarithm).
     standard_error : float
-        Over people; 0 where they are too few.
+        Over people; 0 if there are too few.
     """
 
     difference: float
@@ -83,7 +83,7 @@ class Comparison:
 
     @property
     def decided(self) -> bool:
-        """Whether the first is better beyond doubt."""
+        """Whether the first is better, by both limits."""
         return bool(self.difference > LEAST_GAIN and self.difference > SCATTERS * self.standard_error)
 
 
@@ -102,7 +102,7 @@ def compare(one: Refit, other: Refit) -> Comparison:
 
 
 def log_evidence(fit: Refit) -> float:
-    """Evidence of a fitted model with the dispersions of what was added integrated, as in the module's docstring."""
+    """Log evidence of a fitted model, the additions' dispersions integrated out, as in the module's docstring."""
     if fit not in _known:
         model = fit.model
         total = float(np.sum(fit.evidence)) - 0.5 * len(model.parameters) * float(np.log(len(fit.u)))
@@ -111,7 +111,7 @@ def log_evidence(fit: Refit) -> float:
 
 
 def differs(fit: Refit, addition: int) -> bool:
-    """Whether people may differ in an addition: in what is the body's they do."""
+    """Whether an addition may differ between people: those of the body always may."""
     item = fit.model.additions[addition]
     if len(fit.data) < FEWEST_TO_VARY:
         return False
@@ -119,7 +119,7 @@ def differs(fit: Refit, addition: int) -> bool:
 
 
 def _of_distribution(fit: Refit, addition: int) -> float:
-    """What is gained when an addition's distribution over people is not held as it was fitted."""
+    """Gain of log evidence from integrating over an addition's distribution between people."""
     if not differs(fit, addition):
         return 0.0
     spread = _dispersions_integrated(fit, addition)
@@ -127,7 +127,7 @@ def _of_distribution(fit: Refit, addition: int) -> float:
     if item.pooling == "shared" or not item.effect.operation or len(fit.data) < FEWEST_PEOPLE:
         return spread
     who = members(fit, addition)
-    absent_in_some = who.gain - 0.5 * float(np.log(len(fit.u)))  # the price of the share of people who have it
+    absent_in_some = who.gain - 0.5 * float(np.log(len(fit.u)))  # penalty for the fraction of people who have it
     return spread + max(absent_in_some, 0.0) * who.only_some
 
 
@@ -161,7 +161,7 @@ def _dispersions_integrated(fit: Refit, addition: int) -> float:
 
 
 def _units(fit: Refit, model: Model) -> np.ndarray:
-    """What dispersions are relative to: coefficients' means; shapes and elements are logarithms, shape (A,)."""
+    """Unit of each dispersion, shape (A,): a coefficient's mean; 1 for shapes and elements, which are logarithms."""
     size = np.abs(fit.u[:, model.n_elements :].mean(axis=0))
     pairs = zip(size, model.parameters, strict=True)
     return np.array([max(s, 1e-12) if p.is_coefficient else 1.0 for s, p in pairs])

@@ -1,16 +1,16 @@
-r"""Does an explanation predict what it has not seen: other people, and other frequencies of the same people.
+r"""Cross-validation of an explanation: on people, and on frequencies of the same people, that were held out.
 
-**People.** They are dealt into folds. Population, shared parameters and mean coefficients are estimated without a fold,
-and the evidence of the people in it is computed under that population: their own elements are integrated out.
+**People** are divided at random into folds. Population, shared parameters and mean coefficients are estimated without a
+fold, and the evidence of the people in it is computed under that population, their own elements integrated out.
 
-**Frequencies.** The band is cut into blocks. Without a block everything is estimated, and
+**Frequencies.** The band is divided into blocks. All parameters are estimated without a block, and
 
 .. math:: \ln p(z_\text{block} \mid z_\text{rest}) = \ell_i(\text{all}) - \ell_i(\text{rest})
 
-under that population is everybody's predictive density of the block, summed over blocks.
+under that population is each person's predictive density of the block, summed over blocks.
 
 Both are differences between two models, person by person; the standard error of their sum is
-:math:`\sqrt{N}` times the standard deviation of everybody's difference.
+:math:`\sqrt{N}` times the standard deviation of these differences.
 """
 
 from __future__ import annotations
@@ -27,10 +27,11 @@ from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE
 from bayes_impedance.person.likelihood import Likelihood
 
 BLOCKS = 8
-"""Of the band. By choice: a block of a three-decade sweep is then 0.4 decades, wider than a resonance."""
+"""Blocks of the band. By choice: a block of a three-decade sweep is then 0.4 decades, wider than a resonance."""
 
 _ROUNDS = 12
-"""Of a refit without a fold or a block, which begins where the fit with it has ended."""
+"""Largest number of rounds of a refit without a fold or a block, which begins at the fit with it, near its end. By
+choice."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ class HeldOut:
     people, people_se : float or None
         None where there are too few people for folds.
     blocks, blocks_se : float or None
-        None if they were not held out.
+        None if no frequencies were held out.
     described : str
         What was held out.
     """
@@ -55,7 +56,7 @@ class HeldOut:
 
 
 def held_out(refitter: Refitter, before: Refit, after: Refit, seed: int, blocks: bool = True) -> HeldOut:
-    """Compare two fitted models on what they have not seen.
+    """Compare two fitted models on held-out data.
 
     Parameters
     ----------
@@ -63,7 +64,7 @@ def held_out(refitter: Refitter, before: Refit, after: Refit, seed: int, blocks:
         With all people.
     before, after : Refit
     seed : int
-        Of the dealing into folds.
+        Of the random division into folds.
     blocks : bool
         Whether frequencies are held out too; with too few people for folds they always are.
     """
@@ -95,7 +96,7 @@ def _se(difference: np.ndarray) -> float | None:
 
 
 def _people(refitter: Refitter, fit: Refit, fold: np.ndarray) -> np.ndarray:
-    """Everybody's evidence under a population that was estimated without their fold, shape (N,)."""
+    """Evidence of each person under a population that was estimated without that person's fold, shape (N,)."""
     result = np.empty(fold.size)
     for k in np.unique(fold):
         inside, outside = np.flatnonzero(fold == k), np.flatnonzero(fold != k)
@@ -106,7 +107,7 @@ def _people(refitter: Refitter, fit: Refit, fold: np.ndarray) -> np.ndarray:
 
 
 def _blocks(refitter: Refitter, fit: Refit) -> np.ndarray:
-    """Everybody's log predictive density of the blocks, summed, shape (N,)."""
+    """Log predictive density of the blocks of each person, summed over blocks, shape (N,)."""
     total = np.zeros(len(refitter.data))
     low = np.log(min(d.omega[0] for d in refitter.data))
     high = np.log(max(d.omega[-1] for d in refitter.data))
@@ -128,7 +129,7 @@ def _under(refitter: Refitter, fit: Refit, trained: Refit, u: np.ndarray) -> np.
 
 
 def _without(d: Likelihood, low: float, high: float) -> Likelihood:
-    """A person's data without a block of frequencies; at least a few points stay."""
+    """A person's data without a block of frequencies; complete if fewer than three points would remain."""
     keep = ~((np.log(d.omega) >= low) & (np.log(d.omega) < high))
     if keep.sum() < 3:
         keep[:] = True

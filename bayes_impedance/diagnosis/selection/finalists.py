@@ -1,9 +1,9 @@
-"""The best explanations of one step, brought to rest so that they can be compared on equal terms.
+"""The best explanations of one step, refitted until they converge, so that their evidence can be compared.
 
-The first refits hold shapes the same for everybody and begin wherever the model without the addition has ended. That
-shows which explanations are in question, but not which is best: a person left in a local optimum costs as much as a
-wrong explanation does. Here the best explanations are also tried with shapes that differ between people, and everybody
-is given the chance to leave a local optimum. The order is that of
+The first refits share shapes between people and begin at the fit without the addition. That selects the explanations to
+consider, but not the best: one person in a local optimum costs as much evidence as a wrong explanation does. Here the
+best explanations are also fitted with shapes that differ between people, and every person is restarted to leave local
+optima. The order is that of
 :func:`~bayes_impedance.diagnosis.selection.compare.log_evidence`.
 """
 
@@ -22,26 +22,26 @@ from bayes_impedance.diagnosis.selection.compare import FEWEST_TO_VARY, LEAST_GA
 from bayes_impedance.diagnosis.selection.shortlist import Trial
 
 MOST = 4
-"""Explanations that are brought to rest: each costs as much as all first refits together. In 31 steps with concealed
-effects the best at rest was among the first three of the first refits, and the first in 25."""
+"""Explanations that are refitted to convergence: each costs as much as all first refits together. In 31 steps with
+concealed effects the best after convergence was among the first three of the first refits, and the first in 25."""
 
 _SHARE = 0.6
-"""Of the best one's gain that an explanation must have. In those 31 steps none overtook it from below 0.92."""
+"""Fraction of the best gain that an explanation must have. In those 31 steps none overtook it from below 0.92."""
 
 _EQUAL = 1.0
-"""Differences of log evidence that rounding and the end of an iteration make; the catalogue's order decides then."""
+"""Differences of log evidence below this one are rounding and convergence error; the catalogue's order decides then."""
 
 _RIVAL = 10.0
-"""A rival that is further behind the leader before both are at rest is not worth more refits."""
+"""A rival further behind the leader, in log evidence before both have converged, is not refitted again. By choice."""
 
 _ROUNDS = 40
-"""Of a refit that begins where another place has ended: 11 of 12 came to rest."""
+"""Largest number of rounds of a refit that begins at the fit of another place: 11 of 12 converged."""
 
 
 def finalists(
     refitter: Refitter, fit: Refit, trials: Sequence[Trial], effects: Sequence[Effect], seed: int
 ) -> list[Trial]:
-    """The best trials, at rest, the best first.
+    """The best trials, refitted to convergence, best first.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def finalists(
         Without them.
     trials : sequence of Trial
     effects : sequence of Effect
-        The catalogue in its order, which decides between explanations that are equally good.
+        The catalogue, in the order that decides between equally good explanations.
     seed : int
     """
     best: dict[tuple[str, str, str], Trial] = {}
@@ -79,7 +79,7 @@ def _with_own_shapes(refitter: Refitter, fit: Refit, trial: Trial) -> Trial:
 def _at_rest(
     refitter: Refitter, fit: Refit, ranked: Sequence[Trial], effects: Sequence[Effect], seed: int
 ) -> list[Trial]:
-    """The finalists with everybody at rest: the same effect at another place begins where the best one has ended."""
+    """The finalists after convergence; the leader's effect at another place begins at the leader's fit."""
     leader = _again(ranked[0], refitter.settle(ranked[0].fit, seed), fit)
     result = [leader]
     for trial in ranked[1:]:
@@ -87,7 +87,7 @@ def _at_rest(
             model = with_pooling(trial.fit.model, len(trial.fit.model.additions) - 1, leader.pooling)
             grown = refitter.fit(model, leader.fit.u, leader.fit.population, _ROUNDS)
             result.append(_better_of(trial, _again(trial, grown, fit)))
-        elif trial.gain > ranked[0].gain - _RIVAL:  # the leader's before it was at rest
+        elif trial.gain > ranked[0].gain - _RIVAL:  # the leader's gain before it had converged
             result.append(_settled(refitter, fit, trial, seed, tries=2, rounds=1))
         else:
             result.append(trial)
@@ -98,7 +98,7 @@ def _at_rest(
 
 
 def in_order(trials: Sequence[Trial], effects: Sequence[Effect]) -> list[Trial]:
-    """Best first; of equally good ones the one that stands first in the catalogue: the simpler, and the rig's."""
+    """Best first; of equally good ones the first in the catalogue, which lists simpler effects and the rig's first."""
     rank = {effect: i for i, effect in enumerate(effects)}
     top = max(t.gain for t in trials)
     return sorted(
@@ -112,12 +112,12 @@ def _settled(refitter: Refitter, fit: Refit, trial: Trial, seed: int, tries: int
 
 
 def _again(trial: Trial, grown: Refit, fit: Refit) -> Trial:
-    """A trial with another fit of it; `fit` is without it."""
+    """The trial with another fit of the same model; `fit` is that of the model without the addition."""
     pooling = grown.model.additions[-1].pooling
     gain = log_evidence(grown) - log_evidence(fit)
     return replace(trial, pooling=pooling, fit=grown, gain=gain, physical=is_physical(grown))
 
 
 def _better_of(old: Trial, new: Trial) -> Trial:
-    """The new trial if it is physical and ahead, else the old one."""
+    """The new trial if it is physical and gains more, else the old one."""
     return new if new.physical and new.gain > old.gain else old

@@ -1,15 +1,15 @@
-"""Whether the names that a search has found hold, or stand together for physics that has none.
+"""Whether the effects that a search has found are identified, or together imitate physics outside the catalogue.
 
-A search among names puts anything smooth together from enough of them: by Foster and Prony every passive one-port is a
-sum of resonances or of relaxations. Three things give this away:
+A search over a catalogue can compose any smooth curve from enough effects: by Foster and Prony every passive one-port
+is a sum of resonances or of relaxations. Three signs of this are tested:
 
-- what the names leave is not small beside what they explain, and a small network without a name does more than they;
-- several relaxations or resonances are found that matter at the same frequencies, and structure remains even so;
-- two different names may stand for what is at the same place of the body and matters at the same frequencies: tissue
+- the effects leave much unexplained relative to their gain, and a small unnamed network explains more than they do;
+- several relaxations or resonances are found that act at the same frequencies, and structure remains nevertheless;
+- two different effects of the body act at the same frequencies, and the recordings allow both at the same place: tissue
   that neither describes.
 
-Then the verdict says ``unknown``, and what was found stands in for it. That structure remains is not enough by itself:
-of real recordings precise enough no model is left standing, and the names that explain most of them are worth having.
+Then the verdict says ``unknown``, and the fitted network stands in for it. Remaining structure is not sufficient by
+itself: with recordings precise enough every model is rejected, and effects that explain most of the misfit are useful.
 """
 
 from __future__ import annotations
@@ -34,11 +34,12 @@ from bayes_impedance.diagnosis.types import OnePort
 from bayes_impedance.network.operations import TRAITS
 
 _NAMED_SHARE = 0.9
-"""Share of all gain above which names are kept whatever a network without a name adds: that is a tenth. By choice."""
+"""Share of the total gain above which named effects are kept: an unnamed network then adds less than a tenth. By
+choice."""
 
 _SAME_BAND = 0.5
-"""Overlap (Bhattacharyya) from which two effects matter at the same frequencies: that of two normal distributions over
-log frequency that are 2.4 standard deviations apart. By choice."""
+"""Overlap (Bhattacharyya coefficient) from which two effects count as acting at the same frequencies: that of two
+normal distributions over log frequency that are 2.4 standard deviations apart. By choice."""
 
 
 def names_that_hold(
@@ -51,29 +52,29 @@ def names_that_hold(
     seed: int,
     executor: Executor,
 ) -> tuple[Found, Realised | None]:
-    """What was found, with the names that do not hold taken back.
+    """What was found, with named effects removed if they are not identified.
 
     Parameters
     ----------
     refitter : Refitter
     found : Found
     rest : Realised or None
-        Small network for what no name explains.
+        Small network for the structure that no effect explains.
     remains : bool
-        Whether structure remains beside the names.
+        Whether structure remains beside the named effects.
     residuals : sequence of PersonResiduals
-        Of the fit with the names.
+        Of the fit with the named effects.
     one_ports : sequence of OnePort
-        Missing at each place before anything was added, best place first.
+        Missing one-port at each place before anything was added, best place first.
     seed : int
     executor : Executor
 
     Returns
     -------
     found : Found
-        Without names, if they do not hold.
+        Without named effects, if they are not identified.
     unknown : Realised or None
-        What has no name: all of it if no names hold.
+        Network for the unnamed physics: for all that is missing if no named effect is identified.
     """
     own = found.final.model.additions[len(found.base.model.additions) :]
     named = log_evidence(found.final) - log_evidence(found.base)
@@ -93,7 +94,7 @@ def names_that_hold(
 
 
 def _of_one_thing(found: Found, own: Sequence[Addition], residuals: Sequence[PersonResiduals], remains: bool) -> bool:
-    """Whether two entries matter in one band, and are terms of a sum that leaves structure, or may be at one place."""
+    """Whether two effects overlap in frequency, and are series terms with structure left, or may be at one place."""
     model = found.final.model
     power = [felt(found.final, model.columns(model.additions.index(a)), residuals)[1] ** 2 for a in own]
     for i, k in combinations(range(len(own)), 2):
@@ -113,7 +114,7 @@ def _is_series_term(effect: Effect) -> bool:
 
 
 def _is_one_port(effect: Effect) -> bool:
-    """Whether an effect says what everybody's tissue at one place is made of."""
+    """Whether an effect describes the tissue of all people at one place as a one-port."""
     return (
         effect.side == "body"
         and effect.pooling != "some"
@@ -122,7 +123,7 @@ def _is_one_port(effect: Effect) -> bool:
 
 
 def felt(fit: Refit, columns: Sequence[int], residuals: Sequence[PersonResiduals]) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies (F,), and by how much a change of some parameters moves everybody's recordings over their noise."""
+    """Frequencies (F,) and root-sum-square sensitivity, over the noise, of all recordings to some parameters (F,)."""
     grid, power = residuals[0].frequency_hz, np.zeros(residuals[0].frequency_hz.size)
     start = 0
     for person in residuals:
@@ -135,12 +136,12 @@ def felt(fit: Refit, columns: Sequence[int], residuals: Sequence[PersonResiduals
 
 
 def _overlap(one: np.ndarray, other: np.ndarray) -> float:
-    """Bhattacharyya's coefficient of two distributions over frequency: 1 if they are equal, 0 if they never meet."""
+    """Bhattacharyya coefficient of two distributions over frequency: 1 if they are equal, 0 if they are disjoint."""
     return float(np.sum(np.sqrt(one * other)) / np.sqrt(one.sum() * other.sum()))
 
 
 def _possible_places(found: Found, addition: Addition) -> set[str]:
-    """Its place, and those at which the recordings might as well have it or what they cannot tell it from."""
+    """Its place, and the places of all alternatives that the recordings cannot separate from it."""
     step = found.step_of(addition)
     others = [] if step is None else rivals(step)
     return {addition.place} | {trial.candidate.place for trial, _, separated in others if not separated}

@@ -1,14 +1,15 @@
-r"""Another beginning: the network fitted to recordings from which an effect of the rig has been taken off.
+r"""A second start: the network fitted to recordings from which an effect of the rig has been removed.
 
-A strong effect of the rig drives the network alone into elements that nobody has, for everybody, and a refit with the
-effect does not find back from there. But what the rig does stands at the port, where it can be undone without knowing
-what is behind it. With :math:`z_0` and :math:`z_1` a person's network without and with the effect, recordings z become
+A strong effect of the rig drives the fit of the network alone to wrong elements in all people, and a refit with the
+effect does not recover from there. But an effect of the rig acts at the port, where it can be removed without knowing
+the network behind it. With :math:`z_0` and :math:`z_1` a person's network without and with the effect, recordings z
+become
 
 .. math:: z\,z_0/z_1, \qquad z - (z_1 - z_0), \qquad \left(1/z - (1/z_1 - 1/z_0)\right)^{-1}
 
 for an effect that multiplies the impedance, is beside the finger, or in series with it: none of the three depends on
-the elements of which :math:`z_0` is made. The network is fitted to these as if nothing were known of it. The size need
-only be roughly right: the elements that are found are a beginning for refits of the recordings as they are.
+the elements of which :math:`z_0` is made. The network is fitted to the corrected recordings from scratch. The size need
+only be roughly right: the elements found are only the start for refits of the original recordings.
 """
 
 from __future__ import annotations
@@ -31,36 +32,36 @@ from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.runtime.progress import Progress
 
 _PEOPLE = 12
-"""People on whom the effects of the rig are tried: the effect is the same for all, so some of them show it."""
+"""People on whom effects of the rig are tried. By choice: the effect is shared, so a subset shows it."""
 
 _FEWEST = 5
-"""With fewer people, a single one in a local optimum decides which beginning looks best. By choice."""
+"""With fewer people, a single one in a local optimum decides which start looks best. By choice."""
 
 _LONGER = 2.0
-"""Factor by which one step may fall short because elements have absorbed part of the effect."""
+"""Factor by which the one-step size may be too small because elements have absorbed part of the effect. By choice."""
 
 _ROUNDS = 40
-"""Of the refit from the new beginning, which starts far from its end."""
+"""Largest number of rounds of the refit from the new start, which is far from its end. By choice."""
 
 _SHARE = 0.6
-"""Of the known gain that the effect alone must reach from the new beginning. By choice: below it, the refits that
-follow would begin further from the end than before."""
+"""Fraction of the known gain that the effect alone must reach from the new start. By choice: below it, the following
+refits would start further from the end than before."""
 
 
 def another_beginning(
     fitted: Fitted, step: Step, known: float, seed: int, executor: Executor, progress: Progress
 ) -> Refit | None:
-    """The network alone, where it ends without the effect of the rig that harms it most; None if that promises nothing.
+    """Fit of the network alone after removing the effect of the rig that biases it most; None without enough gain.
 
-    Which effect it is, some of the people show at some of the frequencies.
+    The effect is selected on a subset of people and frequencies.
 
     Parameters
     ----------
     fitted : Fitted
     step : Step
-        The first one of a search, with what was tried.
+        The first step of a search, with its trials.
     known : float
-        Gain of what was found without it: the effect alone must come near that from its new beginning.
+        Gain of the effects found without a new start, of which the effect alone must reach a fraction.
     seed : int
     executor : Executor
     progress : callable
@@ -68,7 +69,7 @@ def another_beginning(
     Returns
     -------
     Refit or None
-        Of the recordings as they are: not at rest.
+        Of the original recordings; not converged.
     """
     recordings, base = fitted.recordings, fitted.fit
     n = len(recordings.subjects)
@@ -95,7 +96,7 @@ def another_beginning(
     if best is None:
         return None
     candidate, size = best
-    # Where elements have taken some of the effect upon themselves, the step falls short.
+    # Where elements have absorbed part of the effect, the one-step size is too small.
     if evidence(without(recordings, base, candidate, _LONGER * size)) > most:
         size *= _LONGER
     end = fitted_to(without(recordings, base, candidate, size))
@@ -105,7 +106,7 @@ def another_beginning(
 
 
 def without(recordings: Recordings, base: Refit, candidate: Candidate, size: float) -> Recordings:
-    """Recordings with an effect at the port taken off.
+    """Recordings with an effect at the port removed.
 
     Parameters
     ----------
@@ -132,7 +133,7 @@ def without(recordings: Recordings, base: Refit, candidate: Candidate, size: flo
 
 
 def _freed(effect: Effect, z: np.ndarray, z0: np.ndarray, z1: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Impedance without the effect, and by what its noise is multiplied."""
+    """Impedance without the effect, and the factor of its noise, both of the shape of z."""
     if effect.operation in ADDING:
         return z - (z1 - z0), np.ones(z.shape)
     if effect.connection == "series":
@@ -142,7 +143,7 @@ def _freed(effect: Effect, z: np.ndarray, z0: np.ndarray, z1: np.ndarray) -> tup
 
 
 def _sizes(step: Step) -> list[tuple[Candidate, float]]:
-    """Effects of the rig, each with the shape that explains most, and its coefficient by one step."""
+    """Effects of the rig, each with the shape that explains most and the one-step estimate of its coefficient."""
     screening = step.screening
     best: dict[str, int] = {}
     for k, candidate in enumerate(screening.candidates):

@@ -1,8 +1,8 @@
 r"""All candidates at all places in one pass, without a refit.
 
 A candidate's **signature** in a recording is the whitened change of the port's impedance per unit of its coefficient,
-with what the elements of that recording can absorb taken out, :math:`\tilde g = (1 - QQ^T)\,g`. If r are the whitened
-residuals, everybody's share of score and information is
+projected outside of what the elements of that recording can absorb, :math:`\tilde g = (1 - QQ^T)\,g`. If r are the
+whitened residuals, the score and information of person i are
 
 .. math:: b_i = \sum_j \tilde g_{ij}\cdot r_{ij}, \qquad m_i = \sum_j \tilde g_{ij}\cdot\tilde g_{ij},
 
@@ -10,16 +10,16 @@ and with :math:`B = \sum b_i`, :math:`I = \sum m_i` the estimate of a **shared**
 
 .. math:: Z = B/\sqrt{I} \sim N(0, 1)
 
-when nothing is missing. What was added before is taken out of B and I as well. Coefficients that **vary** are looked
-for by the spread of the shares about the common coefficient,
+when nothing is missing. Previous additions are projected out of B and I as well. Coefficients that **vary** are
+detected by the spread of the scores about the common coefficient,
 
 .. math:: V = \sum_i \frac{(b_i - m_i\hat x)^2 - m_i}{\sqrt{2\sum m_i^2}}, \qquad \hat x = \frac{B}{I} ,
 
-with B and I before that correction, as the shares are: a sum of chi-squares whose distribution is that of one scaled
+with B and I before that projection, as b and m are: a sum of chi-squares whose distribution is that of one scaled
 chi-square with the same mean and variance.
 
-**The price of many.** All Z are linear in the residuals, so together they are normal with the correlations of the
-signatures: the distribution of the largest |Z| is found by drawing from it, and its tail by
+**Correction for many candidates.** All Z are linear in the residuals, so they are jointly normal with the correlations
+of the signatures. The distribution of the largest |Z| is simulated, and its tail is
 :math:`p \approx n_\text{eff}\, 2\Phi(-|Z|)` with the effective number of candidates fitted to the draws.
 """
 
@@ -45,14 +45,15 @@ _DRAWS = 6_000
 log p-value."""
 
 _MOST_SUMS = 128
-"""Tasks into which people are divided: each returns one Gram matrix of all signatures, so that memory does not grow
-with the number of people."""
+"""Largest number of tasks into which people are divided. By choice: each returns one Gram matrix of all signatures, so
+that memory does not grow with the number of people."""
 
 _SMALLEST_LOG = -600.0
-"""A double underflows at a logarithm of -708: below this one the asymptotic tail takes over."""
+"""Log probability below which the asymptotic tail is used: a double underflows at -708."""
 
 _INVISIBLE = 1e-3
-"""A signature of which less than this part is left outside of the elements says nothing: it is rounding."""
+"""Candidates of whose signature the elements leave at most this fraction are dropped: the remainder is rounding
+error."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,19 +64,19 @@ class Screening:
     ----------
     candidates : tuple of Candidate
     score, information : ndarray, shape (N, C)
-        Everybody's b and m.
+        b and m of each person.
     z : ndarray, shape (C,)
-        Of a shared coefficient; NaN for invisible candidates.
+        Z of a shared coefficient; NaN for invisible candidates.
     size : ndarray, shape (C,)
         One-step estimate of the coefficient.
     spread : ndarray, shape (C,)
-        V.
+        V, the statistic of a varying coefficient.
     log_p_spread : ndarray, shape (C,)
         Natural logarithm of the p-value of V, corrected for all candidates.
     cosine : ndarray, shape (C, C)
-        Of the signatures, outside of the elements and of what was added before.
+        Between the signatures, outside of the elements and of previous additions.
     visible : ndarray, shape (C,)
-        Part of each signature's length that is left outside of the elements.
+        Fraction of each signature's length that the elements cannot absorb.
     effective : float
         Effective number of independent candidates.
     """
@@ -98,12 +99,12 @@ class Screening:
 
     @property
     def physical(self) -> np.ndarray:
-        """Whether each coefficient has a sign that its effect can have, shape (C,)."""
+        """Whether each coefficient has an admissible sign, bool, shape (C,)."""
         return np.array([c.effect.signed for c in self.candidates], dtype=bool) | (self.size > 0)
 
 
 def candidates_for(fit: Refit, effects: Sequence[Effect]) -> tuple[Candidate, ...]:
-    """Every effect at every place with every shape that is scanned, but for what was added already."""
+    """Every effect at every place with every scanned shape, except those added already."""
     model = fit.model
     taken = {addition.key for addition in model.additions}
     found = []
@@ -127,7 +128,7 @@ def screen(
         Of that fit.
     effects : sequence of Effect
     seed : int
-        Of the draws for the largest score.
+        For the draws of the largest score.
     executor : Executor
     """
     candidates = candidates_for(fit, effects)
@@ -165,9 +166,9 @@ def _shares(
     directions: Sequence[Sequence[np.ndarray | None]],
     u: Sequence[np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Some persons' b and m, shape (n, C + A), and over them the sums of the signatures' squares and of their products.
+    """Per person b and m, shape (n, C + A), and their sums of the signatures' squares and cross products.
 
-    The products, (C + A)^2 numbers, are what is large of it.
+    The cross products, (C + A)^2 numbers, are the large part of what is returned.
     """
     score, information = [], []
     squares, products = np.zeros(len(candidates) + added.size), np.zeros((len(candidates) + added.size,) * 2)
@@ -177,7 +178,7 @@ def _shares(
         g -= np.matmul(np.matmul(g, person.basis), np.swapaxes(person.basis, 1, 2))
         score.append(np.einsum("jcf,jf->c", g, person.white))
         information.append(np.einsum("jcf,jcf->c", g, g))
-        # For the correlations one recording of everybody is enough; the lengths are exact.
+        # For the correlations one recording of each person is enough; the lengths are exact.
         products += (g[0] @ g[0].T) * len(person.white)
     return np.array(score), np.array(information), squares, products
 
@@ -191,7 +192,7 @@ def _pooled(
     c: int,
     seed: int,
 ) -> Screening:
-    """Take what was added before out of the pooled scores, and find the price of many."""
+    """Project previous additions out of the pooled scores, and find the effective number of candidates."""
     pooled_score, nuisance = b.sum(axis=0), slice(c, None)
     visible = np.sqrt(m.sum(axis=0)[:c] / np.maximum(total[:c], 1e-300))
     net, net_gram = pooled_score[:c], gram[:c, :c]
@@ -211,7 +212,7 @@ def _pooled(
     with np.errstate(invalid="ignore", divide="ignore"):
         cosine = net_gram / np.sqrt(np.outer(information, information))
         squares = np.sum(own**2, axis=0)
-        common = pooled_score[:c] / own.sum(axis=0)  # not `size`: the shares are not corrected for additions either
+        common = pooled_score[:c] / own.sum(axis=0)  # not `size`: b and m are not corrected for additions either
         around = np.sum((shares - own * common) ** 2, axis=0)
         spread = (around - own.sum(axis=0)) / np.sqrt(2 * squares)
         freedom = own.sum(axis=0) ** 2 / squares
@@ -233,7 +234,7 @@ def _pooled(
 
 
 def _log_chi_square_tail(x: np.ndarray, freedom: np.ndarray) -> np.ndarray:
-    """Logarithm of the chance that a chi-square exceeds x, where it is too small for a number as well."""
+    """Log probability that a chi-square exceeds x, also where the probability underflows."""
     a, half = 0.5 * freedom, 0.5 * x
     direct = np.log(gammaincc(a, half))
     tail = (a - 1) * np.log(half) - half - gammaln(a) - np.log1p(-(a - 1) / half)
@@ -258,7 +259,7 @@ def _effective(correlation: np.ndarray, seed: int) -> float:
 def _constant_directions(
     fit: Refit, candidates: Sequence[Candidate], frequency_hz: np.ndarray
 ) -> list[np.ndarray | None]:
-    """Directions (F,) that are the same whatever stands at the place; None for the others."""
+    """Directions (F,) that do not depend on the impedance at the place; None for other candidates."""
     omega = 2 * np.pi * frequency_hz
     anything = np.ones((1, omega.size), dtype=complex)
     known: dict[tuple[object, ...], np.ndarray] = {}
@@ -282,7 +283,7 @@ def _signatures(
     person: PersonResiduals,
     u: np.ndarray,
 ) -> np.ndarray:
-    """Whitened signatures of a person's recordings, shape (J, C + A, 2 F), those of what was added before last."""
+    """Whitened signatures of a person's recordings, shape (J, C + A, 2 F), those of previous additions last."""
     omega = 2 * np.pi * person.frequency_hz
     local = local_impedances(model, u, omega)
     result = np.empty((len(u), len(candidates) + added.size, 2 * omega.size))

@@ -1,6 +1,6 @@
 """The best candidates of the scan, each refitted with the whole population.
 
-Each is tried as a coefficient that is the same for everybody and as one that differs, and the one with the largest gain
+Each is tried as a coefficient that is shared by all people and as one that varies, and the one with the largest gain
 (:mod:`bayes_impedance.diagnosis.fit.extend`) leads.
 """
 
@@ -19,7 +19,7 @@ from bayes_impedance.diagnosis.selection.compare import FEWEST_TO_VARY, log_evid
 from bayes_impedance.diagnosis.selection.score_scan import Screening
 
 ALPHA = 0.01
-"""Family-wise error of one screening."""
+"""Family-wise error rate of one screening. By choice."""
 
 SHORTLIST = 8
 """Candidates that are refitted because of their common score. By choice: each costs as much as fitting the network."""
@@ -28,14 +28,14 @@ _LEAST_SHARE = 0.4
 """Of the largest score: a candidate below it explains less than a sixth (0.4 squared) of what the best one does."""
 
 _PLACES_EACH = 2
-"""Places at which one effect is tried in the first round; the leader is tried at all others afterwards."""
+"""Places at which one effect is tried in the first round. By choice: the leader is tried at all others afterwards."""
 
 _BY_SPREAD = 2
 """Candidates that are refitted because their coefficients differ between people. By choice, as `SHORTLIST`."""
 
 _CLEARLY_VARIES = -10.0
-"""Corrected log p-value (4.5e-5) of the spread over people below which starts with everybody's own shape are tried.
-It decides on starts only, so it has to be rare rather than exact."""
+"""Corrected log p-value (4.5e-5) of the spread over people below which starts with each person's own shape are
+tried. It decides on starts only, so it has to be rare rather than exact."""
 
 _OWN_SHAPE_KNOWN = 12.0
 """Chi-square of one person's own best shape above which that shape is a start: by chance 5e-4 for one shape, so below
@@ -45,7 +45,7 @@ _FIRST_ROUNDS, _MORE_ROUNDS = 8, 22
 """Rounds of a first refit, and of those that are not far behind after it. By choice: 30 in all."""
 
 _FAR_BEHIND = 40.0
-"""Log evidence that a refit that has not come to rest is not expected to make up. By choice."""
+"""Log evidence that a refit which has not converged is not expected to make up. By choice."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Trial:
     gain : float
         Of log evidence over the model without it (:func:`.compare.log_evidence`).
     physical : bool
-        Whether the fitted coefficient has a sign that the effect can have.
+        Whether the fitted coefficient has an admissible sign.
     """
 
     candidate: Candidate
@@ -76,15 +76,15 @@ class Trial:
 
 
 def best_shapes(screening: Screening, physical_only: bool = True, by_spread: bool = False) -> list[int]:
-    """For every effect and place the index of the best shape, best first.
+    """Index of the best shape for every effect and place, best first.
 
     Parameters
     ----------
     screening : Screening
     physical_only : bool
-        Only coefficients with a sign that their effect can have.
+        Only coefficients with an admissible sign.
     by_spread : bool
-        Rank effects of the body by how much their coefficients differ between people, in place of their common score.
+        Rank effects of the body by how much their coefficients differ between people, instead of by their common score.
     """
     strength = np.abs(np.nan_to_num(screening.z))
     if by_spread:
@@ -103,8 +103,9 @@ def best_shapes(screening: Screening, physical_only: bool = True, by_spread: boo
 def shortlist(screening: Screening, n: int = SHORTLIST) -> list[int]:
     """Candidates worth a refit.
 
-    The best that explain much of what the best one explains, each effect at two places at most, and the two whose
-    coefficients differ most between people: a resonance that lies elsewhere in everybody has no common score.
+    These are the candidates that explain a large part of what the best one explains, each effect at two places at most,
+    and the two whose coefficients differ most between people: a resonance at a different frequency in each person has
+    no common score.
     """
     order = best_shapes(screening)
     strength = np.abs(screening.z)
@@ -144,11 +145,11 @@ def try_candidate(
         Without it.
     candidate : Candidate
     size : float
-        One-step estimate of the coefficient: a branch cannot begin at nothing.
+        One-step estimate of the coefficient, because a branch cannot start at zero.
     poolings : sequence of str
     rounds : int
     begin : Refit, optional
-        Of the model without it: where the refits begin, if not at `fit`.
+        Fit of the model without it at which the refits begin; `fit` if not given.
     """
     # The coefficient is linear: at zero the larger model is the smaller one, and the elements follow from there.
     model = extended(fit.model, candidate, "shared", size)
@@ -165,9 +166,9 @@ def try_candidate(
 def own_shapes(
     refitter: Refitter, fit: Refit, screening: Screening, k: int, rounds: int = 30, begin: Refit | None = None
 ) -> Trial:
-    """Refit with shapes that differ between people, everybody beginning at the best of the own scores over the grid.
+    """Refit with shapes that differ between people, each person starting at the shape with the best own score.
 
-    A resonance that lies elsewhere in everybody is invisible to a search from a common start.
+    A resonance at a different frequency in each person cannot be found from a common start.
     """
     chosen = screening.candidates[k]
     effect = chosen.effect
@@ -198,9 +199,9 @@ def own_shapes(
 
 
 def try_shortlist(refitter: Refitter, fit: Refit, screening: Screening, begin: Refit | None = None) -> list[Trial]:
-    """Refit the shortlist, and the best of it at the places that the list had no room for.
+    """Refit the shortlist, and then its best effect at all remaining places.
 
-    The refits begin at `fit`, or where they are told to.
+    The refits begin at `begin` if given, else at `fit`.
     """
     trials: list[Trial] = []
     for k in shortlist(screening):
@@ -227,7 +228,7 @@ def try_shortlist(refitter: Refitter, fit: Refit, screening: Screening, begin: R
 
 
 def _continued(refitter: Refitter, fit: Refit, trials: list[Trial]) -> list[Trial]:
-    """The trials that are not far behind after their first rounds, with more rounds; the others as they are."""
+    """The trials, with more rounds for those that are not far behind after the first ones."""
     gains = [t.gain for t in trials if np.isfinite(t.gain) and t.physical]
     if not gains:
         return trials
@@ -242,10 +243,10 @@ def _continued(refitter: Refitter, fit: Refit, trials: list[Trial]) -> list[Tria
 
 
 def poolings_for(effect: Effect, n_people: int) -> tuple[str, ...]:
-    """How a coefficient is spread over people: the rig's is the same for all, the body's differs."""
+    """Pooling of a coefficient: that of the rig is shared, that of the body varies."""
     return ("shared",) if effect.side == "rig" or n_people < FEWEST_TO_VARY else ("varying",)
 
 
 def _trial(candidate: Candidate, pooling: str, grown: Refit, fit: Refit) -> Trial:
-    """A refit of the model without it, `fit`, with a candidate."""
+    """The trial of a candidate: `grown` is the fit with it and `fit` the one without."""
     return Trial(candidate, pooling, grown, log_evidence(grown) - log_evidence(fit), is_physical(grown))

@@ -1,8 +1,8 @@
-"""Forward selection of what is missing, a backward pass, and what cannot be told apart.
+"""Forward selection of missing effects, a backward pass, and alternatives that cannot be separated.
 
-Each step looks at all candidates with what was found before in place, refits the most promising with the whole
-population and keeps the best one. It stops when no candidate is significant after correction for all that were tried,
-when none improves the evidence, or when the people are too few for more.
+Each step screens all candidates with the previous additions in the model, refits the most promising ones with the whole
+population and keeps the best. The search stops when no candidate is significant after correction for all that were
+tried, when none improves the evidence, or when there are too few people for more additions.
 """
 
 from __future__ import annotations
@@ -27,19 +27,21 @@ from bayes_impedance.diagnosis.selection.shortlist import ALPHA, Trial, try_shor
 from bayes_impedance.runtime.progress import Progress
 
 MOST_ADDITIONS = 4
-"""Names that one search may give. By choice: what needs more of them is a general network and not a list of effects."""
+"""Largest number of additions of one search. By choice: a mismatch that needs more is not a list of effects."""
 
 _PEOPLE_PER_ADDITION = 8
-"""People for each addition, which has a mean, a dispersion and often a shape to be estimated from them. By choice."""
+"""People required per addition, which has a mean, a dispersion and often a shape to be estimated. By choice."""
 
 _REPEATS = 3
-"""Times that the search begins again because the model without the addition had not come to rest."""
+"""Largest number of times that a step is repeated because the model without the addition had not converged. By
+choice."""
 
 _SECOND_CHANCES = 3
-"""Explanations of a step that are weighed, best first, until one is better beyond doubt."""
+"""Explanations of a step that are compared with the model without them, best first, until one is decided. By choice."""
 
 SPREAD_PENALTY = float(np.log(100.0))
-"""The spread between people is held to a stricter level: noise of another shape in some people looks like it."""
+"""Stricter level for the spread between people, by a factor of 100: noise of a different shape in some people looks
+similar. By choice."""
 
 
 @dataclass(frozen=True)
@@ -51,13 +53,13 @@ class Step:
     before : Refit
         Without the addition.
     residuals : tuple of PersonResiduals
-        Of that.
+        Of that fit.
     screening : Screening
-        Of that.
+        Of that fit.
     trials : tuple of Trial
-        Everything that was refitted.
+        All refits.
     chosen : Trial or None
-        What was added.
+        The addition of this step.
     """
 
     before: Refit
@@ -68,7 +70,7 @@ class Step:
 
     @property
     def log_p(self) -> float:
-        """Smallest corrected log p-value among candidates with a possible sign, of a common size or of its spread."""
+        """Smallest corrected log p-value among candidates with an admissible sign, of a shared or a varying effect."""
         s = self.screening
         z = np.where(s.physical, np.nan_to_num(s.z), 0.0)
         body = np.array([c.effect.side == "body" for c in s.candidates], dtype=bool)
@@ -78,15 +80,15 @@ class Step:
 
 @dataclass(frozen=True)
 class Found:
-    """Where the search ended.
+    """Result of the search.
 
     Attributes
     ----------
     base, final : Refit
     steps : tuple of Step
-        The last one found nothing more.
+        In order; the last step added nothing.
     posterior : CoefficientPosterior or None
-        Joint posterior of everything that was added, from the quadratic expansion.
+        Joint posterior of all additions, from the quadratic expansion.
     """
 
     base: Refit
@@ -118,7 +120,7 @@ def search(
     ----------
     refitter : Refitter
     base : Refit
-        The network alone, or with what is known to belong to it.
+        The network alone, or with additions that are known.
     names : sequence of str
         Of the people.
     effects : sequence of Effect
@@ -126,7 +128,7 @@ def search(
     executor : Executor
     progress : callable
     begin : Refit, optional
-        Of the same model as `base`: where the first step looks and where its refits begin, if it finds something there.
+        Fit of the same model as `base`, at which the first step screens and starts its refits.
     """
     most = min(MOST_ADDITIONS, max(1, len(refitter.data) // _PEOPLE_PER_ADDITION))
     fit, steps, posterior = base, list[Step](), None
@@ -152,7 +154,7 @@ def search(
                 if better_than_without.decided:
                     chosen, posterior = replace(trial, fit=grown, gain=better_than_without.difference), measure
                     break
-            if better is not None:  # it was not physics that was missing but convergence
+            if better is not None:  # no physics was missing: the smaller model had not converged
                 repeats += 1
                 base = better if fit is base else base
                 fit = better
@@ -175,14 +177,14 @@ def search(
 
 
 def _without_last(refitter: Refitter, fit: Refit, grown: Refit) -> Refit | None:
-    """The fit without the last addition, begun where the larger model has ended; None if that is no better."""
+    """Refit without the last addition from the larger model's estimates; None if it is not better than `fit`."""
     columns = [grown.model.kernel.elements.index(name) for name in fit.model.kernel.elements]
     again = refitter.fit(fit.model, grown.u[:, columns], fit.population)
     return again if again.evidence.sum() > fit.evidence.sum() + LEAST_GAIN else None
 
 
 def _backward(refitter: Refitter, base: Refit, fit: Refit) -> Refit:
-    """Take out what later additions have made superfluous."""
+    """Remove additions that later ones have made superfluous."""
     first = len(base.model.additions)
     while len(fit.model.additions) > first + 1:
         smaller = []
@@ -198,11 +200,11 @@ def _backward(refitter: Refitter, base: Refit, fit: Refit) -> Refit:
 
 
 _MOST_ALIASES = 12
-"""Rivals that a verdict lists: no more than a reader looks through."""
+"""Largest number of rivals in a verdict. By choice: a reader will not go through more."""
 
 
 def rivals(step: Step) -> list[tuple[Trial, float, bool]]:
-    """Other explanations than what a step has chosen, how far behind they are, and whether they are separated."""
+    """Rivals of a step's choice, each with its deficit of log evidence and whether the choice is decidedly better."""
     assert step.chosen is not None  # steps without a choice have no rivals
     chosen = step.chosen
     best: dict[tuple[str, str, str], Trial] = {}

@@ -1,8 +1,9 @@
-"""Physics that no candidate explains: a small passive network that closes the gap, chosen by what it has not seen.
+"""Physics outside the catalogue: a small passive network that stands for it, selected on held-out data.
 
 Small branches of masses, springs and dampers are tried beside and in series with the places at which the missing
-one-port closes most of the gap. Every one of them is passive by construction. They are screened like any candidate, the
-best are refitted, and the one that gains most on **held-out people** is taken: more elements do not win by being more.
+one-port explains most of the mismatch. All are passive by construction. They are screened like any candidate, the best
+are refitted, and the one that gains most on **held-out people** is selected, so that a larger branch is not preferred
+merely for its number of elements.
 """
 
 from __future__ import annotations
@@ -25,19 +26,19 @@ from bayes_impedance.diagnosis.selection.stepwise import Found
 from bayes_impedance.diagnosis.types import OnePort
 
 ALPHA = 1e-3
-"""Structure counts as left over below this p-value."""
+"""P-value below which structure counts as remaining. By choice."""
 
 BRANCHES = ("m", "n", "r", "n|r", "m-r", "n-r", "m-(n|r)", "n-(m|r)", "(n-r)|(n-r)", "(n-r)-(m|r)")
-"""Branches of one to four elements; with more, what a branch is like is no longer told from what it resembles."""
+"""Branches of one to four elements. By choice: with more elements, branches can no longer be told apart."""
 
 _PLACES = 3
-"""Best places at which branches are tried."""
+"""Number of best places at which branches are tried. By choice."""
 
 _REFITTED = 6
-"""Branches that are refitted. By choice, as `SHORTLIST` is."""
+"""Number of branches that are refitted. By choice, as `SHORTLIST` is."""
 
 _COMPARED = 3
-"""Of those, how many are compared on held-out people, which costs five refits each."""
+"""Number of those that are compared on held-out people. By choice: each costs five refits."""
 
 
 @dataclass(frozen=True)
@@ -57,16 +58,16 @@ class Realised:
 
 
 def structure_remains(found: Found, p_value: float) -> bool:
-    """Whether a search has left structure: in the residuals (p-value), or in the scores of candidates that it refused.
+    """Whether a search leaves structure: in the residuals (p-value), or in the scores of candidates that it refused.
 
-    A search that ended because no more additions are allowed has not looked for what is left.
+    A search that ended at the largest number of additions has not tested what remains.
     """
     last = found.steps[-1]
     return bool(p_value < ALPHA or (last.log_p < np.log(ALPHA) and last.chosen is None))
 
 
 def branch_effects() -> tuple[Effect, ...]:
-    """The small branches, as effects without a name."""
+    """The small branches as unnamed effects."""
     return tuple(
         Effect(
             id="unknown",
@@ -95,7 +96,7 @@ def stand_in_network(
     seed: int,
     executor: Executor,
 ) -> Realised | None:
-    """The small network that helps most on held-out people; None if none helps.
+    """The small network with the largest gain on held-out people; None if none gains.
 
     Parameters
     ----------
@@ -129,12 +130,12 @@ def stand_in_network(
     gains = [people_gain(refitter, fit, t.fit, seed) for t in good]
     best = int(np.argmax([g for g, _ in gains]))
     total, se = gains[best]
-    # What a single person gains is that person's local optimum, not physics.
+    # A gain in a single person is that person's local optimum, not physics.
     return Realised(good[best], total, se) if total > SCATTERS * (se or 0.0) else None
 
 
 def _numbered(branch: str) -> str:
-    """Give every element of a branch a name of its own."""
+    """Number the elements of a branch, so that names are unique."""
     counts: dict[str, int] = {}
     text = ""
     for character in branch:

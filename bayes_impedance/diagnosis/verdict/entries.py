@@ -1,4 +1,4 @@
-"""Entries of the verdict: one for every effect that was found, with what it cannot be told from."""
+"""Entries of the verdict: one for every effect that was found, with the rivals that cannot be separated from it."""
 
 from __future__ import annotations
 
@@ -37,10 +37,12 @@ from bayes_impedance.diagnosis.verdict_types import (
 from bayes_impedance.units import number_with_unit as number
 
 _PROPOSALS = 4
-"""Closest rivals for which the separating measurement is computed: each takes as long as a refit of everybody."""
+"""Closest rivals for which the separating measurement is computed: each takes as long as a refit of all
+people. By choice."""
 
 _SIGNIFICANT_PAIR = 0.05
-"""Corrected level at which a pair of correlated elements is listed, where the test of all pairs is significant."""
+"""Corrected level at which a pair of correlated elements is listed, where the test of all pairs is significant. By
+choice."""
 
 
 def effect_entry(
@@ -52,7 +54,7 @@ def effect_entry(
     few_people: bool,
     quick: bool,
 ) -> Physics:
-    """An effect of the catalogue on the curves.
+    """Entry for an effect of the catalogue.
 
     Parameters
     ----------
@@ -65,7 +67,7 @@ def effect_entry(
     names : sequence of str
         Of the people.
     few_people : bool
-        There are too few people to tell rig from body.
+        Whether there are too few people to distinguish rig and body.
     quick : bool
         As for :func:`aliases_of`.
     """
@@ -73,7 +75,7 @@ def effect_entry(
     item = model.additions[addition]
     effect = item.effect
     who = members(found.final, addition) if effect.pooling == "some" else None
-    if who is not None:  # the coefficient of those who have it, not of everybody
+    if who is not None:  # the coefficient among those who have it
         posterior = _of_members(posterior, model.columns(addition)[0] - model.n_elements, who)
     rows = reported(model, addition, posterior, np.asarray(found.final.u[:, : model.n_elements].mean(axis=0)))
     column = model.columns(addition)[0] - model.n_elements
@@ -149,15 +151,15 @@ def _score_of(step: Step, key: tuple[str, str, str]) -> float:
 
 
 def aliases_of(step: Step, quick: bool) -> tuple[Alias, ...]:
-    """Rivals of what a step has chosen, the closest first, and what would separate them.
+    """Rivals of a step's choice, the closest first, and the measurements that would separate them.
 
-    One of the other side may be ahead (``elpd_behind`` below zero): sides go by whether people differ.
+    A rival of the other side may be ahead (``elpd_behind`` below zero), because rig or body is decided by dispersion.
 
     Parameters
     ----------
     step : Step
     quick : bool
-        Quote the catalogue's measurement; otherwise it is computed which one separates, for the closest.
+        Quote the catalogue's measurement; otherwise the best separating one is computed for the closest rivals.
     """
     assert step.chosen is not None
     rows = []
@@ -179,10 +181,10 @@ def aliases_of(step: Step, quick: bool) -> tuple[Alias, ...]:
 
 
 def unknown_entry(unknown: Realised, named: int) -> Physics:
-    """Entry for physics without a name: what stands in for it, beyond the additions that have names."""
+    """Entry for unnamed physics: the network that stands for it, in addition to the named effects."""
     terms = unknown.trial.fit.model.additions[named:]
     addition = terms[0]
-    branches = unknown.trial.fit.model.branches[named:]  # with names that the network does not have yet
+    branches = unknown.trial.fit.model.branches[named:]  # with names that are free in the network
     formula = f"a small network {branches[0]} {addition.effect.connection} the place"
     if len(terms) > 1:
         each = zip(terms, branches, strict=True)
@@ -204,7 +206,7 @@ def unknown_entry(unknown: Realised, named: int) -> Physics:
 
 
 def hum_entry(hum: Hum, unit: str) -> Physics:
-    """Entry for hum of the mains; its amplitude is that of the complex hum, of which each part has the rms found."""
+    """Entry for mains hum; its amplitude is that of the complex hum, whose two parts each have the rms found."""
     middle, low, high = (math.sqrt(2) * value for value in (hum.amplitude, hum.q05, hum.q95))
     entry = _of_population(
         "hum",
@@ -217,7 +219,7 @@ def hum_entry(hum: Hum, unit: str) -> Physics:
 
 
 def structure_entry(structure: Structure, elements: Sequence[str], names: Sequence[str]) -> Physics:
-    """Entry for a structure of the population: how elements are distributed.
+    """Entry for a structure of the population, in the distribution of the elements.
 
     Parameters
     ----------
@@ -235,7 +237,7 @@ def structure_entry(structure: Structure, elements: Sequence[str], names: Sequen
 
 
 def _trend_entry(found: ElementTrends) -> Physics:
-    """Entry for elements that follow a covariate or the repetitions, the surest first."""
+    """Entry for elements that follow a covariate or the repetitions, the most significant first."""
     first, covariate = found.trends[0], found.covariate
     kind, parameter = ("body.drift", "trend") if covariate is None else ("body.covariate", "slope")
     unit = "per repetition" if covariate is None else "" if first.transform == "log" else f"per unit of {covariate}"
@@ -285,7 +287,7 @@ def _evidence(score: float, p_value: float, gain: float, se: float | None = None
 def _of_population(
     kind: Kind, structure: str, place: str, parameters: dict[str, Parameter], evidence: EvidenceOfEffect
 ) -> Physics:
-    """Entry for what changes no formula, in the catalogue's words."""
+    """Entry for a structure that changes no formula, with the catalogue's texts."""
     said = STRUCTURES[structure]
     return Physics(
         kind=kind,

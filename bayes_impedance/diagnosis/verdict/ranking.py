@@ -1,4 +1,4 @@
-"""What the screening says about every candidate: the ranking, and the smallest effects that would have been found."""
+"""Results of the screening for every candidate: the ranking, and the detection limits."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ from bayes_impedance.units import number_with_unit as number
 from bayes_impedance.units import unit_of
 
 _POWER = 1.2816
-"""A true effect at the limit is found nine times out of ten."""
+"""90 % quantile of the standard normal: a true effect at the limit is found nine times out of ten."""
 
 _RANKED = 40
+"""Largest number of candidates in the ranking. By choice: it bounds the length of the verdict."""
 
 
 def detection_limits(model: Model, screening: Screening) -> tuple[tuple[Detectable, ...], tuple[str, ...]]:
-    """The smallest effect of each kind that would have been found, and what no such recording could show."""
+    """Detection limit of each effect at each place, and the effects that such recordings cannot show."""
     level = critical_z(screening) + _POWER
     information = _information(screening)
     groups: dict[tuple[str, str], list[tuple[float, Candidate]]] = {}
@@ -41,7 +42,7 @@ def detection_limits(model: Model, screening: Screening) -> tuple[tuple[Detectab
         effect = candidate.effect
         first = effect.coefficients[0] if effect.operation else None
         scale = first.scale(model.scales) if first else 1.0
-        if above > 30 * scale:  # so large that nothing of the present curve would be left
+        if above > 30 * scale:  # so large that it would dominate the measured curve
             hidden.append(f"{name} at {place}")
             continue
         unit = unit_of(first.unit, model.scales.unit) if first else ""
@@ -66,7 +67,7 @@ def _information(screening: Screening) -> np.ndarray:
 
 
 def critical_z(screening: Screening) -> float:
-    """Score at which a candidate becomes significant after correction for all."""
+    """Score at which a candidate becomes significant after correction for all candidates."""
     grid = np.linspace(2.0, 8.0, 601)
     return float(grid[np.argmax(screening.log_p(grid) < np.log(ALPHA))])
 

@@ -9,14 +9,14 @@ from bayes_impedance.units import number_with_unit as number
 
 
 def sentence(verdict: Verdict, people: int) -> str:
-    """The verdict as one sentence that a person would say to a colleague.
+    """The verdict summarised in one sentence.
 
     Parameters
     ----------
     verdict : Verdict
-        Its own sentence is not looked at.
+        Its `sentence` is not used.
     people : int
-        Number of those who were measured.
+        Number of people measured.
     """
     if not verdict.reliable and verdict.shortcomings:
         return f"Nothing can be concluded: {_clause_of(verdict.shortcomings[0])}"
@@ -48,7 +48,7 @@ def sentence(verdict: Verdict, people: int) -> str:
 
 
 def _clause_of(sentence: str) -> str:
-    """A sentence as the end of another."""
+    """A sentence as the final clause of another."""
     return sentence[0].lower() + sentence[1:].rstrip(".") + "."
 
 
@@ -62,7 +62,7 @@ def _clause(entry: Physics) -> str:
     side = {"rig": ", a matter of the rig", "body": ", a matter of the body"}.get(entry.side or "", "")
     others = {alias.id.split(".")[0] for alias in entry.aliases if not alias.separated}
     if not entry.side_decided or others - {entry.side}:
-        side = ""  # people may differ or not, or what it cannot be told from belongs to the other side
+        side = ""  # dispersion is undecided, or an inseparable rival belongs to the other side
     if entry.id == "body.covariate" or entry.kind == "correlation":
         return f"that {entry.name}{size}"
     at = "" if entry.place == "port" and entry.side == "rig" else f" at {_place(entry.place)}"

@@ -1,4 +1,4 @@
-"""The verdict: what was found, put together from the search, the tests and the models before and after."""
+"""The verdict: findings collected from the search, the tests and the models before and after."""
 
 from __future__ import annotations
 
@@ -40,17 +40,17 @@ from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.results.curve_errors import relative_rms
 
 _LINE_WIDTH = 0.01
-"""A band of hum reaches at least so far around its point, relative: on a dense grid it would have no width."""
+"""Smallest relative half width of a band of hum around its point: on a dense grid it would have no width. By choice."""
 
 _SIGNIFICANT_DIFFERENCE = 0.05
-"""Corrected level at which an element is said to differ between simulation and recordings."""
+"""Corrected level at which an element is reported to differ between simulation and recordings. By choice."""
 
 FEW_PEOPLE = 3
-"""With fewer people nobody can tell rig from body."""
+"""With fewer people rig and body cannot be distinguished: two people hardly determine a dispersion."""
 
 
 def change_of(after: Refit, residuals: Sequence[PersonResiduals]) -> tuple[str, tuple[Pair, ...]]:
-    """In which part an explanation acts, and where what no element can imitate of it exceeds half of its peak."""
+    """Part in which an explanation acts, and bands where its change outside of the elements exceeds half its peak."""
     size: np.ndarray | None = None
     parts = np.zeros(2)
     start = 0
@@ -78,7 +78,7 @@ def change_of(after: Refit, residuals: Sequence[PersonResiduals]) -> tuple[str, 
 
 
 def reach_of(fit: Refit, elements: Sequence[str], residuals: Sequence[PersonResiduals]) -> tuple[Pair, ...]:
-    """Where a change of some elements moves the recordings, over the noise, by half of the most that it does."""
+    """Bands where the recordings' sensitivity to some elements, over the noise, exceeds half of its peak."""
     columns = [fit.model.network.elements.index(e) for e in elements]
     return _half_of_peak(*felt(fit, columns, residuals))
 
@@ -94,7 +94,7 @@ def _half_of_peak(grid: np.ndarray, size: np.ndarray) -> tuple[Pair, ...]:
 
 
 def _merged(bands: Sequence[Pair]) -> tuple[Pair, ...]:
-    """Bands in ascending order, those that touch or overlap as one."""
+    """Bands in ascending order, with touching or overlapping ones merged."""
     result: list[Pair] = []
     for low, high in sorted(bands):
         if result and low <= result[-1][1] * 1.0001:
@@ -105,7 +105,7 @@ def _merged(bands: Sequence[Pair]) -> tuple[Pair, ...]:
 
 
 def improvement(before: Snapshot, after: Snapshot, gain: HeldOut | None) -> Improvement:
-    """What the additions change, on what was fitted and on what was held out."""
+    """Improvement by the additions, on fitted and on held-out data."""
 
     def pair(value: Callable[[Snapshot], float]) -> Pair:
         return float(value(before)), float(value(after))
@@ -125,7 +125,7 @@ def improvement(before: Snapshot, after: Snapshot, gain: HeldOut | None) -> Impr
 
 @dataclass(frozen=True, kw_only=True)
 class Evidence:
-    """Everything that a verdict is made of.
+    """All results from which a verdict is made.
 
     Attributes
     ----------
@@ -136,21 +136,21 @@ class Evidence:
     unknown : Realised or None
         Physics outside of the catalogue.
     structures : tuple of Structure
-        How elements are distributed.
+        Structures in the distribution of the elements.
     hum : Hum or None
     location : Location
         Of the mismatch before anything was added.
     gain : HeldOut or None
-        Of everything that was added.
+        Of all additions together.
     before : Snapshot
     after : Snapshot or None
     spoilt : Snapshot or None
-        With the points that hum has spoilt, where there are any.
+        Fit to all points, including those affected by hum, if there are any.
     differences : tuple of ParameterDifference or None
         From a claimed simulation.
     remarks : tuple of str
     quick : bool
-        Quote the catalogue on what would separate rivals, and compute nothing for it.
+        Quote the catalogue's separating measurements instead of computing them.
     """
 
     found: Found
@@ -169,7 +169,7 @@ class Evidence:
 
     @property
     def final(self) -> Refit:
-        """The model with everything that was added, unknown physics too."""
+        """Fit with all additions, including unknown physics."""
         return self.found.final if self.unknown is None else self.unknown.trial.fit
 
     @property
@@ -179,7 +179,7 @@ class Evidence:
 
 
 def make_verdict(recordings: Recordings, fitted: Fitted, evidence: Evidence, seed: int) -> Verdict:
-    """What is to be said of the recordings.
+    """Make the verdict on the recordings.
 
     Parameters
     ----------
@@ -223,7 +223,7 @@ def make_verdict(recordings: Recordings, fitted: Fitted, evidence: Evidence, see
 
 
 def _shortcomings(recordings: Recordings, final: Refit) -> tuple[list[str], list[str]]:
-    """What is wrong in absolute terms with the model that was found: for all people, and for some."""
+    """Results of the absolute checks of the final model: for all people, and for some."""
     scale = final.weight**-0.5
     error = []
     for i, s in enumerate(recordings.subjects):
@@ -234,7 +234,7 @@ def _shortcomings(recordings: Recordings, final: Refit) -> tuple[list[str], list
 
 
 def _physics(recordings: Recordings, evidence: Evidence) -> tuple[Physics, ...]:
-    """All entries: effects of the catalogue, structures of the population, hum, and last what has no name."""
+    """All entries: effects of the catalogue, structures of the population, hum, and last unnamed physics."""
     found, names = evidence.found, recordings.names
     entries = []
     if found.posterior is not None:
@@ -252,7 +252,7 @@ def _physics(recordings: Recordings, evidence: Evidence) -> tuple[Physics, ...]:
 
 
 def _where(evidence: Evidence, physics: tuple[Physics, ...]) -> Where:
-    """Where the mismatch is: as the first entry says, in the bands that were located, or in those where it acts."""
+    """Place of the mismatch by the first entry, and its bands: those located, or else those where the entry acts."""
     location, hum, found = evidence.location, evidence.hum, evidence.found
     if not physics:
         return Where(bands_hz=(), part=location.part, place=None, side=None, subjects="all", covariate=None)
@@ -278,7 +278,7 @@ def _where(evidence: Evidence, physics: tuple[Physics, ...]) -> Where:
 
 
 def _located(location: Location) -> Located:
-    """Where structure was left before anything was added: every band by itself."""
+    """Structure that remained before anything was added, every band separately."""
     return Located(
         p_value=location.p_value,
         bands=tuple(
@@ -305,7 +305,7 @@ def _improvement(evidence: Evidence, physics: tuple[Physics, ...]) -> Improvemen
         return improvement(before, evidence.before, None)
     if not evidence.structures:
         return None
-    # What people have in common changes: everybody's own fit is what it was, and new people are predicted better.
+    # Only the population changes: each person's fit is the same, and predictions for new people improve.
     gains = [e.evidence.elpd_gain for e in physics if e.evidence.elpd_gain is not None]
     errors = [e.evidence.elpd_gain_se for e in physics if e.evidence.elpd_gain_se is not None]
     ratios = [entry.id for entry in physics if entry.id not in HELD_OUT]
