@@ -1,7 +1,7 @@
 """The best candidates of the scan, each refitted with the whole population.
 
-Each is tried as a coefficient that is shared by all people and as one that varies, and the one with the largest gain
-(:mod:`bayes_impedance.diagnosis.fit.extend`) leads.
+A coefficient of the rig is tried as one that all people share, a coefficient of the body as one that varies between
+people. The candidate with the largest gain in log evidence (:func:`.compare.log_evidence`) leads.
 """
 
 from __future__ import annotations
