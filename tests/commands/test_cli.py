@@ -174,7 +174,7 @@ def test_fit_writes_no_pictures_and_simulate_takes_its_summary(
 ) -> None:
     out, virtual = tmp_path / "fit", tmp_path / "virtual"
     assert main(["fit", str(dataset), "-o", str(out), "--quick", "--covariance", "diagonal"]) == 0
-    assert {p.name for p in out.iterdir() if p.name[0] != "."} == {"result.nc", "summary.json"}
+    assert {p.name for p in out.iterdir() if p.name[0] != "."} == {"result.nc", "summary.json", "seconds.json"}
     assert "central value (90 %)" in capsys.readouterr().out
     arguments = ["simulate", "-o", str(virtual), "--population", str(out / "summary.json")]
     assert main([*arguments, "--subjects", "4", "--points", "20", "--seed", "9"]) == 0

@@ -94,8 +94,8 @@ def test_a_new_fit_takes_away_the_pages_of_the_old_one(tiny: Path, tmp_path: Pat
     (out / "pictures" / "holiday.png").write_text("mine")
     assert {"report.html", "pictures/forest.png"} <= set(contents(out))
     assert main([*fit_arguments(tiny / "data", out), "--seed", "5"]) == 0
-    assert set(contents(out)) == {"result.nc", "summary.json", MARK, "pictures/holiday.png"}
-    assert set(made_by_us(out)) == {"result.nc", "summary.json"}
+    assert set(contents(out)) == {"result.nc", "summary.json", "seconds.json", MARK, "pictures/holiday.png"}
+    assert set(made_by_us(out)) == {"result.nc", "summary.json", "seconds.json"}
 
 
 def test_an_interruption_while_drawing_says_that_the_fit_is_there(

@@ -59,7 +59,7 @@ class Folder:
         assert main([*self.arguments, "--resume"]) == 0
         assert (self.out / "result.nc").read_bytes() == (self.finished / "result.nc").read_bytes()
         left = {p.name for p in self.out.iterdir()}
-        assert left == {"notes.txt", "result.nc", "summary.json", ".bayes_impedance.json"}
+        assert left == {"notes.txt", "result.nc", "summary.json", "seconds.json", ".bayes_impedance.json"}
 
 
 @pytest.fixture
