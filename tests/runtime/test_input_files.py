@@ -26,7 +26,9 @@ def test_plain_and_packed_files_give_the_same(tmp_path: Path) -> None:
     assert read_bytes(file) == b""
 
 
-@pytest.mark.parametrize("packed", [gzip.compress(bytes(2**24), 9), gzip.compress(bytes(2**20), 9) * 16])
+@pytest.mark.parametrize(
+    "packed", [gzip.compress(bytes(2**24), 9), gzip.compress(bytes(2**20), 9) * 16], ids=["one", "several"]
+)
 def test_no_more_is_unpacked_than_is_allowed(tmp_path: Path, packed: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     import zlib
 
@@ -54,7 +56,11 @@ def test_no_more_is_unpacked_than_is_allowed(tmp_path: Path, packed: bytes, monk
     assert unpacked <= 2**22
 
 
-@pytest.mark.parametrize("content", [b"\x1f\x8b", gzip.compress(TEXT)[:-9], gzip.compress(TEXT) + b"more"])
+@pytest.mark.parametrize(
+    "content",
+    [b"\x1f\x8b", gzip.compress(TEXT)[:-9], gzip.compress(TEXT) + b"more"],
+    ids=["start only", "cut short", "more behind it"],  # not its bytes: they contain the time
+)
 def test_damaged_gzip_is_said(tmp_path: Path, content: bytes) -> None:
     file = tmp_path / "file.gz"
     file.write_bytes(content)
