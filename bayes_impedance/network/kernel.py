@@ -27,17 +27,19 @@ layout that compilers can vectorise.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from bayes_impedance.errors import InputError
-from bayes_impedance.network.notation import Network
 from bayes_impedance.network.operations import Operation
+from bayes_impedance.network.parameters import Parameter
 from bayes_impedance.network.program import Program, compile_network, parameter_names
 from bayes_impedance.network.transform import transform
+from bayes_impedance.network.tree import Network
 from bayes_impedance.runtime.compiled_functions import kept_njit
 
 compiled: Any = kept_njit(nogil=True, error_model="numpy")
@@ -59,6 +61,14 @@ def workspace(program: Program, omega: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 @compiled
+def _parameter(program: Program, position: int, theta: np.ndarray) -> float:
+    """A parameter by its number; zero for -1."""
+    if position < 0:
+        return 0.0
+    return theta[position] if position < theta.size else program.held[position - theta.size]  # type: ignore[no-any-return]
+
+
+@compiled
 def forward(program: Program, theta: np.ndarray, omega: np.ndarray, sums: np.ndarray, outputs: np.ndarray) -> None:
     """One parameter set: fill the nodes' sums and outputs, arrays of :func:`workspace`; the last node's output is z.
 
@@ -70,7 +80,7 @@ def forward(program: Program, theta: np.ndarray, omega: np.ndarray, sums: np.nda
         inertial, resistive, elastic = 0.0, 0.0, 0.0
         for t in range(program.term_node.size):
             if program.term_node[t] == node:
-                c = np.exp(program.term_exponent[t] * theta[program.term_element[t]])
+                c = np.exp(program.term_exponent[t] * _parameter(program, program.term_element[t], theta))
                 if program.term_power[t] == 1:
                     inertial += c
                 elif program.term_power[t] == 0:
@@ -121,14 +131,12 @@ def forward(program: Program, theta: np.ndarray, omega: np.ndarray, sums: np.nda
 
 @compiled
 def _parameters(program: Program, node: int, theta: np.ndarray) -> tuple[float, float, float]:
-    u0, u1, u2 = 0.0, 0.0, 0.0
-    if program.node_parameter[node, 0] >= 0:
-        u0 = theta[program.node_parameter[node, 0]]
-    if program.node_parameter[node, 1] >= 0:
-        u1 = theta[program.node_parameter[node, 1]]
-    if program.node_parameter[node, 2] >= 0:
-        u2 = theta[program.node_parameter[node, 2]]
-    return u0, u1, u2
+    row = program.node_parameter
+    return (
+        _parameter(program, row[node, 0], theta),
+        _parameter(program, row[node, 1], theta),
+        _parameter(program, row[node, 2], theta),
+    )
 
 
 @compiled
@@ -175,7 +183,7 @@ def backward(
                 t = transform(program.node_code[node], u[0], u[1], u[2], c[0], c[1], c[2], omega[f], z)
                 for k in range(3):
                     p = program.node_parameter[node, k]
-                    if p >= 0:
+                    if 0 <= p < theta.size:
                         slope = bar * (t[2] if k == 0 else t[3] if k == 1 else t[4])
                         derivative[p, 0, f] = slope.real
                         derivative[p, 1, f] = slope.imag
@@ -184,6 +192,8 @@ def backward(
                 adjoints[node, 1, f] = bar.imag
     for t in range(program.term_node.size):
         node, element = program.term_node[t], program.term_element[t]
+        if element >= theta.size:
+            continue
         exponent, power = program.term_exponent[t], program.term_power[t]
         c = exponent * np.exp(exponent * theta[element])
         if power == 0:
@@ -239,24 +249,46 @@ class Kernel:
     Parameters
     ----------
     network : Network
-        Any network of masses, compliances and dampers.
+        Any network.
     operations : sequence of Operation
         Operations on the impedance at places of the network.
+    held : mapping of str to float, optional
+        Parameters that are held besides those that the network itself holds: name and u.
+    scales : mapping of str to float, optional
+        Of signed parameters: their value at u = 1, in their unit. With 1, which is the default, u is the value.
 
     Attributes
     ----------
     network : Network
     elements : tuple of str
-        The order of elements in every array, P of them; parameters of the operations come after the elements.
+        The order of parameters in every array, P of them; parameters of the operations come after the network's.
+        What is said of log elements below holds for them all, on the scale of u of
+        :class:`bayes_impedance.network.parameters.Parameter`.
     program : Program
         The network in the form used by the compiled functions.
     """
 
-    def __init__(self, network: Network, operations: Sequence[Operation] = ()) -> None:
+    def __init__(
+        self,
+        network: Network,
+        operations: Sequence[Operation] = (),
+        held: Mapping[str, float] | None = None,
+        scales: Mapping[str, float] | None = None,
+    ) -> None:
         self.network = network
         self.operations = tuple(operations)
-        self.elements = parameter_names(network, operations)
-        self.program = compile_network(network, operations)
+        self.held, self.scales = dict(held or {}), dict(scales or {})
+        self.elements = tuple(name for name in parameter_names(network, operations) if name not in self.held)
+        self.program = compile_network(network, operations, self.held, self.scales)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The network's own parameters among :attr:`elements`, in their order."""
+        return tuple(p for p in self.network.parameters if not p.held and p.name not in self.held)
+
+    def holding(self, values: Mapping[str, float]) -> Kernel:
+        """The same network with some more parameters held: name and u."""
+        return Kernel(self.network, self.operations, self.held | dict(values), self.scales)
 
     def impedance(self, log_elements: npt.ArrayLike, frequency_hz: npt.ArrayLike) -> np.ndarray:
         """Impedance of many parameter sets.
@@ -309,4 +341,4 @@ class Kernel:
             )
         lead = theta.shape[:-1]
         omega = 2 * np.pi * np.ascontiguousarray(frequency_hz, dtype=float)
-        return np.ascontiguousarray(theta.reshape(-1, theta.shape[-1])), omega, lead
+        return np.ascontiguousarray(theta.reshape(math.prod(lead), theta.shape[-1])), omega, lead

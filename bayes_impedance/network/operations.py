@@ -11,7 +11,7 @@ highpass            z s/(s + x); for x < 0 its inverse with abs(x)
 lowpass             z/(1 + s x); for x < 0 its inverse with abs(x)
 power               z (s/c1)^x
 hysteresis          z (1 + j x)
-line                z w^(1/2) coth w^(1/2) with w = s x/z
+line                z w^(1/2) coth w^(1/2) with w = x s^(1 + c1)/z
 beside_power        z + x (s/c1)^(a - 1)                                         a = 1/(1 + exp(-u1))
 relaxation          z + x/(1 + s t)                                              t = exp(u1)
 resonator           z + s x (2 d p s + p^2)/(s^2 + 2 d p s + p^2)                p = exp(u1), d = exp(u2)
@@ -20,14 +20,19 @@ bypass              z + x + y/s                                                 
 series_compliance   1/(1/z + s x)
 series_layer        1/(1/z + s x/(1 + s t))                                      t = exp(u1)
 sweep               z exp(x q), q = (1 - (w/c1)^-p)/(1 - c2^-p)                  p = exp(u1)
+power_law           z + x (s/c1)^(a - 1)                                         a = c0 + 1/(1 + exp(-u1))
+line_fixed          z w^(1/2) tanh w^(1/2) with w as in the line
+line_matched        z w^(1/2)
+gain                z x
 ==================  ===========================================================  ===========================
 
 with s = jw and w the angular frequency in rad/s. The coefficient is x = c0 u0. It may have either sign, and zero means
 that the impedance is unchanged. If c2 is 1 the coefficient is positive, x = exp(u0). All parameters u are real and
 unbounded, as log elements are, and follow them in every array of parameters; c are constants of the operation.
 
-The line is a layer whose mass x is spread over its thickness. For small w = s x/z it is z + s x/3: a third of the mass
-moves along. In the sweep, c1 is the angular frequency at which the sweep begins, c2 > 1 the ratio of its ends, and q
+The line is a layer whose mass x is spread over its thickness (c1 = 0; a damper with c1 = -1). For small w = s x/z it is
+z + s x/3: a third of the mass moves along. The last four operations are computed for a network's own power laws and
+wrappers (:mod:`bayes_impedance.network.constructs`); no effect is added as one of them. In the sweep, c1 is the angular frequency at which the sweep begins, c2 > 1 the ratio of its ends, and q
 the part of its time that has passed: p = 1 if every frequency takes the same number of periods, and p -> 0 if every
 octave takes the same time.
 
@@ -329,8 +334,16 @@ TRAITS: dict[str, Traits] = {
 NAMES = tuple(TRAITS)
 """Names of all operations, in the order of their codes."""
 
+OWN_CODES = {"power_law": 16, "line_fixed": 17, "line_matched": 18, "gain": 19}
+"""Codes of the operations that are computed for a network's own nodes only."""
+
 ADDING = tuple(name for name, traits in TRAITS.items() if traits.connection == "beside")
 """Operations that add an impedance beside a place: the change does not depend on the place's impedance."""
+
+
+def code_of(name: str) -> int:
+    """Number of an operation in the compiled functions."""
+    return OWN_CODES[name] if name in OWN_CODES else TRAITS[name].code
 
 
 @dataclass(frozen=True)

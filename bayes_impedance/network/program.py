@@ -2,21 +2,27 @@ r"""A network as a program: small arrays evaluated by one compiled function.
 
 Every group of the network is a **node** that sums its parts, impedances in a parallel group and mobilities in a
 series group. A leaf in its node's domain is :math:`c\,(j\omega)^p` with :math:`c = e^{\pm\theta}`. An
-:mod:`operation <bayes_impedance.network.operations>` is a node of its own, above the place on which it acts. The
-program lists the nodes, parts before parents; :mod:`bayes_impedance.network.kernel` runs it.
+:mod:`operation <bayes_impedance.network.operations>` is a node of its own, above the place on which it acts; so is a
+wrapper, and a power law, which adds to nothing. The program lists the nodes, parts before parents;
+:mod:`bayes_impedance.network.kernel` runs it.
+
+Parameters that are held have no place in theta: their numbers begin where theta ends, and their values are in the
+program.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
 from bayes_impedance.network.elements import kind_of
-from bayes_impedance.network.notation import Element, Network, Series
-from bayes_impedance.network.operations import N_PARAMETERS, Operation
+from bayes_impedance.network.extensions import RADIAN_PER_SECOND, PowerLaw, Wrapped
+from bayes_impedance.network.operations import LOGARITHMIC, N_PARAMETERS, Operation, code_of
+from bayes_impedance.network.parameters import SIGNED, Parameter
+from bayes_impedance.network.tree import Element, Network, Series
 
 
 class Program(NamedTuple):
@@ -33,6 +39,8 @@ class Program(NamedTuple):
     node_parameter : ndarray of int, shape (N, 3)
         Its parameters' positions in theta; -1 for none.
     node_constant : ndarray of float, shape (N, 3)
+    held : ndarray, shape (H,)
+        Values of the held parameters, on the scale of theta; parameter P + h is the h-th of them.
     """
 
     term_node: np.ndarray
@@ -44,19 +52,44 @@ class Program(NamedTuple):
     node_code: np.ndarray
     node_parameter: np.ndarray
     node_constant: np.ndarray
+    held: np.ndarray
 
 
-def compile_network(network: Network, operations: Sequence[Operation] = ()) -> Program:
+def compile_network(
+    network: Network,
+    operations: Sequence[Operation] = (),
+    held: Mapping[str, float] | None = None,
+    scales: Mapping[str, float] | None = None,
+) -> Program:
     """Translate a network into a program for the compiled functions.
 
     Parameters
     ----------
     network : Network
-        Elements are numbered in the order of ``network.elements``.
+        Parameters are numbered in the order of ``network.elements``.
     operations : sequence of Operation
-        Those at one place are applied in this order; their parameters are numbered after the elements.
+        Those at one place are applied in this order; their parameters are numbered after the network's.
+    held : mapping of str to float, optional
+        Parameters that are held besides those that the network holds, on the scale of theta.
+    scales : mapping of str to float, optional
+        Of signed parameters: their value in their unit at theta = 1; 1 where none is given.
     """
-    index = {name: i for i, name in enumerate(parameter_names(network, operations))}
+    held, scales = dict(held or {}), dict(scales or {})
+    free = [name for name in parameter_names(network, operations) if name not in held]
+    index = {name: i for i, name in enumerate(free)}
+    values: list[float] = []
+
+    def position(name: str, value: float | None = None) -> int:
+        if value is None and name in index:
+            return index[name]
+        values.append(held[name] if value is None else value)
+        return len(free) + len(values) - 1
+
+    def own_position(parameter: Parameter) -> int:
+        known = parameter.symbol.value
+        scale = scales.get(parameter.name, 1.0) if parameter.link == SIGNED else 1.0
+        return position(parameter.name, None if known is None else float(parameter.u(known)) / scale)
+
     terms: list[tuple[int, int, int, int]] = []
     nodes: list[_Node] = []
 
@@ -64,29 +97,41 @@ def compile_network(network: Network, operations: Sequence[Operation] = ()) -> P
         """Append the child nodes, then this one; the caller fills in the parent's number."""
         here = [operation for operation in operations if operation.path == path]
         mobility = isinstance(node, Series)
-        parts = list(enumerate(node.parts))
-        plain = {
-            i for i, part in parts if isinstance(part, Element) and not any(o.path == (*path, i) for o in operations)
-        }
-        leaves = [node] if isinstance(node, Element) else [part for i, part in parts if i in plain]
-        children = [visit(part, (*path, i), mobility) for i, part in parts if i not in plain]
-        number = len(nodes)
-        nodes.append(_Node(invert=mobility != (parent_is_mobility and not here)))
-        for child in children:
-            nodes[child].parent = number
-        for leaf in leaves:
-            assert isinstance(leaf, Element)  # by how they were chosen
-            kind, sign = kind_of(leaf.name), -1 if mobility else 1
-            terms.append((number, index[leaf.name], sign * kind.exponent, sign * kind.power))
+        if isinstance(node, PowerLaw | Wrapped):
+            child = visit(node.part, (*path, 0), False) if isinstance(node, Wrapped) else None
+            if child is not None:
+                nodes[child].parent = len(nodes)
+            positions = [own_position(parameter) for parameter in node.own_parameters]
+            invert = parent_is_mobility and not here
+            nodes.append(_Node(invert, *_compiled(node, scales), parameters=positions))
+        else:
+            parts = list(enumerate(node.parts))
+            plain = {
+                i
+                for i, part in parts
+                if isinstance(part, Element) and not any(o.path == (*path, i) for o in operations)
+            }
+            leaves = [node] if isinstance(node, Element) else [part for i, part in parts if i in plain]
+            children = [visit(part, (*path, i), mobility) for i, part in parts if i not in plain]
+            number = len(nodes)
+            nodes.append(_Node(invert=mobility != (parent_is_mobility and not here)))
+            for child in children:
+                nodes[child].parent = number
+            for leaf in leaves:
+                assert isinstance(leaf, Element)  # by how they were chosen
+                kind, sign = kind_of(leaf.name), -1 if mobility else 1
+                terms.append((number, own_position(leaf.own_parameters[0]), sign * kind.exponent, sign * kind.power))
         for i, operation in enumerate(here):
             nodes[-1].parent = len(nodes)
             last = i == len(here) - 1
-            parameters = [index[name] for name in operation.parameters]
-            nodes.append(_Node(parent_is_mobility and last, operation.code, parameters, list(operation.constants)))
+            positions = [position(name) for name in operation.parameters]
+            nodes.append(
+                _Node(parent_is_mobility and last, operation.code, list(operation.constants), parameters=positions)
+            )
         return len(nodes) - 1
 
     visit(network, (), False)
-    columns = np.array(terms, dtype=np.int64).T
+    columns = np.array(terms, dtype=np.int64).reshape(-1, 4).T
     padded = [(n.parameters + [-1] * N_PARAMETERS)[:N_PARAMETERS] for n in nodes]
     constants = [(n.constants + [0.0] * N_PARAMETERS)[:N_PARAMETERS] for n in nodes]
     node, element, exponent, power = (np.ascontiguousarray(column) for column in columns)
@@ -100,11 +145,24 @@ def compile_network(network: Network, operations: Sequence[Operation] = ()) -> P
         np.array([n.code for n in nodes], dtype=np.int64),
         np.array(padded, dtype=np.int64),
         np.array(constants, dtype=float),
+        np.array(values, dtype=float),
     )
 
 
+def _compiled(node: PowerLaw | Wrapped, scales: Mapping[str, float]) -> tuple[int, list[float]]:
+    """Code and constants of the operation that computes a power law or a wrapper."""
+    if isinstance(node, PowerLaw):
+        exponent = node.own_parameters[1]
+        omega = 2 * np.pi * (node.reference_hz or RADIAN_PER_SECOND)
+        return code_of("power_law"), [exponent.quantity.low, omega, LOGARITHMIC]
+    first = node.own_parameters[0]
+    letters = [parameter.letter for parameter in node.own_parameters]
+    constants = node.construct.constants(letters, first.link, scales.get(first.name, 1.0), first.quantity.factor)
+    return code_of(node.construct.operation), list(constants)
+
+
 def parameter_names(network: Network, operations: Sequence[Operation]) -> tuple[str, ...]:
-    """Names of all parameters: the elements, then those of the operations."""
+    """Names of all parameters that the network does not hold: its own, then those of the operations."""
     return network.elements + tuple(name for operation in operations for name in operation.parameters)
 
 
@@ -114,6 +172,6 @@ class _Node:
 
     invert: bool
     code: int = 0
-    parameters: list[int] = field(default_factory=list)
     constants: list[float] = field(default_factory=list)
+    parameters: list[int] = field(default_factory=list)
     parent: int = -1

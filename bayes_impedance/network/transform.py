@@ -53,9 +53,11 @@ def transform(
         return z * factor, factor, z * factor * log_s * slope, none, none
     if code == 6:
         return z * complex(1.0, x), complex(1.0, x), 1j * z * slope, none, none
-    if code == 7:
-        g, dg = _root_coth(s * x / z)
-        return z * g, g - s * x / z * dg, s * dg * slope, none, none
+    if code == 7 or code == 17 or code == 18:
+        y = 1.0 + 0j if c1 == -1.0 else s
+        w = y * x / z
+        g, dg = _root_coth(w) if code == 7 else _root_tanh(w) if code == 17 else _root(w)
+        return z * g, g - w * dg, y * dg * slope, none, none
     if code == 8:
         a = 1.0 / (1.0 + np.exp(-u1))
         log_s = complex(np.log(omega / c1), 0.5 * np.pi)
@@ -91,7 +93,33 @@ def transform(
         factor = np.exp(x * q)
         slowing = (passed * (1.0 - above) - q * all_of_it * (1.0 - below)) / below
         return z * factor, complex(factor, 0.0), z * factor * q * slope, z * factor * x * slowing * p, none
+    if code == 16:
+        a = 1.0 / (1.0 + np.exp(-u1))
+        log_s = complex(np.log(omega / c1), 0.5 * np.pi)
+        unit = cmath.exp((c0 + a - 1.0) * log_s)
+        return z + x * unit, 1.0 + 0j, unit * slope, x * unit * log_s * a * (1.0 - a), none
+    if code == 19:
+        return z * x, complex(x, 0.0), z * slope, none, none
     return z, 1.0 + 0j, none, none, none
+
+
+@_compiled
+def _root(w: complex) -> tuple[complex, complex]:
+    """The root of w with Re >= 0, and its derivative."""
+    x = cmath.sqrt(w)
+    return x, 0.5 / x
+
+
+@_compiled
+def _root_tanh(w: complex) -> tuple[complex, complex]:
+    """g(w) = sqrt(w) tanh sqrt(w), analytic in w, and its derivative."""
+    if abs(w) < 1e-2:
+        third = 17.0 * w * w * w * w / 315.0
+        return w - w * w / 3.0 + 2.0 * w * w * w / 15.0 - third, 1.0 - 2.0 * w / 3.0 + 0.4 * w * w - 4.0 * third / w
+    x = cmath.sqrt(w)  # the root with Re x >= 0, so that the exponential cannot overflow
+    e = cmath.exp(-2.0 * x)
+    tanh = (1.0 - e) / (1.0 + e)
+    return x * tanh, (tanh + x * (1.0 - tanh * tanh)) / (2.0 * x)
 
 
 @_compiled
