@@ -161,7 +161,7 @@ CONSTRUCTS: dict[str, Construct] = {
             passive=True,
             formula=lambda _s, z, x, _: z * x[0],
             text="g z",
-            story="A sensitivity that is not what it was taken for: the elements can absorb it, so hold it at its value.",
+            story="A sensitivity that is not what it was taken for: the elements can absorb it, so hold it.",
         ),
         Construct(
             word="hysteretic",

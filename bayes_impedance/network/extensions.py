@@ -59,6 +59,7 @@ class PowerLaw(Network):
 
     @property
     def own_parameters(self) -> tuple[Parameter, ...]:
+        """The size and the exponent."""
         exponent = self.exponent
         letter = exponent.name[:1] or ("b" if exponent.value is not None and exponent.value > 1 else "a")
         own = Parameter(symbol=exponent, letter=letter, link=LOGIT)
@@ -114,6 +115,7 @@ class Wrapped(Network):
 
     @property
     def own_parameters(self) -> tuple[Parameter, ...]:
+        """The wrapper's parameters, without those of what is wrapped."""
         return tuple(
             Parameter(
                 symbol=symbol,
