@@ -32,9 +32,9 @@ unbounded, as log elements are, and follow them in every array of parameters; c 
 
 The line is a layer whose mass x is spread over its thickness (c1 = 0; a damper with c1 = -1). For small w = s x/z it is
 z + s x/3: a third of the mass moves along. The last four operations are computed for a network's own power laws and
-wrappers (:mod:`bayes_impedance.network.constructs`); no effect is added as one of them. In the sweep, c1 is the angular frequency at which the sweep begins, c2 > 1 the ratio of its ends, and q
-the part of its time that has passed: p = 1 if every frequency takes the same number of periods, and p -> 0 if every
-octave takes the same time.
+wrappers (:mod:`bayes_impedance.network.constructs`); no effect is added as one of them. In the sweep, c1 is the angular
+frequency at which the sweep begins, c2 > 1 the ratio of its ends, and q the part of its time that has passed: p = 1 if
+every frequency takes the same number of periods, and p -> 0 if every octave takes the same time.
 
 The table :data:`TRAITS` holds everything else that the package needs to know about an operation; its formula is in
 :mod:`bayes_impedance.network.transform`. A further operation is an entry of the one and a formula in the other.
