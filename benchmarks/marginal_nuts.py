@@ -19,8 +19,10 @@ from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
 from bayes_impedance.population.em import estimate
 from bayes_impedance.population.fit import initial_likelihoods
+from bayes_impedance.population.natural_scales import default_prior
 from bayes_impedance.population.posterior import Posterior
-from bayes_impedance.population.starting_fits import default_prior, first_fits
+from bayes_impedance.population.shared import Pooling
+from bayes_impedance.population.starting_fits import first_fits
 from bayes_impedance.recordings.files import Recordings
 
 _WARMUP, _DRAWS = 300, 900
@@ -33,7 +35,7 @@ def prepared(recordings: Recordings, network: str, seed: int) -> Posterior:
     def quiet(_stage: str, _done: int, _total: int) -> None: ...
 
     kernel = Kernel(parse(network))
-    prior = default_prior(kernel.elements, recordings)
+    prior = default_prior(kernel, recordings)
     seeds = np.random.SeedSequence(seed).spawn(5)
     n, p = len(recordings.subjects), len(kernel.elements)
     repetitions = np.array([len(s.repetitions) for s in recordings.subjects])
@@ -41,7 +43,7 @@ def prepared(recordings: Recordings, network: str, seed: int) -> Posterior:
         first = first_fits(kernel, recordings, prior, seeds[0], executor, quiet)
         likelihoods = initial_likelihoods(recordings, first, p, executor)
         nothing = np.zeros((n, 0))
-        point = estimate(kernel, likelihoods, first, prior, nothing, True, seeds[1], quiet)
+        point = estimate(Pooling(kernel), likelihoods, first, prior, nothing, True, seeds[1], quiet)
         posterior = Posterior(repetitions, kernel, prior, True, _PER_PERSON, point, nothing)
         posterior.draw(seeds[3], executor, quiet)
     return posterior

@@ -26,8 +26,9 @@ from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.mode import find_mode
+from bayes_impedance.population.natural_scales import default_prior
 from bayes_impedance.population.parameters import Prior
-from bayes_impedance.population.starting_fits import default_prior, search_modes, thinned_points
+from bayes_impedance.population.starting_fits import search_modes, thinned_points
 from bayes_impedance.recordings.files import read_recordings
 
 DATASET = Path(__file__).resolve().parents[1] / "data" / "fingertip_71"
@@ -45,7 +46,7 @@ def measure(people_of_slow: int) -> dict[str, Any]:
     recordings = read_recordings(DATASET)
     kernel = Kernel(parse(NETWORK))
     order = [kernel.elements.index(name) for name in ELEMENTS]
-    prior = default_prior(kernel.elements, recordings)
+    prior = default_prior(kernel, recordings)
     draws = np.random.default_rng(1).normal(0, _SPREAD, (_STARTS - 1, len(ELEMENTS)))
     starts = np.vstack([prior.centre, prior.centre + draws])[:, order]
     programs: dict[str, Fit] = {

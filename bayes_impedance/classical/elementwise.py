@@ -33,7 +33,8 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.network.elements import kind_of
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Network
-from bayes_impedance.population.starting_fits import best_distinct, default_prior, thinned_points
+from bayes_impedance.population.natural_scales import default_prior
+from bayes_impedance.population.starting_fits import best_distinct, thinned_points
 from bayes_impedance.recordings.files import Recordings, Subject
 from bayes_impedance.results.curve_errors import wrapped_deg
 
@@ -123,7 +124,7 @@ def fit_elements(
                 f"subject {subject.name} has {subject.frequency_hz.size} frequencies, too few for "
                 f"{len(kernel.elements)} elements: record more or use a smaller network"
             )
-    centre = default_prior(kernel.elements, recordings).centre
+    centre = default_prior(kernel, recordings).centre
 
     def curve(subject: Subject, points: slice | np.ndarray) -> Curve:
         z = subject.mean[points]

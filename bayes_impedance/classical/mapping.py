@@ -50,7 +50,8 @@ from bayes_impedance.network.notation import Network
 from bayes_impedance.network.rational import TransferFunction
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.population.em import DETERMINED_SD
-from bayes_impedance.population.starting_fits import default_prior, search_modes
+from bayes_impedance.population.natural_scales import default_prior
+from bayes_impedance.population.starting_fits import search_modes
 from bayes_impedance.recordings.files import Recordings, Subject
 
 _NORMAL_95 = 1.6448536269514722
@@ -254,7 +255,7 @@ def _nearest(
         licence="",
         subjects=(Subject(name="curve", frequency_hz=frequency, z=target[None], repetitions=("1",)),),
     )
-    prior = default_prior(kernel.elements, recordings)
+    prior = default_prior(kernel, recordings)
     sd = _PROVISIONAL_NOISE * np.abs(target) if noise_sd is None else noise_sd
     likelihood = Likelihood.make(frequency, target[None], sd[None], np.zeros((1, len(kernel.elements))))
     spread = np.random.default_rng(seed).normal(0, START_SPREAD, (_RANDOM_STARTS, len(kernel.elements)))

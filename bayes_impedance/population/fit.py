@@ -35,10 +35,13 @@ from bayes_impedance.person.marginal_likelihood import find_ridge, marginal_log_
 from bayes_impedance.person.noise import NoiseModel
 from bayes_impedance.population.diagnostics import Diagnostics, assess
 from bayes_impedance.population.em import Estimate, estimate
+from bayes_impedance.population.natural_scales import default_prior
 from bayes_impedance.population.parameters import PopulationParameters, Prior
 from bayes_impedance.population.posterior import Posterior
 from bayes_impedance.population.requirements import CheckedModel, checked_model
-from bayes_impedance.population.starting_fits import FirstFits, default_prior, first_fits, noise_of
+from bayes_impedance.population.shared import Pooling
+from bayes_impedance.population.starting_fits import FirstFits, first_fits, noise_of
+from bayes_impedance.population.whole import Whole
 from bayes_impedance.recordings.files import Recordings, Subject
 from bayes_impedance.runtime.checkpoint import claim
 from bayes_impedance.runtime.clock import Clock
@@ -204,24 +207,26 @@ def fit_population(
     settings = replace(settings, sampler=replace(settings.sampler, workers=workers))
     model = checked_model(recordings, network, settings.covariates)
     kernel, covariates = model.kernel, model.covariates
-    if too_few_for_correlations(len(recordings.subjects), len(kernel.elements)):
+    one = len(recordings.subjects) == 1
+    pooling = Pooling(kernel) if one else Pooling.of(kernel)  # one person's own and the same for all: no difference
+    whole = Whole(pooling)
+    if too_few_for_correlations(len(recordings.subjects), pooling.varying.size):
         settings = replace(settings, covariance="diagonal")
-    prior = default_prior(kernel.elements, recordings)
+    prior = default_prior(kernel, recordings)
     seeds = np.random.SeedSequence(seed).spawn(5)
     if checkpoint is not None:
         same_for_any = replace(settings, sampler=replace(settings.sampler, workers=0))
         others = version("bayes_impedance"), str(kernel.network), same_for_any, seed, covariates.tolist()
         claim(checkpoint, (s.digest for s in recordings.subjects), *others)
     clock = Clock()
-    one = len(recordings.subjects) == 1
     # The linear algebra library must not start its own threads inside ours.
     own = executor_of(workers) if executor is None else nullcontext(executor)
     with threadpool_limits(1), own as executor:
         with clock.measure("modes"):
             first = first_fits(kernel, recordings, prior, seeds[0], executor, progress, checkpoint)
             point = estimate(
-                kernel,
-                initial_likelihoods(recordings, first, len(kernel.elements), executor),
+                pooling,
+                initial_likelihoods(recordings, first, pooling.varying.size, executor),
                 first,
                 prior,
                 covariates,
@@ -234,7 +239,7 @@ def fit_population(
         if one:
             return _one_person(
                 recordings,
-                kernel,
+                whole,
                 model,
                 prior,
                 settings,
@@ -248,7 +253,7 @@ def fit_population(
             )
         repetitions = np.array([len(s.repetitions) for s in recordings.subjects])
         full = settings.covariance == "full"
-        posterior = Posterior(repetitions, kernel, prior, full, settings.draws, point, covariates)
+        posterior = Posterior(repetitions, prior, full, settings.draws, point, covariates)
         with clock.measure("draws"):
             posterior.draw(seeds[3], executor, progress)
         point.forget()
@@ -271,24 +276,25 @@ def fit_population(
             scaled = partial(_scaled_noise, first.model)
             noise = tuple(map_persons(executor, scaled, recordings.subjects, point.scale))
     shape = (settings.sampler.ensembles, -1, len(recordings.subjects))
-    identified = point.determined & (parameters.mu.std(axis=0) < IDENTIFIED_SD)
+    spread = pooling.whole(parameters.mu, np.zeros(0) if parameters.shared is None else parameters.shared).std(axis=0)
+    determined = pooling.whole(point.determined, point.shared_determined).astype(bool)
     return PopulationFit(
         recordings=recordings,
-        kernel=kernel,
+        kernel=whole.kernel,
         written=model.written,
         combinations=model.combinations,
-        prior=prior,
+        prior=whole.prior(prior),
         settings=settings,
         seed=seed,
-        parameters=parameters,
+        parameters=whole.parameters(parameters),
         n_ensembles=settings.sampler.ensembles,
         log_probability=chains.log_probability[:, kept],
-        person_draws=person_draws.reshape(*shape, len(kernel.elements)),
+        person_draws=whole.persons(person_draws, parameters.shared).reshape(*shape, len(kernel.elements)),
         person_log_likelihood=person_likelihood.reshape(*shape),
-        deviations=point.deviations,
+        deviations=tuple(whole.without(own) for own in point.deviations),
         noise=noise,
         noise_scale=point.scale,
-        identified=identified,
+        identified=determined & (spread < IDENTIFIED_SD),
         diagnostics=diagnostics,
         seconds=clock.seconds,
     )
@@ -296,7 +302,7 @@ def fit_population(
 
 def _one_person(
     recordings: Recordings,
-    kernel: Kernel,
+    whole: Whole,
     model: CheckedModel,
     prior: Prior,
     settings: FitSettings,
@@ -309,6 +315,7 @@ def _one_person(
     checkpoint: Path | None,
 ) -> PopulationFit:
     """Posterior of the only person's elements under the broad prior, sampled directly."""
+    kernel = whole.pooling.kernel
     mode, likelihood = point.modes[0], point.likelihoods[0]
     ridge = find_ridge(kernel, likelihood, mode.theta, mode.scale, point.between_repetitions)
     sd = np.sqrt(np.diag(np.linalg.inv(mode.precision)))
@@ -336,16 +343,16 @@ def _one_person(
     diagnostics = assess(recordings, point, chains, None, parameters, 0)
     return PopulationFit(
         recordings=recordings,
-        kernel=kernel,
+        kernel=whole.kernel,
         written=model.written,
         combinations=model.combinations,
-        prior=prior,
+        prior=whole.prior(prior),
         settings=settings,
         seed=seed,
-        parameters=parameters,
+        parameters=whole.parameters(parameters),
         n_ensembles=ensembles,
         log_probability=chains.log_probability,
-        person_draws=theta.reshape(ensembles, -1, 1, p),
+        person_draws=whole.persons(theta[:, None], None).reshape(ensembles, -1, 1, p),
         person_log_likelihood=marginal_log_likelihood(kernel, likelihood, ridge, theta).reshape(ensembles, -1, 1),
         deviations=(likelihood.deviations,),
         noise=(_scaled_noise(first.model, recordings.subjects[0], mode.scale),),

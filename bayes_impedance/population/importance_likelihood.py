@@ -14,6 +14,9 @@ and a set of population parameters is one row of coefficients. All walkers times
 (in single precision: the coordinates are of order one, and the rounding, 1e-6 per draw, is far below the Monte-Carlo
 error).
 
+Where parameters are the same for everybody, monomials in them are further columns of the coefficients, and each
+person's mean is shifted (:mod:`bayes_impedance.population.shared_draws`).
+
 **Between repetitions.** Given a person's mean, the J - 1 orthonormal contrasts d of the deviations
 :math:`\delta_{ij}` are N(0, diag rho^2). A repetition differs little from the person's mean, so the log likelihood of d
 is taken as quadratic, with gradient b and curvature H at zero deviation; each repetition has its own curvature. The
@@ -36,6 +39,7 @@ import numpy as np
 from bayes_impedance.network.kernel import compiled
 from bayes_impedance.person.importance_draws import Draws
 from bayes_impedance.population.parameters import PopulationParameters
+from bayes_impedance.population.shared_draws import Moved, Sharing, monomials, stacked
 from bayes_impedance.runtime.compiled_functions import kept_njit
 
 _BLOCK = 4
@@ -185,6 +189,10 @@ class ImportanceLikelihood:
         Standardised covariates.
     contrasts : sequence of Contrasts
         One for each number of repetitions above one.
+    sharing : Sharing, optional
+        If there are parameters that are the same for everybody.
+    moved : sequence of Moved
+        How each person's draws move with them.
     """
 
     def __init__(
@@ -195,11 +203,16 @@ class ImportanceLikelihood:
         repetitions: np.ndarray,
         covariates: np.ndarray,
         contrasts: Sequence[Contrasts],
+        sharing: Sharing | None = None,
+        moved: Sequence[Moved] = (),
     ) -> None:
         self.n_draws, n_elements = draws[0].theta.shape
         self.repetitions, self.covariates, self.contrasts = repetitions, covariates, contrasts
         self.reference_means = reference_means
-        self._same_means = not covariates.shape[1] and bool(np.all(reference_means == reference_means[0]))
+        self.sharing = sharing
+        self.path, self.missed = stacked(moved)
+        same = bool(np.all(reference_means == reference_means[0]))
+        self._same_means = not covariates.shape[1] and same and sharing is None
         self._factor = np.linalg.cholesky(reference_covariance)
         self._rows, self._columns = np.tril_indices(n_elements)
         # Twice the entry, except on the diagonal: coefficients of the monomials u_p u_q, p >= q.
@@ -208,8 +221,11 @@ class ImportanceLikelihood:
         for j in np.unique(repetitions):
             group = np.flatnonzero(repetitions == j)
             for persons in np.split(group, range(_BLOCK, group.size, _BLOCK)):
-                monomials = [self._monomials(draws[i], reference_means[i]) for i in persons]
-                self._blocks.append((int(j), persons, np.concatenate(monomials, axis=1)))
+                features = [self._monomials(draws[i], reference_means[i]) for i in persons]
+                if sharing is not None:
+                    pairs = zip(features, persons, strict=True)
+                    features = [np.vstack([own, moved[i].coefficients.astype(np.float32)]) for own, i in pairs]
+                self._blocks.append((int(j), persons, np.concatenate(features, axis=1)))
 
     @property
     def nbytes(self) -> int:
@@ -310,12 +326,21 @@ class ImportanceLikelihood:
         shift = parameters.mu[:, None, :] - self.reference_means[persons]
         if self.covariates.shape[1]:
             shift = shift + np.einsum("wpq,nq->wnp", parameters.slopes, self.covariates[persons])
-        elif np.all(self.reference_means[persons] == self.reference_means[persons[0]]):
+        elif self._same_means or (
+            self.sharing is None and np.all(self.reference_means[persons] == self.reference_means[persons[0]])
+        ):
             shift = shift[:, :1]
+        moving = np.empty((shift.shape[0], 0))
+        if self.sharing is not None and parameters.shared is not None:
+            t = self.sharing.standardised(parameters.shared)
+            moving = monomials(t)
+            shift = shift - np.einsum("nmp,wm->wnp", self.path[persons], moving)
         v = np.swapaxes(np.linalg.solve(self._factor, np.swapaxes(shift, -1, -2)), -1, -2)
         linear = v @ precision
         constants = log_determinant[:, None] - 0.5 * np.einsum("wnp,wnp->wn", v, linear)
         quadratic = -0.5 * self._multiplicity * precision[:, self._rows, self._columns]
         own = np.broadcast_to(quadratic[:, None], (*linear.shape[:2], quadratic.shape[1]))
-        coefficients = np.concatenate([own, linear, np.ones((*linear.shape[:2], 1))], axis=2).astype(np.float32)
+        rest = np.concatenate([np.ones((len(moving), 1)), moving], axis=1)
+        rest = np.broadcast_to(rest[:, None], (*linear.shape[:2], rest.shape[1]))
+        coefficients = np.concatenate([own, linear, rest], axis=2).astype(np.float32)
         return (coefficients[:, 0] if coefficients.shape[1] == 1 else coefficients), constants

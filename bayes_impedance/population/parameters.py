@@ -21,7 +21,7 @@ distinguish a small dispersion from zero. Partial correlations are transformed b
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import ndtr, ndtri
@@ -38,7 +38,7 @@ class Prior:
     ----------
     centre : ndarray, shape (P,)
         Prior mean of the population's mean log elements.
-    centre_sd : float
+    centre_sd : float or ndarray, shape (P,)
         Its standard deviation, in natural logarithms.
     dispersion_sd : float
         Scale of the half-normal priors of both dispersions.
@@ -49,7 +49,7 @@ class Prior:
     """
 
     centre: np.ndarray
-    centre_sd: float = 3.0
+    centre_sd: float | np.ndarray = 3.0
     dispersion_sd: float = 1.0
     concentration: float = 2.0
     slope_sd: float = 1.0
@@ -58,8 +58,19 @@ class Prior:
         centre = np.asarray(self.centre)
         if centre.ndim != 1 or centre.dtype.kind not in "fiu" or not np.all(np.isfinite(centre)):
             raise InputError("prior: centre must be a one-dimensional array of finite numbers, one for each element")
-        for name in ("centre_sd", "dispersion_sd", "concentration", "slope_sd"):
+        for name in ("dispersion_sd", "concentration", "slope_sd"):
             number_in(getattr(self, name), f"prior: {name}", above=0)
+        for sd in np.atleast_1d(self.centre_sd).tolist():
+            number_in(sd, "prior: centre_sd", above=0)
+
+    @property
+    def centre_sds(self) -> np.ndarray:
+        """Standard deviation of each prior mean, shape (P,)."""
+        return np.broadcast_to(np.asarray(self.centre_sd, dtype=float), self.centre.shape)
+
+    def of(self, columns: np.ndarray) -> Prior:
+        """The prior of some of the parameters."""
+        return replace(self, centre=self.centre[columns], centre_sd=self.centre_sds[columns])
 
 
 @dataclass(frozen=True)
@@ -78,6 +89,8 @@ class PopulationParameters:
         Standard deviations between repetitions; zero where there are none.
     slopes : ndarray, shape (W, P, Q)
         Effects of the standardised covariates.
+    shared : ndarray, shape (W, S), optional
+        Parameters that are the same for everybody; the P others differ.
     """
 
     mu: np.ndarray
@@ -85,6 +98,7 @@ class PopulationParameters:
     correlation_cholesky: np.ndarray
     between_repetitions: np.ndarray
     slopes: np.ndarray
+    shared: np.ndarray | None = None
 
     @property
     def correlation(self) -> np.ndarray:
@@ -109,6 +123,7 @@ class PopulationParameters:
             self.correlation_cholesky[rows],
             self.between_repetitions[rows],
             self.slopes[rows],
+            None if self.shared is None else self.shared[rows],
         )
 
 
@@ -117,8 +132,9 @@ class Coordinates:
     """The map between population parameters and the real vector that is sampled.
 
     The vector holds, in this order: centres (P), dispersions between persons (P), those between repetitions (P,
-    if `repetitions`), slopes (P Q), partial correlations (P (P - 1) / 2, if `correlated`). Elements that are not `free`
-    keep the given population parameters and have no coordinates: the data hold no information on them.
+    if `repetitions`), slopes (P Q), partial correlations (P (P - 1) / 2, if `correlated`), parameters that are the same
+    for everybody (S). Elements that are not `free` keep the given population parameters and have no coordinates: the
+    data hold no information on them.
 
     Attributes
     ----------
@@ -132,6 +148,12 @@ class Coordinates:
         Elements that have coordinates.
     held_mu, held_dispersion : ndarray, shape (P,)
         Population parameters of the others (both dispersions are held at the same value).
+    shared_prior : Prior, optional
+        Of parameters that are the same for everybody.
+    shared_free : tuple of int
+        Those of them that have coordinates.
+    held_shared : ndarray, shape (S,), optional
+        Values of the others.
     """
 
     prior: Prior
@@ -141,6 +163,9 @@ class Coordinates:
     free: tuple[int, ...]
     held_mu: np.ndarray
     held_dispersion: np.ndarray
+    shared_prior: Prior | None = None
+    shared_free: tuple[int, ...] = ()
+    held_shared: np.ndarray | None = None
 
     @property
     def n_elements(self) -> int:
@@ -148,7 +173,7 @@ class Coordinates:
         return int(self.prior.centre.size)
 
     @property
-    def sizes(self) -> tuple[int, int, int, int, int]:
+    def sizes(self) -> tuple[int, int, int, int, int, int]:
         """Number of coordinates of each block."""
         n = len(self.free)
         return (
@@ -157,6 +182,7 @@ class Coordinates:
             n if self.repetitions else 0,
             n * self.n_covariates,
             n * (n - 1) // 2 if self.correlated else 0,
+            len(self.shared_free),
         )
 
     @property
@@ -169,10 +195,10 @@ class Coordinates:
 
     def unpack(self, vector: np.ndarray) -> PopulationParameters:
         """Population parameters of sampled vectors, shape (W, D)."""
-        centre, persons, repetitions, slopes, partial = self._blocks(vector)
+        centre, persons, repetitions, slopes, partial, shared = self._blocks(vector)
         w, p, free = vector.shape[0], self.n_elements, list(self.free)
         mu = np.tile(self.held_mu, (w, 1))
-        mu[:, free] = self.prior.centre[free] + self.prior.centre_sd * centre
+        mu[:, free] = self.prior.centre[free] + self.prior.centre_sds[free] * centre
         tau = np.tile(self.held_dispersion, (w, 1))
         tau[:, free] = self._dispersion(persons)
         rho = np.zeros((w, p))
@@ -185,30 +211,55 @@ class Coordinates:
         if self.correlated:
             chosen = np.array(free)
             cholesky[:, chosen[:, None], chosen] = _cholesky_from_partial(np.tanh(partial), len(free))
-        return PopulationParameters(mu, tau, cholesky, rho, b)
+        return PopulationParameters(mu, tau, cholesky, rho, b, self._shared(shared))
+
+    def _shared(self, coordinates: np.ndarray) -> np.ndarray | None:
+        if self.shared_prior is None or self.held_shared is None:
+            return None
+        free = list(self.shared_free)
+        phi = np.tile(self.held_shared, (len(coordinates), 1))
+        phi[:, free] = self.shared_prior.centre[free] + self.shared_prior.centre_sds[free] * coordinates
+        return phi
 
     def log_prior(self, vector: np.ndarray) -> np.ndarray:
         """Log prior density of sampled vectors, shape (W, D), up to a constant: shape (W,)."""
-        *normal, partial = self._blocks(vector)
-        value = -0.5 * sum(np.sum(block**2, axis=-1) for block in normal)
+        *normal, partial, shared = self._blocks(vector)
+        value = -0.5 * sum(np.sum(block**2, axis=-1) for block in (*normal, shared))
         if self.correlated:
             # In u = atanh(r) the density (1 - r^2)^(b - 1) becomes (1 - r^2)^b = sech(u)^(2 b).
             value = value - 2 * np.sum(self._levels() * _log_cosh(partial), axis=-1)
         return np.asarray(value)
 
     def pack(
-        self, mu: np.ndarray, covariance: np.ndarray, between_repetitions: np.ndarray, slopes: np.ndarray
+        self,
+        mu: np.ndarray,
+        covariance: np.ndarray,
+        between_repetitions: np.ndarray,
+        slopes: np.ndarray,
+        shared: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Vector of one set of parameters: mu (P,), covariance (P, P), between_repetitions (P,), slopes (P, Q)."""
+        """Vector of one set of parameters.
+
+        Parameters
+        ----------
+        mu : ndarray, shape (P,)
+        covariance : ndarray, shape (P, P)
+        between_repetitions : ndarray, shape (P,)
+        slopes : ndarray, shape (P, Q)
+        shared : ndarray, shape (S,), optional
+        """
         free = list(self.free)
         tau = np.sqrt(np.diag(covariance))[free]
-        parts = [(mu[free] - self.prior.centre[free]) / self.prior.centre_sd, self._probit(tau)]
+        parts = [(mu[free] - self.prior.centre[free]) / self.prior.centre_sds[free], self._probit(tau)]
         if self.repetitions:
             parts.append(self._probit(between_repetitions[free]))
         parts.append(slopes[free].ravel() / self.prior.slope_sd)
         if self.correlated:
             correlation = covariance[np.ix_(free, free)] / np.outer(tau, tau)
             parts.append(np.arctanh(_partial_from_cholesky(np.linalg.cholesky(correlation))))
+        if self.shared_prior is not None and shared is not None:
+            chosen = list(self.shared_free)
+            parts.append((shared - self.shared_prior.centre)[chosen] / self.shared_prior.centre_sds[chosen])
         return np.concatenate(parts)
 
     def _dispersion(self, u: np.ndarray) -> np.ndarray:

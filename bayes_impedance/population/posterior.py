@@ -15,11 +15,11 @@ import numpy as np
 from bayes_impedance.errors import InputError
 from bayes_impedance.mcmc.ensemble import SamplerSettings, sample
 from bayes_impedance.mcmc.laplace import normal_approximation
-from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.person.importance_draws import widening
-from bayes_impedance.population.em import Estimate
-from bayes_impedance.population.parameters import Coordinates, Prior
+from bayes_impedance.population.em import Estimate, moved_to
+from bayes_impedance.population.parameters import Coordinates, PopulationParameters, Prior
 from bayes_impedance.population.sharded_likelihood import KeptDraws
+from bayes_impedance.population.shared_draws import Sharing
 from bayes_impedance.runtime.progress import Progress
 
 VARIANCE_WANTED = 0.25
@@ -44,6 +44,16 @@ _LARGEST_COORDINATE = 8.0
 """Limit on the coordinates. Most are standard normal under the prior, with a probability of 1e-15 beyond eight."""
 
 
+_SPREAD_ALLOWED = 1.2
+"""Largest spread of the shared parameters about the origin of the draws, relative to the one for which the draws were
+moved. By choice: with 1.2 their reach is 2.5 standard deviations, and 1.2 % of a normal distribution is beyond it."""
+
+
+_CENTRINGS, _MOST_GROWTH = 5, 4.0
+"""Most times that the origin of the shared parameters is moved to the posterior's mode, and most by which their
+variance grows each time. By choice: the mode is known within the reach only, so far ones are reached in steps."""
+
+
 class Posterior:
     """Posterior density of the population's parameters.
 
@@ -51,8 +61,8 @@ class Posterior:
     ----------
     repetitions : ndarray of int, shape (N,)
         Number of repetitions of each person.
-    kernel : Kernel
     prior : Prior
+        Of all parameters.
     correlated : bool
         Full covariance, or diagonal.
     n_draws : int
@@ -82,14 +92,15 @@ class Posterior:
     def __init__(
         self,
         repetitions: np.ndarray,
-        kernel: Kernel,
         prior: Prior,
         correlated: bool,
         n_draws: int,
         point: Estimate,
         covariates: np.ndarray,
     ) -> None:
-        self.kernel, self.n_draws, self.point, self.covariates = kernel, n_draws, point, covariates
+        self.n_draws, self.point, self.covariates = n_draws, point, covariates
+        self.pooling, self.shared_covariance = point.pooling, point.shared_covariance
+        self.sharing: Sharing | None = None
         self.repetitions = repetitions
         determined = point.determined
         # Undetermined elements keep a fixed population distribution: draws cover it, but it is not sampled.
@@ -99,15 +110,18 @@ class Posterior:
         self.covariance[:, held] = 0
         self.covariance[held, held] = 1.0
         self.coordinates = Coordinates(
-            prior=prior,
+            prior=prior.of(self.pooling.varying) if self.pooling.names else prior,
             correlated=correlated,
             repetitions=bool(self.repetitions.max() > 1),
             n_covariates=covariates.shape[1],
             free=tuple(np.flatnonzero(determined)),
             held_mu=point.mu,
             held_dispersion=np.ones(point.mu.size),
+            shared_prior=prior.of(self.pooling.shared) if self.pooling.names else None,
+            shared_free=tuple(np.flatnonzero(point.shared_determined)),
+            held_shared=point.shared,
         )
-        if not self.coordinates.free:
+        if not (self.coordinates.free or self.coordinates.shared_free):
             raise InputError(
                 "the recordings determine no element of the network: check the unit, the frequencies and the network"
             )
@@ -123,18 +137,29 @@ class Posterior:
 
     def _inside(self, u: np.ndarray) -> np.ndarray:
         try:
-            return np.asarray(self.marginal(self.coordinates.unpack(u)) + self.coordinates.log_prior(u))
+            parameters = self.coordinates.unpack(u)
+            return np.asarray(self.marginal(parameters) + self.coordinates.log_prior(u) - self._beyond(parameters))
         except np.linalg.LinAlgError:  # one correlation matrix is singular by rounding: refuse it, not the others
             if len(u) == 1:
                 return np.array([-np.inf])
             return np.concatenate([self._inside(row) for row in np.array_split(u, 2)])
+
+    def _beyond(self, parameters: PopulationParameters) -> np.ndarray:
+        """What is subtracted beyond the reach of the shared parameters, where the draws stay at its edge: (W,)."""
+        if self.sharing is None or parameters.shared is None:
+            return np.zeros(len(parameters.mu))
+        return np.asarray(2.0 * self.sharing.beyond(parameters.shared) ** 2)
 
     def start(self) -> np.ndarray:
         """The point estimate in sampled coordinates, shape (D,)."""
         mean_repetitions = float(np.mean(self.repetitions))
         between = self.covariance - np.diag(self.point.between_repetitions**2) / mean_repetitions
         return self.coordinates.pack(
-            self.point.mu, _positive(between), self.point.between_repetitions, self.point.slopes
+            self.point.mu,
+            _positive(between),
+            self.point.between_repetitions,
+            self.point.slopes,
+            self.point.shared,
         )
 
     def start_scale(self) -> np.ndarray:
@@ -143,10 +168,14 @@ class Posterior:
         few = 1 / np.sqrt(n + 4)
         repetitions = 1 / np.sqrt(np.sum(self.repetitions - 1) + 4)
         sizes = self.coordinates.sizes
-        prior = self.coordinates.prior
-        centre = self.point.mu_sd[list(self.coordinates.free)] / prior.centre_sd
+        prior, free = self.coordinates.prior, list(self.coordinates.free)
+        centre = self.point.mu_sd[free] / prior.centre_sds[free]
         widths = (few, repetitions, few / prior.slope_sd, few)
-        return np.concatenate([centre, *(np.full(k, w) for k, w in zip(sizes[1:], widths, strict=True))])
+        blocks = [np.full(k, w) for k, w in zip(sizes[1:-1], widths, strict=True)]
+        if self.coordinates.shared_prior is not None:
+            sd = np.sqrt(np.diag(self.shared_covariance)) / self.coordinates.shared_prior.centre_sds
+            blocks.append(sd[list(self.coordinates.shared_free)])
+        return np.concatenate([centre, *blocks])
 
     def draw(self, seed: np.random.SeedSequence, executor: Executor, progress: Progress) -> None:
         """Draw for all persons; while the effective number of draws is too small, move the reference and draw more.
@@ -167,13 +196,14 @@ class Posterior:
             means = mu + self.covariates @ slopes.T
             n_draws = _MORE_DRAWS[redrawn] * self.n_draws * few
             wide = covariance * reach**2
-            self.marginal = KeptDraws.made(
-                self.kernel, self.point, means, wide, self.covariates, n_draws, child, executor, progress, not holds
-            )
+            self._draw_once(means, wide, n_draws, child, executor, progress, not holds)
+            for _ in range(_CENTRINGS if self.coordinates.shared_free else 0):
+                if self._spread_of_shared() <= _SPREAD_ALLOWED:
+                    break
+                self._centre_shared(means, covariance)
+                self._draw_once(means, wide, n_draws, child, executor, progress, not holds)
             self.redrawn = redrawn
-            # The prior alone has a precision of one in most coordinates.
-            mode, normal = normal_approximation(self.log_probability, self.start(), self.start_scale(), 0.5)
-            self.mode, self.normal_covariance = mode, normal
+            mode, normal = self.mode, self.normal_covariance
             pilot = np.random.default_rng(child.spawn(1)[0]).normal(size=(64, mode.size))
             nearby = np.clip(mode + pilot @ np.linalg.cholesky(normal).T, -_LARGEST_COORDINATE, _LARGEST_COORDINATE)
             populations = self.coordinates.unpack(nearby)
@@ -197,6 +227,68 @@ class Posterior:
             covariance = there.covariance.mean(axis=0) + np.diag(
                 np.mean(there.between_repetitions**2, axis=0) / np.mean(self.repetitions)
             )
+
+    def _draw_once(
+        self,
+        means: np.ndarray,
+        covariance: np.ndarray,
+        n_draws: int,
+        seed: np.random.SeedSequence,
+        executor: Executor,
+        progress: Progress,
+        along_valley: bool,
+    ) -> None:
+        """Draw under a reference population, and find the mode and the normal approximation of the posterior."""
+        if self.pooling.names:
+            self.sharing = Sharing.around(self.pooling, self.point.shared, self.shared_covariance)
+        self.marginal = KeptDraws.made(
+            self.pooling.at(self.point.shared),
+            self.point,
+            means,
+            covariance,
+            self.covariates,
+            n_draws,
+            seed,
+            executor,
+            progress,
+            along_valley,
+            self.sharing,
+        )
+        # The prior alone has a precision of one in most coordinates.
+        self.mode, self.normal_covariance = normal_approximation(
+            self.log_probability, self.start(), self.start_scale(), 0.5
+        )
+
+    def _shared_approximation(self) -> tuple[np.ndarray, np.ndarray]:
+        """Mean (S',) and covariance (S', S') of the free shared parameters in the normal approximation."""
+        free = list(self.coordinates.shared_free)
+        prior, n = self.coordinates.shared_prior, len(free)
+        assert prior is not None  # there are shared parameters
+        sds = prior.centre_sds[free]
+        mean = prior.centre[free] + sds * self.mode[self.mode.size - n :]
+        return mean, self.normal_covariance[-n:, -n:] * np.outer(sds, sds)
+
+    def _centre_shared(self, means: np.ndarray, covariance: np.ndarray) -> None:
+        """Move the shared parameters of the draws, and everybody's mode along, to the normal approximation."""
+        free = list(self.coordinates.shared_free)
+        mean, moment = self._shared_approximation()
+        origin = self.point.shared.copy()
+        origin[free] = mean
+        self.point = moved_to(self.point, origin, means, covariance)
+        ours = np.linalg.cholesky(self.shared_covariance[np.ix_(free, free)])
+        relative = np.linalg.solve(ours, np.linalg.solve(ours, moment).T)
+        values, vectors = np.linalg.eigh(0.5 * (relative + relative.T))
+        factor = ours @ vectors * np.sqrt(np.clip(values, 1 / _MOST_GROWTH, _MOST_GROWTH))
+        self.shared_covariance = self.shared_covariance.copy()
+        self.shared_covariance[np.ix_(free, free)] = factor @ factor.T
+
+    def _spread_of_shared(self) -> float:
+        """Largest spread of the shared parameters about the origin of the draws, in the units of their reach."""
+        free = list(self.coordinates.shared_free)
+        mean, moment = self._shared_approximation()
+        away = mean - self.point.shared[free]
+        ours = self.shared_covariance[np.ix_(free, free)]
+        return float(np.sqrt(np.linalg.eigvals(np.linalg.solve(ours, moment + np.outer(away, away))).real.max()))
 
 
 def noise_within(variance: float, n_persons: int, n_coordinates: int) -> float:

@@ -11,6 +11,7 @@ from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Network, parse
 from bayes_impedance.network.redundancy import Combination, merged
 from bayes_impedance.population.covariates import standardised_covariates
+from bayes_impedance.population.natural_scales import NaturalScales, signed_scales, with_references
 from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.units import LARGEST_IMPEDANCE, SMALLEST_IMPEDANCE
 
@@ -57,10 +58,14 @@ def checked_model(
         If network, covariates and recordings are not consistent.
     """
     written = network_of(recordings, network)
-    fitted, combinations = merged(written)
+    fitted, combinations = merged(written) if written.plain else (written, ())
     kernel = Kernel(fitted)
     standardised = standardised_covariates(recordings, covariates)
     require_usable(recordings, kernel)
+    if not fitted.plain:
+        scales = NaturalScales.of(recordings)
+        fitted = with_references(fitted, scales.frequency_hz)
+        kernel = Kernel(fitted, scales=signed_scales(fitted, scales))
     return CheckedModel(kernel, written, combinations, standardised)
 
 

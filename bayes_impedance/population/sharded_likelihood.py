@@ -25,6 +25,8 @@ from bayes_impedance.population.e_step import PersonFit, contrasts_of
 from bayes_impedance.population.em import Estimate
 from bayes_impedance.population.importance_likelihood import Contrasts, ImportanceLikelihood
 from bayes_impedance.population.parameters import PopulationParameters
+from bayes_impedance.population.shared import SharedEquations
+from bayes_impedance.population.shared_draws import Moved, Sharing, monomials, moved
 from bayes_impedance.runtime.executors import Cluster, map_persons
 from bayes_impedance.runtime.progress import Progress
 from bayes_impedance.runtime.sharded import Kept, parts_of
@@ -65,6 +67,7 @@ class _Plan:
     covariance: np.ndarray
     n_draws: int
     along_valley: bool
+    sharing: Sharing | None
 
 
 class KeptDraws:
@@ -94,6 +97,7 @@ class KeptDraws:
         executor: Executor,
         progress: Progress,
         along_valley: bool = False,
+        sharing: Sharing | None = None,
     ) -> KeptDraws:
         """Draw for all persons under a reference population.
 
@@ -114,22 +118,28 @@ class KeptDraws:
         progress : callable
         along_valley : bool
             Propose along each person's curved valley, because one t distribution missed parts of it.
+        sharing : Sharing, optional
+            If there are parameters that are the same for everybody: how far they may move.
         """
         n = len(means)
-        plan = _Plan(kernel, point.between_repetitions, covariance, n_draws, along_valley)
+        plan = _Plan(kernel, point.between_repetitions, covariance, n_draws, along_valley, sharing)
         seeds = seed.spawn(n)
         if isinstance(executor, Cluster):
-            columns = zip(point.data.parts, point.fits.parts, parts_of(n), strict=True)
+            equations = (
+                [None] * len(point.data.parts) if point.shared_equations is None else point.shared_equations.parts
+            )
+            columns = zip(point.data.parts, point.fits.parts, equations, parts_of(n), strict=True)
             kept = [
-                executor.keep(_drawn_part, plan, data, fits, means[rows], covariates[rows], seeds[rows])
-                for data, fits, rows in columns
+                executor.keep(_drawn_part, plan, data, fits, own, means[rows], covariates[rows], seeds[rows])
+                for data, fits, own, rows in columns
             ]
             for part, rows in zip(kept, parts_of(n), strict=True):
                 executor.ask(_size, [(part,)])
                 progress("draws", rows.stop, n)
             return cls(kept, executor)
         data, fits = point.data.gathered(), point.fits.gathered()
-        drawn = map_persons(executor, partial(_draws_of, plan), data, fits, means, seeds)
+        equations = [None] * n if point.shared_equations is None else point.shared_equations.gathered()
+        drawn = map_persons(executor, partial(_draws_of, plan), data, fits, equations, means, seeds)
         watched = _watched(drawn, n, progress)
         parts = [_part(plan, watched, *_told(fits[rows]), means[rows], covariates[rows]) for rows in parts_of(n)]
         return cls(parts, executor)
@@ -145,6 +155,10 @@ class KeptDraws:
     def effective(self, parameters: PopulationParameters) -> np.ndarray:
         """Each person's effective number of draws under W sets, shape (W, N)."""
         return np.concatenate(self._kept.ask(_effective, parameters), axis=1)
+
+    def missed(self) -> np.ndarray:
+        """What moving the draws with shared parameters misses of the log likelihood, at test points, (T,)."""
+        return np.asarray(np.sum(self._kept.ask(_missed), axis=0))
 
     def pareto_k(self, parameters: PopulationParameters) -> np.ndarray:
         """Pareto k of each person's weights under the first set, shape (N,)."""
@@ -172,11 +186,13 @@ def _drawn_part(
     plan: _Plan,
     data: Sequence[Likelihood],
     fits: Sequence[PersonFit],
+    equations: Sequence[SharedEquations] | None,
     means: np.ndarray,
     covariates: np.ndarray,
     seeds: Sequence[np.random.SeedSequence],
 ) -> Part:
-    drawn = (_draws_of(plan, *row) for row in zip(data, fits, means, seeds, strict=True))
+    own = [None] * len(data) if equations is None else equations
+    drawn = (_draws_of(plan, *row) for row in zip(data, fits, own, means, seeds, strict=True))
     return _part(plan, drawn, *_told(fits), means, covariates)
 
 
@@ -187,7 +203,7 @@ def _told(fits: Sequence[PersonFit]) -> tuple[np.ndarray, tuple[Contrasts, ...]]
 
 def _part(
     plan: _Plan,
-    drawn: Iterable[Draws],
+    drawn: Iterable[tuple[Draws, Moved | None]],
     repetitions: np.ndarray,
     contrasts: Sequence[Contrasts],
     means: np.ndarray,
@@ -196,26 +212,37 @@ def _part(
     """A part with one person per row of `means`; draws are consumed one by one, so that none is in memory twice."""
     theta = np.empty((len(means), plan.n_draws, means.shape[1]))
     log_ratio = np.empty(theta.shape[:2])
-    kept = []
-    for i, draws in zip(range(len(means)), drawn, strict=False):
+    kept, how = [], []
+    for i, (draws, along) in zip(range(len(means)), drawn, strict=False):
         theta[i], log_ratio[i] = draws.theta, draws.log_ratio
         kept.append(replace(draws, theta=theta[i], log_ratio=log_ratio[i]))
-    return Part(
-        theta, log_ratio, ImportanceLikelihood(kept, means, plan.covariance, repetitions, covariates, contrasts)
-    )
+        if along is not None:
+            how.append(along)
+    marginal = ImportanceLikelihood(kept, means, plan.covariance, repetitions, covariates, contrasts, plan.sharing, how)
+    return Part(theta, log_ratio, marginal)
 
 
 def _draws_of(
-    plan: _Plan, likelihood: Likelihood, fit: PersonFit, mean: np.ndarray, seed: np.random.SeedSequence
-) -> Draws:
+    plan: _Plan,
+    likelihood: Likelihood,
+    fit: PersonFit,
+    equations: SharedEquations | None,
+    mean: np.ndarray,
+    seed: np.random.SeedSequence,
+) -> tuple[Draws, Moved | None]:
     likelihood = likelihood.moved(fit.deviations)
     # The ridge fixes rho at the estimate; the contrasts give the likelihood of other values of rho.
     ridge = find_ridge(plan.kernel, likelihood, fit.theta, fit.mode.scale, plan.rho)
     reference = Reference(mean, plan.covariance)
-    return draw(plan.kernel, likelihood, fit.mode, ridge, reference, plan.n_draws, seed, plan.along_valley)
+    draws = draw(plan.kernel, likelihood, fit.mode, ridge, reference, plan.n_draws, seed, plan.along_valley)
+    if plan.sharing is None or equations is None:
+        return draws, None
+    return moved(plan.sharing, equations, likelihood, ridge, reference, draws)
 
 
-def _watched(drawn: Iterable[Draws], n: int, progress: Progress) -> Iterator[Draws]:
+def _watched(
+    drawn: Iterable[tuple[Draws, Moved | None]], n: int, progress: Progress
+) -> Iterator[tuple[Draws, Moved | None]]:
     for i, draws in enumerate(drawn):
         progress("draws", i + 1, n)
         yield draws
@@ -231,6 +258,10 @@ def _size(part: Part) -> int:
 
 def _log_likelihood(part: Part, parameters: PopulationParameters) -> np.ndarray:
     return part.marginal(parameters)
+
+
+def _missed(part: Part) -> np.ndarray:
+    return part.marginal.missed
 
 
 def _variance(part: Part, parameters: PopulationParameters) -> np.ndarray:
@@ -262,4 +293,7 @@ def _resampled(
             own = level[:, persons] * cumulative[:, :, -1:]
             chosen = np.minimum((cumulative < own).sum(axis=2), weight.shape[2] - 1)
             theta[start : start + _SETS_AT_ONCE, persons] = part.theta[persons, chosen]
+    if part.marginal.sharing is not None and parameters.shared is not None:
+        t = part.marginal.sharing.standardised(parameters.shared)
+        theta += np.einsum("nmp,wm->wnp", part.marginal.path, monomials(t))
     return theta, part.marginal.terms(parameters)[0]

@@ -17,7 +17,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from bayes_impedance.network.elements import band_scale
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.mode import all_modes, find_mode
@@ -100,14 +99,6 @@ class FirstFits:
             relative, floor = bool(kept["noise_relative"]), float(kept["noise_floor"])
             model = NoiseModel(kept["noise_frequency_hz"], kept["noise_sd"], relative, floor)
         return cls(kept["theta"], kept["alternatives"], kept["common"], model)
-
-
-def default_prior(elements: Sequence[str], recordings: Recordings) -> Prior:
-    """The scale-free prior: each element centred where its impedance meets the data's magnitude in mid-band."""
-    log_magnitude = np.median([np.mean(np.log(np.abs(s.mean))) for s in recordings.subjects])
-    log_frequency = np.median([np.mean(np.log(s.frequency_hz)) for s in recordings.subjects])
-    scale = [band_scale(e, float(np.exp(log_magnitude)), float(np.exp(log_frequency))) for e in elements]
-    return Prior(np.array(scale))
 
 
 def first_fits(

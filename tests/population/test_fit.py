@@ -11,9 +11,10 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.mcmc.ensemble import SamplerSettings
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.population.fit import FitSettings, PopulationFit, fit_population
+from bayes_impedance.population.natural_scales import default_prior
 from bayes_impedance.population.requirements import network_of
 from bayes_impedance.population.simulate import Simulation, simulate_recordings
-from bayes_impedance.population.starting_fits import default_prior, first_fits, noise_of
+from bayes_impedance.population.starting_fits import first_fits, noise_of
 from bayes_impedance.recordings.files import Recordings, Subject
 
 
@@ -60,7 +61,7 @@ def test_noise_is_estimated_for_those_whose_recordings_come_without(small_simula
     subjects = (subjects[0], replace(subjects[1], noise_sd=given), *subjects[2:])
     recordings = replace(small_simulation.recordings, subjects=subjects)
     kernel = Kernel(network_of(recordings, None))
-    prior = default_prior(kernel.elements, recordings)
+    prior = default_prior(kernel, recordings)
     with ThreadPoolExecutor(1) as executor:
         first = first_fits(kernel, recordings, prior, np.random.SeedSequence(1), executor, lambda *_: None)
     assert first.model is not None

@@ -10,11 +10,11 @@ from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.mode import all_modes
+from bayes_impedance.population.natural_scales import default_prior
 from bayes_impedance.population.starting_fits import (
     _RANDOM_STARTS,
     _START_SPREAD,
     best_distinct,
-    default_prior,
     search_modes,
 )
 from bayes_impedance.recordings.files import read_recordings
@@ -27,7 +27,7 @@ def test_single_curves_end_in_the_global_optimum() -> None:
     recordings = read_recordings(DATA).select(["V02", "V06", "V16", "V23", "V34", "V46", "V58", "V64"])
     assert recordings.network is not None
     kernel = Kernel(parse(recordings.network))
-    prior = default_prior(kernel.elements, recordings)
+    prior = default_prior(kernel, recordings)
     starts = prior.centre + np.random.default_rng(1).normal(0, _START_SPREAD, (_RANDOM_STARTS, 8))
     for subject in recordings.subjects:
         z = subject.mean[None, ::7]

@@ -13,11 +13,14 @@ from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.model import build, scales_of
 from bayes_impedance.diagnosis.fit.normal_equations import Population
 from bayes_impedance.diagnosis.fit.refit import Refit
+from bayes_impedance.errors import InputError
 from bayes_impedance.network.notation import Network
 from bayes_impedance.population.em import Estimate, estimate
 from bayes_impedance.population.fit import initial_likelihoods
+from bayes_impedance.population.natural_scales import default_prior
 from bayes_impedance.population.requirements import checked_model
-from bayes_impedance.population.starting_fits import default_prior, first_fits
+from bayes_impedance.population.shared import Pooling
+from bayes_impedance.population.starting_fits import first_fits
 from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.runtime.checkpoint import claim
 from bayes_impedance.runtime.progress import Progress
@@ -73,7 +76,12 @@ def fit_network(
     """
     kernel = checked_model(recordings, network).kernel
     tree = kernel.network
-    prior = default_prior(kernel.elements, recordings)
+    if not tree.plain:
+        raise InputError(
+            f"the network {tree} holds more than masses, springs and dampers that differ between people, which only "
+            "'run' and 'fit' estimate so far: diagnose the network without it"
+        )
+    prior = default_prior(kernel, recordings)
     seeds = np.random.SeedSequence(seed).spawn(2)
     one = len(recordings.subjects) == 1
     if checkpoint is not None:
@@ -83,7 +91,16 @@ def fit_network(
     no_covariates = np.zeros((len(recordings.subjects), 0))
     kept = None if checkpoint is None else checkpoint / "point_estimate.npz"
     point = estimate(
-        kernel, likelihoods, first, prior, no_covariates, True, seeds[1], progress, one_person=one, checkpoint=kept
+        Pooling(kernel),
+        likelihoods,
+        first,
+        prior,
+        no_covariates,
+        True,
+        seeds[1],
+        progress,
+        one_person=one,
+        checkpoint=kept,
     )
     refitter = Refitter(point.likelihoods, executor, one)
     model = build(tree, (), scales_of(recordings), ())

@@ -1,0 +1,289 @@
+r"""The state of the expectation-maximisation and one iteration of it.
+
+The equations are derived in :mod:`bayes_impedance.population.em`, those of the parameters that are the same for
+everybody in :mod:`bayes_impedance.population.shared`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
+from operator import attrgetter
+
+import numpy as np
+
+from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.person.likelihood import Likelihood
+from bayes_impedance.population.e_step import (
+    Begun,
+    PersonFit,
+    Sums,
+    begin,
+    evidence,
+    expect,
+    information_of_elements,
+    information_of_means,
+    spread,
+    sums,
+)
+from bayes_impedance.population.parameters import Prior
+from bayes_impedance.population.shared import (
+    Placed,
+    Pooling,
+    SharedEquations,
+    objective,
+    shared_equations,
+    step_of,
+    summed,
+)
+from bayes_impedance.runtime.sharded import Kept
+
+_PRIOR_PERSONS = 2.0
+"""Pseudo-persons with independent elements, added to the covariance. By choice: few persons stay non-singular."""
+_SMALLEST_DISPERSION = 0.02
+"""Least sd of logarithms between persons. By choice: reweighting cannot widen draws that lie almost in one point."""
+_NO_PRIOR = 1e-6
+"""Precision in place of a prior's. By choice: a standard deviation of a thousand only keeps what the recordings do not
+see from being singular."""
+_SHORTER = 6
+"""Most lengths that are tried of a step of shared parameters, each a quarter of the one before. By choice: a thousandth
+of the step, below which the iteration goes on without it."""
+
+
+def _begun_at(_: Likelihood, theta: np.ndarray, deviations: np.ndarray) -> Begun:
+    return Begun(theta, deviations)
+
+
+def _place(fit: PersonFit) -> tuple[np.ndarray, np.ndarray]:
+    """Log elements and deviations of a person, from which the next iteration starts."""
+    return fit.theta, fit.deviations
+
+
+def _placed(fit: PersonFit) -> Placed:
+    return Placed(fit.theta, fit.deviations)
+
+
+def _following(place: Placed, equations: SharedEquations, step: np.ndarray) -> Placed:
+    return place.following(equations, step)
+
+
+class State:
+    """Current state of the iteration.
+
+    Parameters
+    ----------
+    pooling : Pooling
+    data : Kept of Likelihood
+    prior : Prior
+        Of all P parameters.
+    covariates : ndarray, shape (N, Q)
+    correlated : bool
+    theta : ndarray, shape (N, P)
+        Each person's starting point; of shared parameters the median is taken.
+    repeated : bool
+    one_person : bool
+    """
+
+    def __init__(
+        self,
+        pooling: Pooling,
+        data: Kept,
+        prior: Prior,
+        covariates: np.ndarray,
+        correlated: bool,
+        theta: np.ndarray,
+        repeated: bool,
+        one_person: bool,
+    ) -> None:
+        self.pooling, self.data = pooling, data
+        self.prior = prior.of(pooling.varying) if pooling.names else prior
+        self.shared_prior = prior.of(pooling.shared)
+        self.phi = np.median(theta[:, pooling.shared], axis=0)
+        if pooling.names:
+            theta = theta[:, pooling.varying]
+        self.covariates, self.correlated = covariates, correlated
+        self.n_persons = len(theta)
+        self.mu = np.median(theta, axis=0)
+        self.slopes = np.zeros((self.mu.size, covariates.shape[1]))
+        deviation = 1.4826 * np.median(np.abs(theta - self.mu), axis=0)
+        self.covariance = np.diag(np.clip(1.5 * deviation, 0.2, 2.0) ** 2)
+        self.fixed = one_person
+        if one_person:
+            self.mu, self.covariance = self.prior.centre.copy(), np.eye(self.mu.size) * self.prior.centre_sds**2
+        self.rho = np.full(self.mu.size, 0.1) if repeated else np.zeros(self.mu.size)
+        self.fits = data.each(begin, theta)
+        self.begun = False  # whether everybody has been fitted with the shared parameters as they are
+
+    def told(self) -> dict[str, np.ndarray]:
+        """Arrays that determine the next iteration, for the checkpoint."""
+        places = self.fits.gathered(_place)
+        return {
+            "mu": self.mu,
+            "slopes": self.slopes,
+            "covariance": self.covariance,
+            "rho": self.rho,
+            "phi": self.phi,
+            "theta": np.array([theta for theta, _ in places]),
+            "deviations": np.concatenate([deviations for _, deviations in places]),
+            "repetitions": np.array([len(deviations) for _, deviations in places]),
+        }
+
+    def restore(self, told: Mapping[str, np.ndarray]) -> None:
+        """Restore the state from what `told` returned."""
+        self.mu, self.slopes, self.covariance, self.rho = (told[k] for k in ("mu", "slopes", "covariance", "rho"))
+        self.phi = told["phi"]
+        own = np.split(told["deviations"], np.cumsum(told["repetitions"])[:-1])
+        self.fits = self.data.each(_begun_at, told["theta"], own)
+
+    @property
+    def means(self) -> np.ndarray:
+        """Population mean of each person, shape (N, P)."""
+        return np.asarray(self.mu + self.covariates @ self.slopes.T)
+
+    def iterate(self, extra_starts: np.ndarray | None) -> float:
+        """One iteration; returns how far the population moved, in its standard errors."""
+        means = self.means
+        moved = self._move_shared()
+        starts = None
+        if extra_starts is not None:
+            starts = np.concatenate([means[:, None], extra_starts], axis=1)
+        precision = np.linalg.inv(self.covariance)
+        self.fits = refitted(self.data, self.fits, self.pooling.at(self.phi), precision, self.rho, means, starts)
+        old_mu, old_covariance, old_rho = self.mu.copy(), self.covariance, self.rho
+        self._maximise(self.fits.ask(sums, self.prior.centre, self.rho, columns=[self.covariates]))
+        sd = np.sqrt(np.diag(old_covariance) / self.n_persons + 1e-12)
+        shift = np.abs(self.mu - old_mu) / sd
+        stretch = np.abs(np.log(np.diag(self.covariance) / np.diag(old_covariance)))
+        wobble = np.abs(self.rho - old_rho) / np.maximum(self.rho, 0.01)
+        return float(max(moved, np.max(shift), np.max(stretch), np.max(wobble)))
+
+    @property
+    def theta(self) -> np.ndarray:
+        """Everybody's parameters, the shared ones included, shape (N, P)."""
+        return self.pooling.whole(np.array(self.fits.gathered(attrgetter("theta"))), self.phi)
+
+    def _move_shared(self) -> float:
+        """A step of the parameters that are the same for all, and everybody along; its length in standard errors."""
+        if not self.pooling.names or not self.begun:
+            self.begun = True
+            return 0.0
+        equations = self.shared_equations()
+        curvature, gradient = self._information(equations)
+        offset = (self.phi - self.shared_prior.centre) / self.shared_prior.centre_sds**2
+        step = step_of(curvature, gradient - offset)
+        size = self.phi.size
+        places = self.fits.each(_placed)
+        before = self._objective(self.phi, self.mu, places)
+        for _ in range(_SHORTER):
+            there = places.each(_following, equations, np.tile(step, (self.n_persons, 1)))
+            phi, mu = self.phi + step[:size], self.mu + step[size:]
+            if self._objective(phi, mu, there) <= before:
+                self.phi, self.mu, self.fits = phi, mu, there
+                return float(np.sqrt(max(step @ curvature @ step, 0.0)))
+            step = 0.25 * step
+        return 0.0
+
+    def _objective(self, phi: np.ndarray, mu: np.ndarray, places: Kept) -> float:
+        """Negative log posterior of everybody's places, of the shared parameters and the mean, up to a constant."""
+        own = partial(objective, self.pooling.at(phi), np.linalg.inv(self.covariance), self.rho)
+        total = float(sum(self.data.each(own, places, mu + self.covariates @ self.slopes.T).ask(sum)))
+        total += 0.5 * float(np.sum(((phi - self.shared_prior.centre) / self.shared_prior.centre_sds) ** 2))
+        total += 0.5 * float(np.sum(((mu - self.prior.centre) / self.prior.centre_sds) ** 2))
+        return total if np.isfinite(total) else np.inf
+
+    def shared_equations(self) -> Kept:
+        """Everybody's equations of the shared parameters, as :class:`SharedEquations`."""
+        return equations_of(self.data, self.fits, self.pooling, self.phi, np.linalg.inv(self.covariance), self.rho)
+
+    def shared_covariance(self, with_prior: bool) -> np.ndarray:
+        """Approximate posterior covariance (S, S) of the shared parameters; without their prior if not asked for."""
+        curvature = self._information(self.shared_equations(), with_prior)[0]
+        return np.asarray(np.linalg.inv(curvature)[: self.phi.size, : self.phi.size])
+
+    def _information(self, equations: Kept, with_prior: bool = True) -> tuple[np.ndarray, np.ndarray]:
+        parts = equations.ask(summed)
+        own = self.shared_prior.centre_sds**-2.0 if with_prior else np.full(self.phi.size, _NO_PRIOR)
+        prior = np.diag(np.concatenate([own, self.prior.centre_sds**-2.0]))
+        return _total(c for c, _ in parts) + prior, _total(g for _, g in parts)
+
+    def _maximise(self, parts: Sequence[Sums]) -> None:
+        if any(part.squares for part in parts):
+            self.rho = self._repetition_dispersion(parts)
+        if self.fixed:
+            return
+        design, target = _total(part.design for part in parts), _total(part.target for part in parts)
+        # Prior: centre_sd for the mean, slope_sd for the slopes, relative to the spread between persons.
+        variance = np.diag(self.covariance)
+        for e in range(self.mu.size):
+            ridge = variance[e] / np.r_[self.prior.centre_sds[e] ** 2, np.full(len(design) - 1, self.prior.slope_sd**2)]
+            solution = np.linalg.solve(design + np.diag(ridge), target[e])
+            self.mu[e], self.slopes[e] = self.prior.centre[e] + solution[0], solution[1:]
+        # A second pass over the persons: squaring the deviations from the new mean avoids cancellation.
+        square = _total(self.fits.ask(spread, columns=[self.means])) + _total(part.uncertainty for part in parts)
+        weak = _PRIOR_PERSONS * np.diag(np.clip(variance, _SMALLEST_DISPERSION**2, 1.0))
+        covariance = (square + weak) / (self.n_persons + _PRIOR_PERSONS)
+        floor = np.maximum(np.diag(covariance), _SMALLEST_DISPERSION**2)
+        self.covariance = np.diag(floor) if not self.correlated else covariance + np.diag(floor - np.diag(covariance))
+
+    def _repetition_dispersion(self, parts: Sequence[Sums]) -> np.ndarray:
+        total, count = np.full(self.mu.size, 2 * 0.05**2), 2.0  # two contrasts' worth of a 5 % prior
+        for j in sorted({j for part in parts for j in part.squares}):
+            own = [part.squares[j] for part in parts if j in part.squares]
+            total += _total(square for square, _ in own)
+            count += sum(n for _, n in own)
+        return np.asarray(np.clip(np.sqrt(total / count), 1e-3, 1.0))
+
+    def log_evidence(self) -> float:
+        """Laplace approximation of the log marginal likelihood of the population, with the prior of its centre."""
+        sign, log_determinant = np.linalg.slogdet(self.covariance)
+        prior = -0.5 * float(np.sum(((self.mu - self.prior.centre) / self.prior.centre_sd) ** 2))
+        prior -= 0.5 * float(np.sum(((self.phi - self.shared_prior.centre) / self.shared_prior.centre_sds) ** 2))
+        return prior + sum(self.fits.ask(evidence, self.rho)) - 0.5 * self.n_persons * float(sign * log_determinant)
+
+    def mu_sd(self) -> np.ndarray:
+        """Approximate posterior standard deviation of mu, shape (P,)."""
+        if self.fixed:
+            return np.asarray(np.sqrt(np.diag(np.linalg.inv(self.fits.gathered()[0].mode.precision))))
+        precision = np.linalg.inv(self.covariance)
+        prior = np.eye(self.mu.size) / self.prior.centre_sd**2
+        rows = [(precision, np.zeros_like(prior) if k else prior) for k in range(len(self.fits.parts))]
+        information = _total(self.fits.ask_in_turn(information_of_means, rows))
+        return np.asarray(np.sqrt(np.diag(np.linalg.inv(information))))
+
+    def data_sd(self) -> np.ndarray:
+        """Standard error of each element from all recordings together, without a prior on it, shape (P,)."""
+        information = _total(self.fits.ask(information_of_elements, np.linalg.inv(self.covariance)))
+        return np.array([total**-0.5 if total > 0 else np.inf for total in information])
+
+
+def refitted(
+    data: Kept,
+    fits: Kept,
+    kernel: Kernel,
+    precision: np.ndarray,
+    rho: np.ndarray,
+    means: np.ndarray,
+    starts: np.ndarray | None = None,
+) -> Kept:
+    """Everybody's fit under a population, from where they are and from further starting points (N, S, V)."""
+    if starts is None:
+        starts = np.empty((len(means), 0, means.shape[1]))
+    return data.each(partial(expect, kernel, precision, rho), fits, means, starts)
+
+
+def equations_of(
+    data: Kept, fits: Kept, pooling: Pooling, phi: np.ndarray, precision: np.ndarray, rho: np.ndarray
+) -> Kept:
+    """Everybody's equations of the shared parameters, as :class:`SharedEquations`."""
+    return data.each(partial(_shared_equations, pooling, phi, precision, rho), fits)
+
+
+def _shared_equations(
+    pooling: Pooling, phi: np.ndarray, precision: np.ndarray, rho: np.ndarray, likelihood: Likelihood, fit: PersonFit
+) -> SharedEquations:
+    return shared_equations(pooling, phi, precision, rho, likelihood, fit.mode, fit.expanded)
+
+
+def _total(parts: Iterable[np.ndarray]) -> np.ndarray:
+    """Sum in the order of the parts."""
+    return np.asarray(np.sum(list(parts), axis=0))

@@ -1,0 +1,251 @@
+r"""A person's importance draws when parameters that are the same for everybody move.
+
+Draws are made with the shared parameters at an origin :math:`\phi_0`. Elsewhere, at
+:math:`\phi(t) = \phi_0 + A t`, with A the factor of an approximate posterior covariance of :math:`\phi`, the person's
+posterior has moved, and all of the person's draws move along by the same :math:`s_i(t)`. A shift has a Jacobian of one,
+whatever its path, so
+
+.. math:: p(z_i\,|\,\phi(t), \mu, T) = \int L_i(\theta + s_i, \phi)\,N(\theta + s_i; \mu, T)\,d\theta
+          \approx \frac1K \sum_k \frac{L_i(\theta_k + s_i, \phi)}{q_i(\theta_k)}\, N(\theta_k; \mu - s_i, T) :
+
+the population's mean is shifted the other way, and each draw's log likelihood is a smooth function of t. The path is
+that of the person's mode, so that the draws stay where the posterior is, and the log likelihood changes little:
+everybody's recordings together determine :math:`\phi` more sharply than one person's. Path and changes are therefore
+polynomials of low degree. Their coefficients are found by least squares from exact modes and likelihoods at points
+within a sphere, and what the polynomials miss is measured at others. The sphere's radius, the reach, covers nearly all
+of the posterior. Beyond it a polynomial may grow without limit: the draws stay at the edge, and the density falls off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement
+
+import numpy as np
+from scipy.special import chdtri
+
+from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.person.importance_draws import Draws, Reference
+from bayes_impedance.person.likelihood import Likelihood
+from bayes_impedance.person.marginal_likelihood import Ridge, marginal_log_likelihood
+from bayes_impedance.person.mode import find_mode
+from bayes_impedance.population.shared import Pooling, SharedEquations
+
+_COVERED = 0.997
+"""Share of the posterior within reach. By choice: three standard deviations for one shared parameter. Polynomials are
+not used farther away, where they may grow without limit."""
+_DEGREES = {1: 4, 2: 4, 3: 3}
+"""Degree of the polynomials for one, two and three shared parameters; two for more. By choice: four to nineteen terms;
+what is left out is measured."""
+_TESTED, _TESTED_AT = 3, 0.6
+"""Number of points at which the polynomial is tested, and their distance in units of the reach. By choice: typical of
+the posterior."""
+_SMOOTH = 1.0
+"""Largest distance of a mode from the path, in the person's posterior standard deviations. By choice: the draws are as
+wide; a mode that is farther off has jumped to another valley."""
+_NEGLIGIBLE, _LEFT_OUT = 12.0, 1e4
+"""Logarithms of how much smaller than the average a draw's weight may be, and of what those that are smaller everywhere
+are divided by. By choice: populations within the posterior change weights by some units; 12 leaves e^-12 of a draw."""
+_ROUGH = 1.0
+"""Largest error of a draw's polynomial. By choice: its weight is then known to a factor e, one of hundreds."""
+_SEED = 1
+"""Seed of the directions of the points. By choice: they are the same for all persons and runs."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sharing:
+    """Where draws are made, and where their likelihoods are computed.
+
+    Attributes
+    ----------
+    pooling : Pooling
+    origin : ndarray, shape (S,)
+        The shared parameters of the draws.
+    factor : ndarray, shape (S, S)
+        A: lower Cholesky factor of their approximate posterior covariance.
+    points : ndarray, shape (D + T, S)
+        Values of t at which likelihoods are computed; the last T test the polynomial.
+    kernels : tuple of Kernel
+        Of the varying parameters, one for each point.
+    """
+
+    pooling: Pooling
+    origin: np.ndarray
+    factor: np.ndarray
+    points: np.ndarray
+    kernels: tuple[Kernel, ...]
+
+    @classmethod
+    def around(cls, pooling: Pooling, origin: np.ndarray, covariance: np.ndarray) -> Sharing:
+        """Around an estimate with an approximate posterior covariance, (S,) and (S, S)."""
+        factor = np.linalg.cholesky(covariance)
+        points = _points(origin.size)
+        kernels = tuple(pooling.at(origin + factor @ t) for t in points)
+        return cls(pooling=pooling, origin=origin, factor=factor, points=points, kernels=kernels)
+
+    @property
+    def kernel(self) -> Kernel:
+        """Of the varying parameters, at the origin."""
+        return self.pooling.at(self.origin)
+
+    def standardised(self, phi: np.ndarray) -> np.ndarray:
+        """Coordinates t of shared parameters, both (W, S); at the edge for those out of reach."""
+        t = np.linalg.solve(self.factor, (phi - self.origin).T).T
+        distance = np.linalg.norm(t, axis=1, keepdims=True)
+        reach = reach_of(self.origin.size)
+        return np.asarray(t * np.minimum(1.0, reach / np.maximum(distance, reach)))
+
+    def beyond(self, phi: np.ndarray) -> np.ndarray:
+        """Distance in t of shared parameters (W, S) from the edge of the reach; zero within, (W,)."""
+        t = np.linalg.solve(self.factor, (phi - self.origin).T)
+        return np.asarray(np.maximum(np.linalg.norm(t, axis=0) - reach_of(self.origin.size), 0.0))
+
+
+@dataclass(frozen=True)
+class Moved:
+    """How one person's draws move with the shared parameters.
+
+    Attributes
+    ----------
+    path : ndarray, shape (M, V)
+        Of the polynomial in t: shift of the log elements.
+    coefficients : ndarray, shape (M, K)
+        Of the polynomial in t, for each draw: change of the log likelihood.
+    missed : ndarray, shape (T,)
+        Error of the person's log likelihood at the test points.
+    """
+
+    path: np.ndarray
+    coefficients: np.ndarray
+    missed: np.ndarray
+
+
+def monomials(t: np.ndarray) -> np.ndarray:
+    """Monomials of degree one and more in t (W, S), shape (W, M)."""
+    size = t.shape[1]
+    degree = _DEGREES.get(size, 2)
+    columns = [
+        np.prod(t[:, list(chosen)], axis=1)
+        for d in range(1, degree + 1)
+        for chosen in combinations_with_replacement(range(size), d)
+    ]
+    return np.stack(columns, axis=1)
+
+
+def reach_of(size: int) -> float:
+    """Radius in t within which the draws may be moved, for a number of shared parameters."""
+    return float(np.sqrt(chdtri(size, 1 - _COVERED)))
+
+
+def _points(size: int) -> np.ndarray:
+    """Points of the fit, on spheres of half and of the whole reach, and points of the test."""
+    reach = reach_of(size)
+    if size == 1:
+        fitted = reach * np.array([[-1.0], [-0.75], [-0.5], [-0.25], [0.25], [0.5], [0.75], [1.0]])
+        return np.vstack([fitted, reach * np.array([[-0.6], [0.35], [0.85]])])
+    rng = np.random.default_rng(_SEED)
+    terms = monomials(np.zeros((1, size))).shape[1]
+
+    def directions(n: int) -> np.ndarray:
+        normal = rng.normal(size=(n, size))
+        return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
+
+    axes = np.vstack([np.eye(size), -np.eye(size)])
+    more = directions(max(terms + terms // 2 - len(axes), 0))
+    radius = np.where(np.arange(len(more)) % 2, 1.0, 0.5)[:, None]
+    return np.vstack([reach * axes, reach * radius * more, _TESTED_AT * reach * directions(_TESTED)])
+
+
+def moved(
+    sharing: Sharing,
+    equations: SharedEquations,
+    likelihood: Likelihood,
+    ridge: Ridge,
+    reference: Reference,
+    draws: Draws,
+) -> tuple[Draws, Moved]:
+    """Move a person's draws; those that have no weight anywhere are left out of the draws that are returned.
+
+    Parameters
+    ----------
+    sharing : Sharing
+    equations : SharedEquations
+        With the person's response.
+    likelihood : Likelihood
+        With the deviations of the repetitions at the origin.
+    ridge : Ridge
+        At the origin.
+    reference : Reference
+        The population under which the draws were made.
+    draws : Draws
+        K of them.
+    """
+    size = sharing.origin.size
+    response = equations.response[:, :size] @ sharing.factor
+    drift = equations.drift[..., :size] @ sharing.factor
+    fitted = len(sharing.points) - _TESTED
+    terms = monomials(sharing.points)
+    there = [likelihood.moved(likelihood.deviations + drift @ t) for t in sharing.points]
+    path = _path(sharing, likelihood, there, ridge.theta, response, reference)
+    at_origin = marginal_log_likelihood(sharing.kernel, likelihood, ridge, draws.theta)
+    changes = np.empty((len(sharing.points), len(draws.theta)))
+    for row, (kernel, own, step) in enumerate(zip(sharing.kernels, there, terms @ path, strict=True)):
+        along = Ridge(ridge.theta + step, ridge.slope, ridge.rho, ridge.precision)
+        changes[row] = marginal_log_likelihood(kernel, own, along, draws.theta + step) - at_origin
+    # Draws that have no weight anywhere within reach are left out: their likelihoods, far from the recordings, change
+    # by more than a polynomial can follow, which might give them a weight.
+    moving = [reference.log_density(draws.theta + step) for step in terms @ path]
+    weights = draws.log_weight + changes + np.array(moving) - reference.log_density(draws.theta)
+    weights = np.vstack([draws.log_weight, weights])
+    weights -= np.logaddexp.reduce(weights, axis=1, keepdims=True)
+    without = ~(weights.max(axis=0) >= -np.log(len(draws.theta)) - _NEGLIGIBLE)
+    changes[:, without] = 0.0
+    coefficients = np.linalg.lstsq(terms[:fitted], changes[:fitted], rcond=None)[0]
+    # Elsewhere in a second valley a likelihood may turn sharply. Such draws get the smallest value that they have.
+    rough = ~without & ~(np.abs(terms @ coefficients - changes).max(axis=0) < _ROUGH)
+    coefficients[:, rough] = 0.0
+    lowest = np.minimum(changes.min(axis=0), 0.0)
+    draws = replace(draws, log_ratio=draws.log_ratio - _LEFT_OUT * without + np.where(rough, lowest, 0.0))
+    exact = changes[fitted:]
+    predicted = terms[fitted:] @ coefficients - _LEFT_OUT * without + np.where(rough, lowest, 0.0)
+    missed = np.logaddexp.reduce(draws.log_weight + exact, axis=1) - np.logaddexp.reduce(
+        draws.log_weight + predicted, axis=1
+    )
+    return draws, Moved(path, coefficients, missed)
+
+
+def _path(
+    sharing: Sharing,
+    likelihood: Likelihood,
+    there: Sequence[Likelihood],
+    theta: np.ndarray,
+    response: np.ndarray,
+    reference: Reference,
+) -> np.ndarray:
+    """Coefficients (M, V) of the person's path: that of the mode, or straight where the mode leaves its valley."""
+    fitted = len(sharing.points) - _TESTED
+    terms = monomials(sharing.points)[:fitted]
+    mean, precision = reference.mean, np.linalg.inv(reference.covariance)
+    origin = find_mode(sharing.kernel, likelihood, theta[None], mean, precision)
+    straight = sharing.points[:fitted] @ response.T
+    modes = [
+        find_mode(kernel, own, (origin.theta + step)[None], mean, precision).theta
+        for kernel, own, step in zip(sharing.kernels[:fitted], there, straight, strict=False)
+    ]
+    offsets = np.array(modes) - origin.theta
+    path = np.asarray(np.linalg.lstsq(terms, offsets, rcond=None)[0])
+    rest = offsets - terms @ path
+    if np.einsum("np,pq,nq->n", rest, origin.precision, rest).max() < _SMOOTH**2:
+        return path
+    return np.vstack([response.T, np.zeros((len(path) - len(response.T), len(theta)))])
+
+
+def _log_mean(draws: Draws, changes: np.ndarray) -> np.ndarray:
+    return np.asarray(np.logaddexp.reduce(draws.log_weight + changes, axis=1))
+
+
+def stacked(all_moved: Sequence[Moved]) -> tuple[np.ndarray, np.ndarray]:
+    """Paths (n, M, V) of some persons, and the sum of what their polynomials miss, (T,)."""
+    missed = np.array([m.missed for m in all_moved]).sum(axis=0)
+    return np.array([m.path for m in all_moved]), np.asarray(missed)
