@@ -79,11 +79,14 @@ class Draws:
         ln L - ln q, up to a constant.
     log_weight : ndarray, shape (K,)
         Logarithm of the weights under the reference, normalised to sum to one.
+    constant : float
+        What `log_ratio` lacks of the log density (:func:`bayes_impedance.person.absolute_density.log_constant`).
     """
 
     theta: np.ndarray
     log_ratio: np.ndarray
     log_weight: np.ndarray
+    constant: float = 0.0
 
     @property
     def effective(self) -> float:

@@ -18,13 +18,15 @@ from typing import Any
 import numpy as np
 
 from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.person.absolute_density import log_constant
 from bayes_impedance.person.importance_draws import Draws, Reference, draw
 from bayes_impedance.person.likelihood import Likelihood
-from bayes_impedance.person.marginal_likelihood import find_ridge
+from bayes_impedance.person.marginal_likelihood import LEAST_RHO, find_ridge
 from bayes_impedance.population.e_step import PersonFit, contrasts_of
 from bayes_impedance.population.em import Estimate
 from bayes_impedance.population.importance_likelihood import Contrasts, ImportanceLikelihood
 from bayes_impedance.population.parameters import PopulationParameters
+from bayes_impedance.population.person_densities import constants_of, log_densities
 from bayes_impedance.runtime.executors import Cluster, map_persons
 from bayes_impedance.runtime.progress import Progress
 from bayes_impedance.runtime.sharded import Kept, parts_of
@@ -45,11 +47,14 @@ class Part:
     log_ratio : ndarray, shape (n, K)
         ln L - ln q of each draw.
     marginal : ImportanceLikelihood
+    constant : ndarray, shape (n,)
+        What `marginal` and its contrasts lack of each person's log density.
     """
 
     theta: np.ndarray
     log_ratio: np.ndarray
     marginal: ImportanceLikelihood
+    constant: np.ndarray
 
     def __sizeof__(self) -> int:
         """Size in bytes: a scheduler that knows it does not copy a large part to an idle worker."""
@@ -156,7 +161,7 @@ class KeptDraws:
         return np.concatenate([a for a, _ in both]), np.concatenate([b for _, b in both])
 
     def persons(self, parameters: PopulationParameters, seed: np.random.SeedSequence) -> tuple[np.ndarray, np.ndarray]:
-        """For each set, one draw of each person's log elements, (W, N, P), and each log likelihood, (W, N)."""
+        """For each set, one draw of each person's log elements, (W, N, P), and each log density, (W, N)."""
         n_sets, n_elements = parameters.mu.shape
         rows = [(parameters, child) for child in seed.spawn(len(self._kept.parts))]
         sizes = self._kept.ask(_size)
@@ -200,9 +205,9 @@ def _part(
     for i, draws in zip(range(len(means)), drawn, strict=False):
         theta[i], log_ratio[i] = draws.theta, draws.log_ratio
         kept.append(replace(draws, theta=theta[i], log_ratio=log_ratio[i]))
-    return Part(
-        theta, log_ratio, ImportanceLikelihood(kept, means, plan.covariance, repetitions, covariates, contrasts)
-    )
+    marginal = ImportanceLikelihood(kept, means, plan.covariance, repetitions, covariates, contrasts)
+    constant = constants_of(kept, contrasts, repetitions, np.maximum(plan.rho, LEAST_RHO))
+    return Part(theta, log_ratio, marginal, constant)
 
 
 def _draws_of(
@@ -212,7 +217,8 @@ def _draws_of(
     # The ridge fixes rho at the estimate; the contrasts give the likelihood of other values of rho.
     ridge = find_ridge(plan.kernel, likelihood, fit.theta, fit.mode.scale, plan.rho)
     reference = Reference(mean, plan.covariance)
-    return draw(plan.kernel, likelihood, fit.mode, ridge, reference, plan.n_draws, seed, plan.along_valley)
+    draws = draw(plan.kernel, likelihood, fit.mode, ridge, reference, plan.n_draws, seed, plan.along_valley)
+    return replace(draws, constant=log_constant(plan.kernel, likelihood, ridge))
 
 
 def _watched(drawn: Iterable[Draws], n: int, progress: Progress) -> Iterator[Draws]:
@@ -262,4 +268,4 @@ def _resampled(
             own = level[:, persons] * cumulative[:, :, -1:]
             chosen = np.minimum((cumulative < own).sum(axis=2), weight.shape[2] - 1)
             theta[start : start + _SETS_AT_ONCE, persons] = part.theta[persons, chosen]
-    return theta, part.marginal.terms(parameters)[0]
+    return theta, log_densities(part.marginal, part.constant, parameters)

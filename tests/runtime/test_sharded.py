@@ -18,10 +18,12 @@ from bayes_impedance.mcmc.ensemble import Chains, SamplerSettings
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
 from bayes_impedance.person.importance_draws import Draws
+from bayes_impedance.person.marginal_likelihood import LEAST_RHO
 from bayes_impedance.population import sharded_likelihood
 from bayes_impedance.population.fit import FitSettings, PopulationFit, _kept_sets, fit_population
 from bayes_impedance.population.importance_likelihood import Contrasts, ImportanceLikelihood
 from bayes_impedance.population.parameters import PopulationParameters
+from bayes_impedance.population.person_densities import constants_of, log_densities
 from bayes_impedance.population.posterior import noise_within
 from bayes_impedance.population.sharded_likelihood import KeptDraws
 from bayes_impedance.population.simulate import simulate_recordings
@@ -191,7 +193,8 @@ def test_sums_over_parts_are_those_over_all_persons() -> None:
         np.testing.assert_allclose(kept.variance(sets), whole.variance(sets), rtol=1e-6)
         np.testing.assert_allclose(kept.effective(sets), whole.terms(sets, effective=True)[1], rtol=1e-6)
         theta, log_likelihood = kept.persons(sets, np.random.SeedSequence(1))
-    np.testing.assert_allclose(log_likelihood, whole.terms(sets)[0], rtol=1e-9, atol=1e-9)
+    constants = constants_of(draws, contrasts, repetitions, np.full(2, LEAST_RHO))
+    np.testing.assert_allclose(log_likelihood, log_densities(whole, constants, sets), rtol=1e-9, atol=1e-9)
     stacked = np.array([d.theta for d in draws])
     assert np.all(np.any(np.all(theta[:, :, None] == stacked[None], axis=-1), axis=-1))
 
