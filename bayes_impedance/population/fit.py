@@ -30,7 +30,7 @@ from bayes_impedance.mcmc.ensemble import QUICK, Chains, SamplerSettings, sample
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Network
 from bayes_impedance.network.redundancy import Combination
-from bayes_impedance.person.absolute_density import log_constant
+from bayes_impedance.person.absolute_density import deviations_of, log_constant
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.marginal_likelihood import find_ridge, marginal_log_likelihood
 from bayes_impedance.person.noise import NoiseModel
@@ -112,13 +112,14 @@ class PopulationFit:
     person_draws : ndarray, shape (E, S, N, P)
         Each person's log elements: the mean over the person's repetitions.
     person_log_likelihood : ndarray, shape (E, S, N)
-        Natural logarithm of the density of each person's recordings (all complex values, as real and imaginary parts
-        in their unit) under the population draws, with everything of the person integrated out
-        (:mod:`~bayes_impedance.population.person_densities`). For one person: under that person's log elements.
+        Log density of each person's recordings under the population draws, with everything of the person integrated
+        out (:mod:`~bayes_impedance.population.person_densities`); of one person alone, under that person's elements.
     deviations : tuple of ndarray, shape (J, P)
         Estimated deviations of the repetitions.
     noise : tuple of ndarray, shape (J, F)
         Standard deviation of the noise of each recording, the person's scale included.
+    noise_model : NoiseModel or None
+        What the noise of all persons has in common; None if every recording has its own.
     noise_scale : ndarray, shape (N,)
         Ratio of the residuals to the noise estimate: near one if the network describes the person.
     identified : ndarray of bool, shape (P,)
@@ -141,6 +142,7 @@ class PopulationFit:
     person_log_likelihood: np.ndarray
     deviations: tuple[np.ndarray, ...]
     noise: tuple[np.ndarray, ...]
+    noise_model: NoiseModel | None
     noise_scale: np.ndarray
     identified: np.ndarray
     diagnostics: Diagnostics
@@ -290,6 +292,7 @@ def fit_population(
         person_log_likelihood=person_likelihood.reshape(*shape),
         deviations=point.deviations,
         noise=noise,
+        noise_model=first.model,
         noise_scale=point.scale,
         identified=identified,
         diagnostics=diagnostics,
@@ -332,7 +335,8 @@ def _one_person(
             checkpoint,
         )
     theta = mode.theta + sd * chains.coordinates.reshape(-1, sd.size)
-    log_density = marginal_log_likelihood(kernel, likelihood, ridge, theta) + log_constant(kernel, likelihood, ridge)
+    constant = log_constant(likelihood, ridge, deviations_of(kernel, likelihood, ridge.theta))
+    log_density = marginal_log_likelihood(kernel, likelihood, ridge, theta) + constant
     n, p = theta.shape
     nothing = np.full((n, p), np.nan)
     parameters = PopulationParameters(theta, nothing, np.tile(np.eye(p), (n, 1, 1)), nothing, np.zeros((n, p, 0)))
@@ -353,6 +357,7 @@ def _one_person(
         person_log_likelihood=log_density.reshape(ensembles, -1, 1),
         deviations=(likelihood.deviations,),
         noise=(_scaled_noise(first.model, recordings.subjects[0], mode.scale),),
+        noise_model=first.model,
         noise_scale=np.array([mode.scale]),
         identified=point.determined & (theta.std(axis=0) < IDENTIFIED_SD),
         diagnostics=diagnostics,

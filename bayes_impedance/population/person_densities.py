@@ -5,16 +5,17 @@ on the population, and counts the contrasts between repetitions for all persons 
 again. For one person with J repetitions and K draws, and population parameters mu, Sigma, rho,
 
 .. math:: \ln p(z_i\,|\,\mu,\Sigma,\rho) = \ln\frac1K\sum_k \frac{L_i(\theta_k)}{q(\theta_k)}\,N(\theta_k; \mu_i, T_J)
-          + C_i(\rho) - C_i(\rho_0) .
+          + G_i(\rho) - G_i(\rho_0) .
 
 * :math:`L_i(\theta) = p(z_i|\theta,\rho_0)` is the density of all complex values of the person, given the mean of the
   log elements over the repetitions: noise scale and deviations are integrated out at the point estimate
-  :math:`\rho_0` (the ridge's). Its constants are in :mod:`bayes_impedance.person.absolute_density`.
+  :math:`\rho_0` (the ridge's).
 * q is the proposal's density. It is normalised as it stands.
 * N is evaluated relative to :math:`(2\pi)^{-P/2}`, and L/q relative to the largest draw of each person: both are added.
-* :math:`C_i(\rho)` is the closed form of the contrasts: the logarithm of their likelihood, averaged over
-  :math:`N(0,\operatorname{diag}\rho^2)`, relative to that at zero deviation. Since L holds it at :math:`\rho_0`
-  already, the difference is what another rho changes. It is taken at the person's mode, as in sampling.
+* :math:`G_i(\rho)` is the likelihood of the deviations. Since L holds it at :math:`\rho_0` already, the difference is
+  what another rho changes. It is taken at the person's mode, as in sampling.
+
+The constants of L, and G, are derived in :mod:`bayes_impedance.person.absolute_density`.
 
 The noise sigma is the network's own: it was estimated from what the repetitions differ by outside of the network's
 tangent space, or from the roughness of what the network leaves (:mod:`bayes_impedance.person.noise`), and is held fixed
@@ -28,22 +29,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from bayes_impedance.person.importance_draws import Draws
-from bayes_impedance.population.importance_likelihood import Contrasts, ImportanceLikelihood
+from bayes_impedance.population.importance_likelihood import ImportanceLikelihood
 from bayes_impedance.population.parameters import PopulationParameters
 
 
-def constants_of(
-    draws: Sequence[Draws], contrasts: Sequence[Contrasts], repetitions: np.ndarray, rho: np.ndarray
-) -> np.ndarray:
+def constants_of(draws: Sequence[Draws], rho: np.ndarray) -> np.ndarray:
     """What does not depend on the population, for each of n persons.
 
     Parameters
     ----------
     draws : sequence of Draws
         Of n persons.
-    contrasts : sequence of Contrasts
-        One for each number of repetitions above one, ascending.
-    repetitions : ndarray of int, shape (n,)
     rho : ndarray, shape (P,)
         Dispersion between repetitions at which the deviations were integrated out of the draws' likelihood.
 
@@ -52,11 +48,11 @@ def constants_of(
     ndarray, shape (n,)
     """
     own = np.array([d.constant + d.log_ratio.max() for d in draws])
-    return np.asarray(own - 0.5 * rho.size * np.log(2 * np.pi) - _contrasts(contrasts, repetitions, rho[None])[0])
+    return np.asarray(own - 0.5 * rho.size * np.log(2 * np.pi) - _of_deviations(draws, rho[None])[0])
 
 
 def log_densities(
-    marginal: ImportanceLikelihood, constants: np.ndarray, parameters: PopulationParameters
+    marginal: ImportanceLikelihood, draws: Sequence[Draws], constants: np.ndarray, parameters: PopulationParameters
 ) -> np.ndarray:
     """Log density of each person's recordings under W sets of population parameters.
 
@@ -64,6 +60,8 @@ def log_densities(
     ----------
     marginal : ImportanceLikelihood
         Of n persons.
+    draws : sequence of Draws
+        Of the same persons.
     constants : ndarray, shape (n,)
         Of :func:`constants_of`.
     parameters : PopulationParameters
@@ -74,17 +72,14 @@ def log_densities(
     ndarray, shape (W, n)
         Natural logarithms of the density of real and imaginary parts in the unit of the recordings.
     """
-    of_contrasts = _contrasts(marginal.contrasts, marginal.repetitions, parameters.between_repetitions)
-    return np.asarray(marginal.terms(parameters)[0] + constants + of_contrasts)
+    other_rho = _of_deviations(draws, parameters.between_repetitions)
+    return np.asarray(marginal.terms(parameters)[0] + constants + other_rho)
 
 
-def _contrasts(contrasts: Sequence[Contrasts], repetitions: np.ndarray, rho: np.ndarray) -> np.ndarray:
-    """Each person's C(rho), shape (W, n), for dispersions (W, P); zero with one repetition."""
-    result = np.zeros((len(rho), repetitions.size))
-    for j, group in zip(np.unique(repetitions[repetitions > 1]), contrasts, strict=True):
-        for column, person in enumerate(np.flatnonzero(repetitions == j)):
-            own = slice(column, column + 1)
-            information, gradient = group.information[..., own], group.gradient[:, own]
-            one = Contrasts(np.ascontiguousarray(information), np.ascontiguousarray(gradient))
-            result[:, person] = one.log_likelihood(rho)
+def _of_deviations(draws: Sequence[Draws], rho: np.ndarray) -> np.ndarray:
+    """Each person's G(rho), shape (W, n), for dispersions (W, P)."""
+    result = np.zeros((len(rho), len(draws)))
+    for i, own in enumerate(draws):
+        if own.deviations is not None:
+            result[:, i] = own.deviations.log_likelihood(rho)
     return result

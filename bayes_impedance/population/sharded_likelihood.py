@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from bayes_impedance.network.kernel import Kernel
-from bayes_impedance.person.absolute_density import log_constant
+from bayes_impedance.person.absolute_density import deviations_of, log_constant
 from bayes_impedance.person.importance_draws import Draws, Reference, draw
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.marginal_likelihood import LEAST_RHO, find_ridge
@@ -47,14 +47,21 @@ class Part:
     log_ratio : ndarray, shape (n, K)
         ln L - ln q of each draw.
     marginal : ImportanceLikelihood
+    draws : tuple of Draws
+        The same, of each person; no copies.
     constant : ndarray, shape (n,)
-        What `marginal` and its contrasts lack of each person's log density.
+        What `marginal` lacks of each person's log density.
     """
 
     theta: np.ndarray
     log_ratio: np.ndarray
     marginal: ImportanceLikelihood
+    draws: tuple[Draws, ...]
     constant: np.ndarray
+
+    def log_densities(self, parameters: PopulationParameters) -> np.ndarray:
+        """Log density of each person's recordings under W sets, shape (W, n)."""
+        return log_densities(self.marginal, self.draws, self.constant, parameters)
 
     def __sizeof__(self) -> int:
         """Size in bytes: a scheduler that knows it does not copy a large part to an idle worker."""
@@ -173,6 +180,22 @@ class KeptDraws:
         return theta, log_likelihood
 
 
+def part_of(
+    kernel: Kernel,
+    rho: np.ndarray,
+    data: Sequence[Likelihood],
+    fits: Sequence[PersonFit],
+    means: np.ndarray,
+    covariance: np.ndarray,
+    covariates: np.ndarray,
+    n_draws: int,
+    seeds: Sequence[np.random.SeedSequence],
+    along_valley: bool,
+) -> Part:
+    """Draw for some persons, in this process; the arguments are those of :meth:`KeptDraws.made`."""
+    return _drawn_part(_Plan(kernel, rho, covariance, n_draws, along_valley), data, fits, means, covariates, seeds)
+
+
 def _drawn_part(
     plan: _Plan,
     data: Sequence[Likelihood],
@@ -206,8 +229,7 @@ def _part(
         theta[i], log_ratio[i] = draws.theta, draws.log_ratio
         kept.append(replace(draws, theta=theta[i], log_ratio=log_ratio[i]))
     marginal = ImportanceLikelihood(kept, means, plan.covariance, repetitions, covariates, contrasts)
-    constant = constants_of(kept, contrasts, repetitions, np.maximum(plan.rho, LEAST_RHO))
-    return Part(theta, log_ratio, marginal, constant)
+    return Part(theta, log_ratio, marginal, tuple(kept), constants_of(kept, np.maximum(plan.rho, LEAST_RHO)))
 
 
 def _draws_of(
@@ -218,7 +240,8 @@ def _draws_of(
     ridge = find_ridge(plan.kernel, likelihood, fit.theta, fit.mode.scale, plan.rho)
     reference = Reference(mean, plan.covariance)
     draws = draw(plan.kernel, likelihood, fit.mode, ridge, reference, plan.n_draws, seed, plan.along_valley)
-    return replace(draws, constant=log_constant(plan.kernel, likelihood, ridge))
+    deviations = deviations_of(plan.kernel, likelihood, fit.theta)
+    return replace(draws, constant=log_constant(likelihood, ridge, deviations), deviations=deviations)
 
 
 def _watched(drawn: Iterable[Draws], n: int, progress: Progress) -> Iterator[Draws]:
@@ -268,4 +291,4 @@ def _resampled(
             own = level[:, persons] * cumulative[:, :, -1:]
             chosen = np.minimum((cumulative < own).sum(axis=2), weight.shape[2] - 1)
             theta[start : start + _SETS_AT_ONCE, persons] = part.theta[persons, chosen]
-    return theta, log_densities(part.marginal, part.constant, parameters)
+    return theta, part.log_densities(parameters)

@@ -13,7 +13,7 @@ from scipy.stats import invgamma, multivariate_normal, norm
 
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
-from bayes_impedance.person.absolute_density import log_constant
+from bayes_impedance.person.absolute_density import deviations_of, log_constant
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.marginal_likelihood import find_ridge, marginal_log_likelihood
 from bayes_impedance.population.fit import PopulationFit, fit_population
@@ -85,7 +85,8 @@ def test_deviations_and_the_scale_are_integrated_together() -> None:
     shrunk = rho**2 / (rho**2 + sd**2 / points) * (own - own.mean())
     likelihood = Likelihood.make(frequency, z, np.full(z.shape, damper * sd), shrunk)
     ridge = find_ridge(kernel, likelihood, theta, 1.0, np.array([rho]))
-    found = marginal_log_likelihood(kernel, likelihood, ridge, theta[None])[0] + log_constant(kernel, likelihood, ridge)
+    constant = log_constant(likelihood, ridge, deviations_of(kernel, likelihood, theta))
+    found = marginal_log_likelihood(kernel, likelihood, ridge, theta[None])[0] + constant
 
     moving = np.kron(np.eye(repetitions) - 1 / repetitions, np.ones((points, points))) * (damper * rho) ** 2
     still = (damper * sd) ** 2 * np.eye(z.size)
