@@ -42,7 +42,10 @@ def log_density(
         centre = measured(omega, z[j], p)
         step = 1e-5
         slopes = np.array(
-            [(impedance(centre + step * e, omega) - impedance(centre - step * e, omega)) / (2 * step) for e in np.eye(p)]
+            [
+                (impedance(centre + step * e, omega) - impedance(centre - step * e, omega)) / (2 * step)
+                for e in np.eye(p)
+            ]
         )
         sd = np.array([np.sum(np.abs(s / sigma[j]) ** 2) ** -0.5 for s in slopes])
         axes = [c + np.linspace(-9, 9, n) * s for c, s in zip(centre, sd, strict=True)]

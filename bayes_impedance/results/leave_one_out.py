@@ -85,6 +85,21 @@ class LeftOut:
         return _sum_and_error(self.elpd - other.elpd)
 
 
+def require_absolute(result: Result) -> None:
+    """Refuse a result whose log densities lack a constant.
+
+    Raises
+    ------
+    InputError
+        If it was written by an earlier version.
+    """
+    if result.attributes.get(DENSITY_ATTRIBUTE) != "absolute":
+        raise InputError(
+            f"the fit of {result.attributes['network']} is of an earlier version, whose log likelihoods lack a "
+            "constant; fit it again"
+        )
+
+
 def leave_one_out(result: Result) -> LeftOut:
     """Leave-one-out over people, from the draws of a finished fit.
 
@@ -95,11 +110,7 @@ def leave_one_out(result: Result) -> LeftOut:
     """
     from bayes_impedance.mcmc.arviz_file import leave_one_out as smoothed
 
-    if result.attributes.get(DENSITY_ATTRIBUTE) != "absolute":
-        raise InputError(
-            f"the fit of {result.attributes['network']} is of an earlier version, whose log likelihoods lack a "
-            "constant; fit it again"
-        )
+    require_absolute(result)
     subjects = tuple(str(name) for name in result.coords["subject"])
     if len(subjects) < FEWEST_PEOPLE:
         raise InputError("networks are compared by how the others predict each person: there must be two or more")

@@ -128,9 +128,7 @@ def test_the_density_of_somebody_unseen_equals_a_brute_force_integral() -> None:
     for row in np.flatnonzero(smallest > 0.03)[::60][:3]:
         covariance = p.covariance[row][np.ix_(order, order)]
         centre, rho = p.mu[row, order], p.between_repetitions[row, order]
-        expected = log_density(
-            mass_and_damper, person.frequency_hz, person.z, sigma, centre, covariance, rho, 49
-        )
+        expected = log_density(mass_and_damper, person.frequency_hz, person.z, sigma, centre, covariance, rho, 49)
         assert found[row] == pytest.approx(expected, abs=0.05)
 
 
