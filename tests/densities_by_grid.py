@@ -35,7 +35,7 @@ def measured(omega: Float, z: NDArray[np.complex128], n_elements: int) -> Float:
 def log_density(
     impedance, frequency_hz: Float, z: NDArray[np.complex128], sigma: Float, mu: Float, cov: Float, rho: Float, n: int
 ) -> float:
-    """Log density of z (J, F) with noise sigma (J, F) under N(mu, cov) and rho (P,), from n points in each dimension."""
+    """Log density of z (J, F), noise sigma (J, F), under N(mu, cov) and rho (P,): n points in each dimension."""
     omega, p, repetitions = 2 * np.pi * frequency_hz, mu.size, len(z)
     places, chi, log_cell = [], [], 0.0
     for j in range(repetitions):

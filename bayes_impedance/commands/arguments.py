@@ -55,8 +55,8 @@ def parser_of_commands() -> argparse.ArgumentParser:
         "compare",
         help="the paper's methods in one table; with --networks, networks by how they predict people left out",
         description="Without --networks: the paper's methods and the population network in one table. With --networks: "
-        "each network is fitted (into OUT/1, OUT/2, ...), everybody is predicted from all others, and networks.json and "
-        "networks.csv say how much worse each network predicts than the best, with a standard error over people.",
+        "each network is fitted (into OUT/1, OUT/2, ...), everybody is predicted from all others, and networks.json "
+        "and networks.csv say how much worse each network predicts than the best, with a standard error over people.",
     )
     _dataset(compare)
     _fit_arguments(compare)
@@ -64,8 +64,8 @@ def parser_of_commands() -> argparse.ArgumentParser:
         "--networks",
         nargs="+",
         metavar="NETWORK",
-        help="two or more: a network in quotation marks, a text file with one, the folder of a finished fit of the same "
-        "recordings, or the verdict.json of a diagnosis (the network with what was missing)",
+        help="two or more: a network in quotation marks, a text file with one, the folder of a finished fit of the "
+        "same recordings, or the verdict.json of a diagnosis (the network with what was missing)",
     )
     compare.add_argument("--result", type=Path, metavar="FOLDER", help="finished fit of the same recordings to use")
     compare.add_argument("--full", dest="quick", action="store_false", help="as many draws as 'run'; default: --quick")

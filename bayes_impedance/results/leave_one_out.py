@@ -10,9 +10,9 @@ with the absolute log densities of ``log_likelihood/marginal`` (:mod:`bayes_impe
 is the person as a whole that is left out, all repetitions and frequencies: the question is what the population says of
 somebody new. The elements of that person are integrated out, and hence are no parameters that could overfit.
 
-**Two networks** are compared person by person. With the differences :math:`d_i` of N people, the difference of the sums
-is :math:`\sum d_i`, and its standard error over people, :math:`\sqrt{N\operatorname{var}(d)}`, is that of the pairs: what
-makes a person hard to predict for both networks cancels.
+**Two networks** are compared person by person. With the differences :math:`d_i` of N people, the difference of the
+sums is :math:`\sum d_i`, and its standard error over people, :math:`\sqrt{N\operatorname{var}(d)}`, is that of the
+pairs: what makes a person hard to predict for both networks cancels.
 
 **Noise.** Each network's fit has estimated its own noise, from what repetitions differ by outside of the network's
 tangent space, or, with one repetition, from the roughness of what it leaves. This noise is part of the model that is
@@ -79,7 +79,7 @@ class LeftOut:
         return _sum_and_error(self.elpd)
 
     def less(self, other: LeftOut) -> tuple[float, float]:
-        """This sum less another network's, of the same people, and the standard error of the pairs."""
+        """Sum less another network's, of the same people, and the standard error of the pairs."""
         if self.subjects != other.subjects:
             raise ValueError("not the same people in the same order")
         return _sum_and_error(self.elpd - other.elpd)

@@ -1,12 +1,10 @@
 r"""Networks side by side: how well each predicts people whom it has not seen, and how well it describes those it has.
 
 The order is by elpd, the sum over people of the log predictive density
-(:mod:`bayes_impedance.results.leave_one_out`). Differences are to the best of the reliable fits, with the standard error
-of the pairs. Two networks of which neither is the truth differ by hundreds where recordings are precise, with a
-standard error of a tenth of that: what counts is the ratio, and within :data:`UNDECIDED` standard errors nothing is said.
+(:mod:`bayes_impedance.results.leave_one_out`). Differences are to the best of the reliable fits, with the standard
+error of the pairs; within :data:`UNDECIDED` standard errors nothing is decided.
 
-Every fit has estimated its own noise, and this noise is part of the network's model: a network that leaves structure is
-not punished twice for noise that was measured with another.
+Every fit has estimated its own noise, and this noise is part of the model that is compared, as the elements are.
 """
 
 from __future__ import annotations

@@ -31,8 +31,8 @@ RESULT_FILE, SUMMARY_FILE, SECONDS_FILE = "result.nc", "summary.json", "seconds.
 """Times are in a separate file, so that the same seed and data give the same bytes in the others."""
 
 DENSITY_ATTRIBUTE = "log_likelihood"
-"""Attribute that says that ``log_likelihood/marginal`` is absolute. In results of earlier versions, where it is missing,
-each subject's values lack a constant that differs between networks."""
+"""Attribute that says that ``log_likelihood/marginal`` is absolute. In results of earlier versions, where it is
+missing, each subject's values lack a constant that differs between networks."""
 
 _PACKAGES = ("bayes_impedance", "numpy", "scipy", "numba", "emcee", "arviz", "xarray", "pandas")
 
