@@ -100,8 +100,9 @@ def leave_one_out(
         former = logging.root.manager.disable
         logging.disable(logging.WARNING)  # elements that are not determined are NaN, and it would say so each time
         try:
-            data = arviz.from_dict(groups) if _modern() else arviz.from_dict(**groups)
-            found = arviz.loo(data, pointwise=True)
+            untyped: Any = arviz
+            data = untyped.from_dict(groups) if _modern() else untyped.from_dict(**groups)
+            found = untyped.loo(data, pointwise=True)
         finally:
             logging.disable(former)
     each, p_loo = (found.elpd_i, found.p) if _modern() else (found.loo_i, found.p_loo)
