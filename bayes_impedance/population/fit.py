@@ -118,8 +118,6 @@ class PopulationFit:
         Estimated deviations of the repetitions.
     noise : tuple of ndarray, shape (J, F)
         Standard deviation of the noise of each recording, the person's scale included.
-    noise_model : NoiseModel or None
-        What the noise of all persons has in common; None if every recording has its own.
     noise_scale : ndarray, shape (N,)
         Ratio of the residuals to the noise estimate: near one if the network describes the person.
     identified : ndarray of bool, shape (P,)
@@ -142,7 +140,6 @@ class PopulationFit:
     person_log_likelihood: np.ndarray
     deviations: tuple[np.ndarray, ...]
     noise: tuple[np.ndarray, ...]
-    noise_model: NoiseModel | None
     noise_scale: np.ndarray
     identified: np.ndarray
     diagnostics: Diagnostics
@@ -292,7 +289,6 @@ def fit_population(
         person_log_likelihood=person_likelihood.reshape(*shape),
         deviations=point.deviations,
         noise=noise,
-        noise_model=first.model,
         noise_scale=point.scale,
         identified=identified,
         diagnostics=diagnostics,
@@ -357,7 +353,6 @@ def _one_person(
         person_log_likelihood=log_density.reshape(ensembles, -1, 1),
         deviations=(likelihood.deviations,),
         noise=(_scaled_noise(first.model, recordings.subjects[0], mode.scale),),
-        noise_model=first.model,
         noise_scale=np.array([mode.scale]),
         identified=point.determined & (theta.std(axis=0) < IDENTIFIED_SD),
         diagnostics=diagnostics,

@@ -3,8 +3,8 @@ r"""The log density of somebody whom a fit has not seen, under each of its popul
 With draws :math:`\phi_s` of the population parameters from a fit of the others, the predictive density of person i is
 :math:`p(z_i|z_{-i}) \approx S^{-1}\sum_s p(z_i|\phi_s)`. The terms are those of
 :mod:`bayes_impedance.population.person_densities`: the person's mode is sought under the mean population from several
-starting points, and importance draws are made there. The noise is that of the others' model; only the person's own
-scale is integrated out.
+starting points, and importance draws are made there. The noise has to be given with the recordings; its scale is
+integrated out.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def held_out_log_densities(fit: PopulationFit, person: Subject, seed: np.random.
     fit : PopulationFit
         Of two persons or more, without this one.
     person : Subject
-        With the covariates of the fit, if it has any.
+        With the standard deviation of its noise, and the covariates of the fit if it has any.
     seed : SeedSequence
 
     Returns
@@ -53,7 +53,7 @@ def held_out_log_densities(fit: PopulationFit, person: Subject, seed: np.random.
     mean = p.mu.mean(axis=0) + p.slopes.mean(axis=0) @ covariates
     covariance = p.covariance.mean(axis=0) + np.diag(rho**2) / len(person.repetitions)
     nothing = np.zeros((len(person.repetitions), elements))
-    likelihood = Likelihood.make(person.frequency_hz, person.z, noise_of(person, fit.noise_model), nothing)
+    likelihood = Likelihood.make(person.frequency_hz, person.z, noise_of(person, None), nothing)
     searching, drawing, again = seed.spawn(3)
     found = _mode(fit, likelihood, mean, covariance, rho, searching)
     wide = covariance * widening(len(fit.recordings.subjects)) ** 2
