@@ -51,9 +51,22 @@ def parser_of_commands() -> argparse.ArgumentParser:
     _dataset(fit)
     _fit_arguments(fit)
 
-    compare = commands.add_parser("compare", help="the paper's methods and the population network in one table")
+    compare = commands.add_parser(
+        "compare",
+        help="the paper's methods in one table; with --networks, networks by how they predict people left out",
+        description="Without --networks: the paper's methods and the population network in one table. With --networks: "
+        "each network is fitted (into OUT/1, OUT/2, ...), everybody is predicted from all others, and networks.json "
+        "and networks.csv say how much worse each network predicts than the best, with a standard error over people.",
+    )
     _dataset(compare)
     _fit_arguments(compare)
+    compare.add_argument(
+        "--networks",
+        nargs="+",
+        metavar="NETWORK",
+        help="two or more: a network in quotation marks, a text file with one, the folder of a finished fit of the "
+        "same recordings, or the verdict.json of a diagnosis (the network with what was missing)",
+    )
     compare.add_argument("--result", type=Path, metavar="FOLDER", help="finished fit of the same recordings to use")
     compare.add_argument("--full", dest="quick", action="store_false", help="as many draws as 'run'; default: --quick")
     compare.set_defaults(quick=True)

@@ -69,6 +69,8 @@ def _fit(options: argparse.Namespace) -> int:
 
 
 def _compare(options: argparse.Namespace) -> int:
+    if options.networks is not None:
+        return _compare_networks(options)
     from bayes_impedance.commands.comparison import compare_dataset
 
     with Bars() as bars:
@@ -99,6 +101,23 @@ def _compare(options: argparse.Namespace) -> int:
     tell()
     tell(f"table: {options.out / 'comparison.json'}, .csv, .png")
     return FAILED if comparison.problems else DONE
+
+
+def _compare_networks(options: argparse.Namespace) -> int:
+    from bayes_impedance.commands.network_comparison import compare_networks, lines_of
+
+    for name in ("network", "result"):
+        if getattr(options, name) is not None:
+            raise InputError(f"--{name} and --networks exclude each other: name it in --networks, beside the others")
+    with Bars() as bars:
+        comparison = compare_networks(
+            options.dataset, options.out, options.networks, _fit_options(options), options.resume, bars
+        )
+    for line in lines_of(comparison):
+        tell(line)
+    tell()
+    tell(f"table: {options.out / 'networks.json'}, .csv")
+    return FAILED if any(entry.result.problems for entry in comparison.entries) else DONE
 
 
 def _diagnose(options: argparse.Namespace) -> int:

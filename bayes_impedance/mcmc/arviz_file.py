@@ -13,6 +13,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import logging
 import warnings
 from collections.abc import Mapping
 from importlib.metadata import version
@@ -72,12 +73,49 @@ def pareto_k(log_weights: np.ndarray) -> np.ndarray:
     return np.asarray(k, dtype=float).reshape(log_weights.shape[:-1])
 
 
+def leave_one_out(
+    posterior: Mapping[str, np.ndarray], log_likelihood: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Leave-one-out cross-validation by Pareto smoothed importance sampling, as ``arviz.loo`` computes it.
+
+    Parameters
+    ----------
+    posterior : mapping
+        Variables with axes chain and draw first: their efficiency sets the length of the smoothed tail.
+    log_likelihood : ndarray, shape (C, S, N)
+        Of each of N observations.
+
+    Returns
+    -------
+    elpd, pareto_k : ndarray, shape (N,)
+        Log predictive density of each observation given the others, and the Pareto tail index of its weights.
+    p_loo : float
+        Effective number of parameters.
+    """
+    groups: dict[str, Any] = {"posterior": dict(posterior), "log_likelihood": {"observation": log_likelihood}}
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # large values of k are for the caller to report
+        import arviz
+
+        former = logging.root.manager.disable
+        logging.disable(logging.WARNING)  # elements that are not determined are NaN, and it would say so each time
+        try:
+            untyped: Any = arviz
+            data = untyped.from_dict(groups) if _modern() else untyped.from_dict(**groups)
+            found = untyped.loo(data, pointwise=True)
+        finally:
+            logging.disable(former)
+    each, p_loo = (found.elpd_i, found.p) if _modern() else (found.loo_i, found.p_loo)
+    return np.asarray(each, dtype=float), np.asarray(found.pareto_k, dtype=float), float(p_loo)
+
+
 def save(
     file: Path,
     groups: Mapping[str, Mapping[str, np.ndarray]],
     dims: Mapping[str, list[str]],
     coords: Mapping[str, Any],
     attributes: Mapping[str, Any],
+    meanings: Mapping[str, Mapping[str, str]] | None = None,
 ) -> None:
     """Write groups of arrays as an ArviZ netCDF file that is complete or absent.
 
@@ -93,6 +131,8 @@ def save(
         Axis to labels.
     attributes : mapping
         Written to the file and to every group.
+    meanings : mapping, optional
+        Variable to its own attributes, such as ``units``.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -107,6 +147,10 @@ def save(
             datasets = {name: data[name] for name in groups}
         used = {axis for variables in groups.values() for name in variables for axis in dims.get(name, ())}
         labels = {axis: values for axis, values in coords.items() if axis in used}
+        for dataset in datasets.values():
+            for name, described in (meanings or {}).items():
+                if name in dataset:
+                    dataset[name].attrs.update(described)
         own = dict(attributes) | {_SEAL: _seal(groups, labels, attributes)}
         write_bytes(file, _as_netcdf(datasets, own))
 

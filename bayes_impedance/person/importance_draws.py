@@ -20,6 +20,7 @@ import numpy as np
 from scipy.special import gammaincinv, gammaln, ndtri
 
 from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.person.absolute_density import Deviations
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.marginal_likelihood import Ridge, marginal_log_likelihood
 from bayes_impedance.person.mode import Mode
@@ -79,11 +80,17 @@ class Draws:
         ln L - ln q, up to a constant.
     log_weight : ndarray, shape (K,)
         Logarithm of the weights under the reference, normalised to sum to one.
+    constant : float
+        What `log_ratio` lacks of the log density (:func:`bayes_impedance.person.absolute_density.log_constant`).
+    deviations : Deviations, optional
+        Likelihood of other dispersions between repetitions than that at which they were integrated out.
     """
 
     theta: np.ndarray
     log_ratio: np.ndarray
     log_weight: np.ndarray
+    constant: float = 0.0
+    deviations: Deviations | None = None
 
     @property
     def effective(self) -> float:

@@ -30,6 +30,10 @@ from bayes_impedance.person.likelihood import (
     repetition_equations,
 )
 
+LEAST_RHO = 1e-3
+"""Least dispersion between repetitions, in logarithms, for which deviations are integrated out. By choice: a thousandth
+of an element is far less than any finger changes, and the curvature 1/rho^2 stays finite."""
+
 
 @dataclass(frozen=True)
 class Ridge:
@@ -69,7 +73,7 @@ def find_ridge(kernel: Kernel, likelihood: Likelihood, theta: np.ndarray, scale:
     information = repetition_equations(kernel, likelihood, theta)[1] / scale**2
     if information.shape[0] == 1:
         return Ridge(theta, np.zeros_like(information), rho, information[0])
-    rho = np.maximum(rho, 1e-3)
+    rho = np.maximum(rho, LEAST_RHO)
     inverse = np.linalg.inv(information + np.diag(rho**-2.0))
     pulled = inverse @ information
     multiplier = -np.linalg.solve(inverse.sum(axis=0), pulled.sum(axis=0))
@@ -91,7 +95,8 @@ def marginal_log_likelihood(kernel: Kernel, likelihood: Likelihood, ridge: Ridge
     Returns
     -------
     ndarray, shape (S,)
-        Up to a constant; -inf where the network's impedance is not finite.
+        Up to a constant (:func:`bayes_impedance.person.absolute_density.log_constant`); -inf where the network's
+        impedance is not finite.
     """
     d = likelihood
     if d.z.shape[0] == 1:

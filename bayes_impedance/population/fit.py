@@ -30,6 +30,7 @@ from bayes_impedance.mcmc.ensemble import QUICK, Chains, SamplerSettings, sample
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Network
 from bayes_impedance.network.redundancy import Combination
+from bayes_impedance.person.absolute_density import deviations_of, log_constant
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.marginal_likelihood import find_ridge, marginal_log_likelihood
 from bayes_impedance.person.noise import NoiseModel
@@ -114,7 +115,8 @@ class PopulationFit:
     person_draws : ndarray, shape (E, S, N, P)
         Each person's log elements: the mean over the person's repetitions.
     person_log_likelihood : ndarray, shape (E, S, N)
-        Log marginal likelihood of each person under the population draws, up to a constant for each person.
+        Log density of each person's recordings under the population draws, with everything of the person integrated
+        out (:mod:`~bayes_impedance.population.person_densities`); of one person alone, under that person's elements.
     deviations : tuple of ndarray, shape (J, P)
         Estimated deviations of the repetitions.
     noise : tuple of ndarray, shape (J, F)
@@ -336,6 +338,8 @@ def _one_person(
             checkpoint,
         )
     theta = mode.theta + sd * chains.coordinates.reshape(-1, sd.size)
+    constant = log_constant(likelihood, ridge, deviations_of(kernel, likelihood, ridge.theta))
+    log_density = marginal_log_likelihood(kernel, likelihood, ridge, theta) + constant
     n, p = theta.shape
     nothing = np.full((n, p), np.nan)
     parameters = PopulationParameters(theta, nothing, np.tile(np.eye(p), (n, 1, 1)), nothing, np.zeros((n, p, 0)))
@@ -353,7 +357,7 @@ def _one_person(
         n_ensembles=ensembles,
         log_probability=chains.log_probability,
         person_draws=whole.persons(theta[:, None], None).reshape(ensembles, -1, 1, p),
-        person_log_likelihood=marginal_log_likelihood(kernel, likelihood, ridge, theta).reshape(ensembles, -1, 1),
+        person_log_likelihood=log_density.reshape(ensembles, -1, 1),
         deviations=(likelihood.deviations,),
         noise=(_scaled_noise(first.model, recordings.subjects[0], mode.scale),),
         noise_scale=np.array([mode.scale]),

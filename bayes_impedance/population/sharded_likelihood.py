@@ -18,13 +18,15 @@ from typing import Any
 import numpy as np
 
 from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.person.absolute_density import deviations_of, log_constant
 from bayes_impedance.person.importance_draws import Draws, Reference, draw
 from bayes_impedance.person.likelihood import Likelihood
-from bayes_impedance.person.marginal_likelihood import find_ridge
+from bayes_impedance.person.marginal_likelihood import LEAST_RHO, find_ridge
 from bayes_impedance.population.e_step import PersonFit, contrasts_of
 from bayes_impedance.population.em import Estimate
 from bayes_impedance.population.importance_likelihood import Contrasts, ImportanceLikelihood
 from bayes_impedance.population.parameters import PopulationParameters
+from bayes_impedance.population.person_densities import constants_of, log_densities
 from bayes_impedance.population.shared import SharedEquations
 from bayes_impedance.population.shared_draws import Moved, Sharing, monomials, moved
 from bayes_impedance.runtime.executors import Cluster, map_persons
@@ -47,11 +49,21 @@ class Part:
     log_ratio : ndarray, shape (n, K)
         ln L - ln q of each draw.
     marginal : ImportanceLikelihood
+    draws : tuple of Draws
+        The same, of each person; no copies.
+    constant : ndarray, shape (n,)
+        What `marginal` lacks of each person's log density.
     """
 
     theta: np.ndarray
     log_ratio: np.ndarray
     marginal: ImportanceLikelihood
+    draws: tuple[Draws, ...]
+    constant: np.ndarray
+
+    def log_densities(self, parameters: PopulationParameters) -> np.ndarray:
+        """Log density of each person's recordings under W sets, shape (W, n)."""
+        return log_densities(self.marginal, self.draws, self.constant, parameters)
 
     def __sizeof__(self) -> int:
         """Size in bytes: a scheduler that knows it does not copy a large part to an idle worker."""
@@ -170,7 +182,7 @@ class KeptDraws:
         return np.concatenate([a for a, _ in both]), np.concatenate([b for _, b in both])
 
     def persons(self, parameters: PopulationParameters, seed: np.random.SeedSequence) -> tuple[np.ndarray, np.ndarray]:
-        """For each set, one draw of each person's log elements, (W, N, P), and each log likelihood, (W, N)."""
+        """For each set, one draw of each person's log elements, (W, N, P), and each log density, (W, N)."""
         n_sets, n_elements = parameters.mu.shape
         rows = [(parameters, child) for child in seed.spawn(len(self._kept.parts))]
         sizes = self._kept.ask(_size)
@@ -180,6 +192,22 @@ class KeptDraws:
             theta[:, end : end + size], log_likelihood[:, end : end + size] = part
             end += size
         return theta, log_likelihood
+
+
+def part_of(
+    kernel: Kernel,
+    rho: np.ndarray,
+    data: Sequence[Likelihood],
+    fits: Sequence[PersonFit],
+    means: np.ndarray,
+    covariance: np.ndarray,
+    covariates: np.ndarray,
+    n_draws: int,
+    seeds: Sequence[np.random.SeedSequence],
+    along_valley: bool,
+) -> Part:
+    """Draw for some persons, in this process; the arguments are those of :meth:`KeptDraws.made`."""
+    return _drawn_part(_Plan(kernel, rho, covariance, n_draws, along_valley), data, fits, means, covariates, seeds)
 
 
 def _drawn_part(
@@ -219,7 +247,7 @@ def _part(
         if along is not None:
             how.append(along)
     marginal = ImportanceLikelihood(kept, means, plan.covariance, repetitions, covariates, contrasts, plan.sharing, how)
-    return Part(theta, log_ratio, marginal)
+    return Part(theta, log_ratio, marginal, tuple(kept), constants_of(kept, np.maximum(plan.rho, LEAST_RHO)))
 
 
 def _draws_of(
@@ -235,6 +263,8 @@ def _draws_of(
     ridge = find_ridge(plan.kernel, likelihood, fit.theta, fit.mode.scale, plan.rho)
     reference = Reference(mean, plan.covariance)
     draws = draw(plan.kernel, likelihood, fit.mode, ridge, reference, plan.n_draws, seed, plan.along_valley)
+    deviations = deviations_of(plan.kernel, likelihood, fit.theta)
+    draws = replace(draws, constant=log_constant(likelihood, ridge, deviations), deviations=deviations)
     if plan.sharing is None or equations is None:
         return draws, None
     return moved(plan.sharing, equations, likelihood, ridge, reference, draws)
@@ -296,4 +326,4 @@ def _resampled(
     if part.marginal.sharing is not None and parameters.shared is not None:
         t = part.marginal.sharing.standardised(parameters.shared)
         theta += np.einsum("nmp,wm->wnp", part.marginal.path, monomials(t))
-    return theta, part.marginal.terms(parameters)[0]
+    return theta, part.log_densities(parameters)

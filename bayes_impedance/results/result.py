@@ -30,6 +30,10 @@ if TYPE_CHECKING:
 RESULT_FILE, SUMMARY_FILE, SECONDS_FILE = "result.nc", "summary.json", "seconds.json"
 """Times are in a separate file, so that the same seed and data give the same bytes in the others."""
 
+DENSITY_ATTRIBUTE = "log_likelihood"
+"""Attribute that says that ``log_likelihood/marginal`` is absolute. In results of earlier versions, where it is
+missing, each subject's values lack a constant that differs between networks."""
+
 _PACKAGES = ("bayes_impedance", "numpy", "scipy", "numba", "emcee", "arviz", "xarray", "pandas")
 
 
@@ -156,6 +160,7 @@ def make_result(
         "versions": json.dumps(_versions()),
         "reading_warnings": json.dumps(list(recordings.warnings)),
         "selected_subjects": json.dumps(list(selected)),
+        DENSITY_ATTRIBUTE: "absolute",
     }
     coords = {
         "element": elements,
@@ -254,9 +259,26 @@ def save_result(result: Result, folder: Path) -> None:
     present = {name for group in result.groups.values() for name in group}
     dims = {name: axes for name, axes in DIMS.items() if name in present}
     attributes = result.attributes | {"summary": without_seconds(result.summary)}
-    save(folder / RESULT_FILE, result.groups, dims, result.coords, attributes)
+    save(folder / RESULT_FILE, result.groups, dims, result.coords, attributes, _meanings(result))
     write_json(folder / SECONDS_FILE, result.summary.get("seconds", {}))
     write_json(folder / SUMMARY_FILE, {name: value for name, value in result.summary.items() if name != "seconds"})
+
+
+def _meanings(result: Result) -> dict[str, dict[str, str]]:
+    """Attributes of single variables."""
+    unit = result.attributes["unit"]
+    person = "log elements of the person" if result.summary["subjects"] == 1 else "population parameters of the draw"
+    described = (
+        f"natural logarithm of the probability density of all complex values of one subject, given the {person}, with "
+        "noise scale, elements and deviations between repetitions integrated out as far as they are not given; absolute"
+    )
+    return {
+        "marginal": {
+            "long_name": "log density of a subject's recordings",
+            "units": f"ln(density), density in ({unit})^-2 for every complex value",
+            "description": described,
+        }
+    }
 
 
 def load_result(folder: Path) -> Result:

@@ -51,12 +51,12 @@ def output_folder(folder: Path, names: Iterable[str], overwrite: bool = False) -
         If another process holds the folder.
     """
     wanted = sorted(set(names))
-    _require_ours(folder, wanted, overwrite)
+    require_ours(folder, wanted, overwrite)
     existed = folder.is_dir()
     folder.mkdir(parents=True, exist_ok=True)
     try:
         with _locked(folder):
-            _require_ours(folder, wanted, overwrite)  # another process may have written meanwhile
+            require_ours(folder, wanted, overwrite)  # another process may have written meanwhile
             yield from _marked(folder, wanted)
     finally:
         if not existed:
@@ -97,7 +97,14 @@ def made_by_us(folder: Path) -> tuple[str, ...]:
     return tuple(_made(folder))
 
 
-def _require_ours(folder: Path, names: Iterable[str], overwrite: bool) -> None:
+def require_ours(folder: Path, names: Iterable[str], overwrite: bool) -> None:
+    """Refuse a folder in which files of these names are not the package's; nothing is changed.
+
+    Raises
+    ------
+    InputError
+        As in :func:`output_folder`.
+    """
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is no folder; name one for the results with -o")
     made = _made(folder)

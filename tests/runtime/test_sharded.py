@@ -17,11 +17,14 @@ from bayes_impedance.commands.cli import main
 from bayes_impedance.mcmc.ensemble import Chains, SamplerSettings
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
+from bayes_impedance.person.absolute_density import Deviations
 from bayes_impedance.person.importance_draws import Draws
+from bayes_impedance.person.marginal_likelihood import LEAST_RHO
 from bayes_impedance.population import sharded_likelihood
 from bayes_impedance.population.fit import FitSettings, PopulationFit, _kept_sets, fit_population
 from bayes_impedance.population.importance_likelihood import Contrasts, ImportanceLikelihood
 from bayes_impedance.population.parameters import PopulationParameters
+from bayes_impedance.population.person_densities import constants_of, log_densities
 from bayes_impedance.population.posterior import noise_within
 from bayes_impedance.population.sharded_likelihood import KeptDraws
 from bayes_impedance.population.simulate import simulate_recordings
@@ -152,12 +155,21 @@ def test_a_cluster_that_loses_a_worker_gives_the_same(alone: PopulationFit, kept
     _require_same(alone, fit)
 
 
+def deviations_at_random(rng: np.random.Generator, size: int) -> Deviations:
+    root = rng.normal(size=(size, 2 * size))
+    return Deviations(root @ root.T, rng.normal(size=size), 50.0, 40)
+
+
 def test_sums_over_parts_are_those_over_all_persons() -> None:
     """More persons than one part holds, with one, two and three repetitions: parts have the contrasts of their own."""
     rng = np.random.default_rng(3)
     n, k = 300, 64
     repetitions = rng.integers(1, 4, n)
-    draws = [Draws(rng.normal(size=(k, 2)), rng.normal(size=k), np.full(k, -np.log(k))) for _ in range(n)]
+    equal = np.full(k, -np.log(k))
+    draws = [
+        Draws(rng.normal(size=(k, 2)), rng.normal(size=k), equal, rng.normal(), deviations_at_random(rng, 2 * (j - 1)))
+        for j in repetitions
+    ]
     means, covariates = rng.normal(size=(n, 2)), rng.normal(size=(n, 1))
     contrasts = []
     for j in (2, 3):
@@ -191,7 +203,9 @@ def test_sums_over_parts_are_those_over_all_persons() -> None:
         np.testing.assert_allclose(kept.variance(sets), whole.variance(sets), rtol=1e-6)
         np.testing.assert_allclose(kept.effective(sets), whole.terms(sets, effective=True)[1], rtol=1e-6)
         theta, log_likelihood = kept.persons(sets, np.random.SeedSequence(1))
-    np.testing.assert_allclose(log_likelihood, whole.terms(sets)[0], rtol=1e-9, atol=1e-9)
+    constants = constants_of(draws, np.full(2, LEAST_RHO))
+    np.testing.assert_allclose(log_likelihood, log_densities(whole, draws, constants, sets), rtol=1e-9, atol=1e-9)
+    assert len(set(constants.tolist())) == n
     stacked = np.array([d.theta for d in draws])
     assert np.all(np.any(np.all(theta[:, :, None] == stacked[None], axis=-1), axis=-1))
 

@@ -1,0 +1,142 @@
+r"""Networks side by side: how well each predicts people whom it has not seen, and how well it describes those it has.
+
+The order is by elpd, the sum over people of the log predictive density
+(:mod:`bayes_impedance.results.leave_one_out`). Differences are to the best of the reliable fits, with the standard
+error of the pairs; within :data:`UNDECIDED` standard errors nothing is decided.
+
+Every fit has estimated its own noise, and this noise is part of the model that is compared, as the elements are.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bayes_impedance.results.leave_one_out import LeftOut
+from bayes_impedance.results.result import Result
+
+UNDECIDED = 3.0
+"""Standard errors of a difference within which two networks predict equally well. By choice: few people make a standard
+error uncertain, and where structure remains in the residuals it is too small."""
+
+SCHEMA = 1
+"""Version of the layout of ``networks.json``."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One network of a comparison.
+
+    Attributes
+    ----------
+    given : str
+        As the user named it.
+    folder : str
+        Of its result.
+    result : Result
+    left_out : LeftOut
+    """
+
+    given: str
+    folder: str
+    result: Result
+    left_out: LeftOut
+
+
+@dataclass(frozen=True)
+class NetworkComparison:
+    """Networks of the same recordings.
+
+    Attributes
+    ----------
+    entries : tuple of Entry
+        The largest sum over people first.
+    """
+
+    entries: tuple[Entry, ...]
+
+    @classmethod
+    def of(cls, entries: Sequence[Entry]) -> NetworkComparison:
+        """Put in order."""
+        return cls(tuple(sorted(entries, key=lambda e: -e.left_out.total[0])))
+
+    @property
+    def best(self) -> Entry:
+        """The best of the reliable fits; of all, if none is reliable."""
+        return next((e for e in self.entries if not e.result.problems), self.entries[0])
+
+    @property
+    def as_good(self) -> tuple[Entry, ...]:
+        """Reliable fits that the people do not separate from the best."""
+        others = [e for e in self.entries if e is not self.best and not e.result.problems]
+        behind = [(e, *e.left_out.less(self.best.left_out)) for e in others]
+        return tuple(e for e, difference, error in behind if abs(difference) <= UNDECIDED * error)
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One row for each network; numbers that are not finite are None."""
+        return [self._row(entry) for entry in self.entries]
+
+    def _row(self, entry: Entry) -> dict[str, Any]:
+        left_out, summary = entry.left_out, entry.result.summary
+        (elpd, error), (difference, of_pairs) = left_out.total, left_out.less(self.best.left_out)
+        errors = summary["errors"]
+        row = {
+            "network": entry.result.attributes["network"],
+            "given": entry.given,
+            "folder": entry.folder,
+            "reliable": not entry.result.problems,
+            "elpd": elpd,
+            "elpd_se": error,
+            "difference": difference,
+            "difference_se": of_pairs,
+            "p_loo": left_out.p_loo,
+            "pareto_k_max": float(np.max(left_out.pareto_k)),
+            "refitted": int(np.sum(left_out.refitted)),
+            "doubtful": int(np.sum(left_out.doubtful)),
+            "delta_magnitude": errors["population_network"]["delta_magnitude"],
+            "delta_phase_deg": errors["population_network"]["delta_phase_deg"],
+            "relative_rms_median": errors["subjects"]["relative_rms_median"],
+        }
+        return {name: _finite(value) for name, value in row.items()}
+
+    def summary(self) -> dict[str, Any]:
+        """Contents of ``networks.json``."""
+        first = self.entries[0]
+        return {
+            "schema": SCHEMA,
+            "unit": first.result.attributes["unit"],
+            "data_sha256": first.result.attributes["data_sha256"],
+            "subjects": list(first.left_out.subjects),
+            "best": self.best.result.attributes["network"],
+            "as_good": [e.result.attributes["network"] for e in self.as_good],
+            "networks": [
+                row
+                | {
+                    "problems": entry.result.problems,
+                    "misfit": list(entry.result.summary["adequacy"]["misfit"]),
+                    "persons": {
+                        "elpd": [_finite(float(v)) for v in entry.left_out.elpd],
+                        "pareto_k": [_finite(float(v)) for v in entry.left_out.pareto_k],
+                        "refitted": entry.left_out.refitted.tolist(),
+                    },
+                }
+                for entry, row in zip(self.entries, self.rows(), strict=True)
+            ],
+        }
+
+    def csv(self) -> str:
+        """The table as text, one line for each network."""
+        text, rows = io.StringIO(), self.rows()
+        writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+        return text.getvalue()
+
+
+def _finite(value: Any) -> Any:
+    return None if isinstance(value, float) and not np.isfinite(value) else value
