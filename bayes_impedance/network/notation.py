@@ -129,7 +129,7 @@ class _Parser:
                 raise self.error("'^' and the power law's exponent, such as p1^a1")
             return Element(size.name, None, size.shared, size.value)
         self.take()
-        exponent = Symbol("", value=self.number()) if _NUMBER.fullmatch(self.peek()) else self.symbol()
+        exponent = self.symbol() if NAME.fullmatch(self.peek()) else Symbol("", value=self.number("an exponent"))
         if self.peek() != "@":
             return PowerLaw(size, exponent)
         self.take()
@@ -163,12 +163,12 @@ class _Parser:
             return Symbol(name, value=self.number())
         return Symbol(name)
 
-    def number(self) -> float:
+    def number(self, what: str = "a number") -> float:
         sign = -1.0 if self.peek() == "-" else 1.0
         if sign < 0:
             self.take()
         if not _NUMBER.fullmatch(self.peek()):
-            raise self.error("a number")
+            raise self.error(what)
         return sign * float(self.take())
 
     def expect(self, sign: str) -> None:
