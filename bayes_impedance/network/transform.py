@@ -120,7 +120,7 @@ def transform(
 def _root_tanh(w: complex) -> tuple[complex, complex]:
     """g(w) = sqrt(w) tanh sqrt(w), analytic in w, and its derivative."""
     if abs(w) < _SMALL_TANH:
-        return _series(w, 0.0, _TANH)
+        return _series(w, 0.0, _TANH)  # type: ignore[no-any-return]
     x = cmath.sqrt(w)  # the root with Re x >= 0, so that the exponential cannot overflow
     e = cmath.exp(-2.0 * x)
     tanh = (1.0 - e) / (1.0 + e)
@@ -131,7 +131,7 @@ def _root_tanh(w: complex) -> tuple[complex, complex]:
 def _root_coth(w: complex) -> tuple[complex, complex]:
     """g(w) = sqrt(w) coth sqrt(w), analytic in w, and its derivative."""
     if abs(w) < _SMALL_COTH:
-        return _series(w, 1.0, _COTH)
+        return _series(w, 1.0, _COTH)  # type: ignore[no-any-return]
     x = cmath.sqrt(w)  # the root with Re x >= 0, so that the exponential cannot overflow
     e = cmath.exp(-2.0 * x)
     coth = (1.0 + e) / (1.0 - e)

@@ -60,7 +60,7 @@ def amplification(network: Network, u: np.ndarray) -> np.ndarray:
 def by_cauchy(network: Network, u: np.ndarray) -> np.ndarray:
     """dz/du by Cauchy's integral over the formulas, which are analytic in every u; shape (P, F).
 
-    Sixteen points on a circle of radius 1e-3 are exact to (radius/distance of the next pole)^16; rounding is 1e-13 of z.
+    Sixteen points on a circle are exact to (radius/distance of the next pole)^16; rounding is 1e-13 of z.
     """
     radius, circle = 1e-3, np.exp(2j * np.pi * np.arange(16) / 16)
     rows = [

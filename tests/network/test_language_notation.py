@@ -102,7 +102,7 @@ def test_links_and_units_of_leaves():
         ),
         ("m1|m1*", "element 'm1' occurs twice in the network: give each element a name of its own"),
         ("p1^a1|p2^a1", "element 'a1' occurs twice in the network: give each element a name of its own"),
-        ("delay[d1](m1|delay[d1](n1))", "element 'd1' occurs twice in the network: give each element a name of its own"),
+        ("gain[g1](gain[g1](n1))", "element 'g1' occurs twice in the network: give each element a name of its own"),
         ("g1:gain[g1](m1)", "label 'g1' is used twice or names an element: give each group a name of its own"),
         # power laws
         ("p1|m1", "network 'p1|m1': '|' at character 3 is not '^' and the power law's exponent, such as p1^a1"),
@@ -125,11 +125,14 @@ def test_links_and_units_of_leaves():
         # wrappers
         (
             "late[d1](m1)",
-            "'late[...]' is unknown: there are delay, highpass, lowpass, gain, hysteretic, offset, line_free, line_fixed, "
-            "line_matched, reflex",
+            "'late[...]' is unknown: there are delay, highpass, lowpass, gain, hysteretic, offset, line_free, "
+            "line_fixed, line_matched, reflex",
         ),
         ("delay[t1](m1)", "'t1' in delay[...] must begin with d (delay): delay[d1](...)"),
-        ("offset[n1](r1)", "'n1' in offset[...] must begin with m (mass) or r (damper) or k (stiffness): offset[m1](...)"),
+        (
+            "offset[n1](r1)",
+            "'n1' in offset[...] must begin with m (mass) or r (damper) or k (stiffness): offset[m1](...)",
+        ),
         ("delay[d1,d2](m1)", "delay has 1 parameter, not 2: delay[d1](...)"),
         ("reflex[k1,d1](m1)", "reflex has 3 parameters, not 2: reflex[k1, d1, f1](...)"),
         ("delay[](m1)", "network 'delay[](m1)': ']' at character 7 is not the name of a parameter"),
