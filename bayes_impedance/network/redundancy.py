@@ -10,21 +10,21 @@ and in series the other way round. Only that combination can be determined, so t
 in their place before it is fitted (:func:`merged`).
 
 **Other cases.** A network may have more parameters than its impedance has degrees of freedom without having two
-adjacent elements of one kind. A gain absorbs the size of everything inside it; of a line without an end only the product
-of the roots of its two impedances shows. Parameter p is structurally identifiable if its derivative is no combination of
-the others':
+adjacent elements of one kind. A gain absorbs the size of everything inside it; of a line without an end only the
+product of the roots of its two impedances shows. Parameter p is structurally identifiable if its derivative is no
+combination of the others':
 
 .. math:: \operatorname{rank} J_{(p)} < \operatorname{rank} J, \qquad
           J_{kp} = \frac{\partial z(s_k;\, x)}{\partial x_p}
 
 for generic x and more values of s than there are parameters. The rank is decided exactly, for every network
-(:mod:`bayes_impedance.network.residues`): p is not identifiable if a vector of the null space of J has a component along
-p. Filters whose parameter may have either sign are taken above zero, as the filters that they are called.
+(:mod:`bayes_impedance.network.residues`): p is not identifiable if a vector of the null space of J has a component
+along p. Filters whose parameter may have either sign are taken above zero, as the filters that they are called.
 
-This is about one curve. A parameter that is the same for all and one that varies, side by side and of one kind, cannot be
-told apart by any single person's curve, however many people there are: they are not merged, as the sum of a constant and
-of something log-normal is not log-normal, but no number is reported for either. What is held is known, and is never
-merged.
+This is about one curve. A parameter that is the same for all and one that varies, side by side and of one kind, cannot
+be told apart by any single person's curve, however many people there are: they are not merged, as the sum of a
+constant and of something log-normal is not log-normal, but no number is reported for either. What is held is known,
+and is never merged.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from bayes_impedance.network.elements import kind_of
-from bayes_impedance.network.notation import Element, Network, Parallel, Place
+from bayes_impedance.network.notation import Element, Network, Parallel, Place, Series
 from bayes_impedance.network.residues import PRIME, slopes_at_points
 from bayes_impedance.network.tree import group_of
 
@@ -96,7 +96,7 @@ def _merged(node: Network, taken: set[str], found: list[Combination]) -> Network
         elif part.name == alike[kind][0]:
             name = _combined(alike[kind], isinstance(node, Parallel), taken, found)
             kept.append(Element(name, shared=part.shared))
-    group = kept[0] if len(kept) == 1 else group_of(type(node), kept)
+    group = kept[0] if len(kept) == 1 else group_of(Parallel if isinstance(node, Parallel) else Series, kept)
     return group.labelled(node.label) if node.label is not None else group
 
 

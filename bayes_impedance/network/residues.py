@@ -18,12 +18,12 @@ place, and each is a random residue of its own. Their derivatives are rational i
 
 where :math:`g = \sqrt w \tanh\sqrt w` is another solution of the same equation.
 
-What is algebraic stays so. A power with a held, rational exponent such as 0.5 is a power of :math:`t` with
-:math:`s = t^N`. A line without an end is a square root, of which one sign must be taken at all points alike: the product
-of a constant's root and a power of t is to be that, and not a change of signs from point to point. All constants and
+What is algebraic stays so. A power with a held, rational exponent such as 0.5 is a power of :math:`t` with :math:`s =
+t^N`. A line without an end is a square root, of which one sign must be taken at all points alike: the product of a
+constant's root and a power of t is to be that, and not a change of signs from point to point. All constants and
 functions of s are therefore squares of integers modulo the prime, of whose two roots exactly one is a square again,
-since -1 is none; the root is taken whose real part is one. Multiplied by a square it remains the one that is taken. (Of
-what is a root of no monomial the two signs are conjugate: an identity holds for either.)
+since -1 is none; the root is taken whose real part is one. Multiplied by a square it remains the one that is taken.
+(Of what is a root of no monomial the two signs are conjugate: an identity holds for either.)
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ _MORE_POINTS = 3
 """Values of s in excess of the number of parameters. By choice: the rank needs no more than that number."""
 
 _LARGEST_DENOMINATOR = 1000
-"""Of a held exponent that counts as rational: three decimals. By choice: one with more is as good as irrational, and the
-degree of polynomials, which is in proportion, stays far below the prime."""
+"""Of a held exponent that counts as rational: three decimals. By choice: one with more is as good as irrational,
+and the degree of polynomials, which is in proportion, stays far below the prime."""
 
 
 _POINTS_TRIED, _ATTEMPTS = 150, 4
