@@ -1,9 +1,11 @@
-"""Networks of masses, springs and dampers: notation and computation.
+"""Networks of masses, springs, dampers and more: notation and computation.
 
-Input: notation such as ``(n3|r3)-(m2|r1|n1)``. Output: impedance over frequency with its derivatives.
-Open :mod:`.notation` first (the tree), then :mod:`.elements` (mass, compliance, damper), :mod:`.program` (the network
-as arrays) and :mod:`.kernel` (compiled evaluation). :mod:`.operations` is the table of operations on the impedance of a
-place, :mod:`.transform` their formulas, :mod:`.rational` the network as a ratio of polynomials.
+Input: notation such as ``(n3|r3)-(m2|r1|n1)``, or circuits such as ``R0-p(R1,CPE1)``. Output: impedance over frequency
+with its derivatives. Open :mod:`.notation` first (the text), then :mod:`.tree` and :mod:`.elements` (mass, compliance,
+damper), :mod:`.parameters` and :mod:`.constructs` (power laws, wrappers; what is shared or held), :mod:`.program` (the
+network as arrays) and :mod:`.kernel` (compiled evaluation). :mod:`.electrical` reads and prints circuits.
+:mod:`.operations` is the table of operations on the impedance of a place, :mod:`.transform` their formulas,
+:mod:`.rational` the network as a ratio of polynomials. :mod:`.redundancy` says what no recording can tell apart.
 
 The kernel is imported at first use: the notation alone needs no compiler.
 """
@@ -12,12 +14,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from bayes_impedance.network.electrical import electrical
 from bayes_impedance.network.notation import PAPER_NETWORK, Element, Network, parse
 
 if TYPE_CHECKING:
     from bayes_impedance.network.kernel import Kernel
 
-__all__ = ["PAPER_NETWORK", "Element", "Kernel", "Network", "parse"]
+__all__ = ["PAPER_NETWORK", "Element", "Kernel", "Network", "electrical", "parse"]
 
 
 def __getattr__(name: str) -> Any:
