@@ -14,13 +14,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from bayes_impedance.network.electrical import electrical
 from bayes_impedance.network.notation import PAPER_NETWORK, Element, Network, parse
 
 if TYPE_CHECKING:
     from bayes_impedance.network.kernel import Kernel
 
-__all__ = ["PAPER_NETWORK", "Element", "Kernel", "Network", "electrical", "parse"]
+__all__ = ["PAPER_NETWORK", "Element", "Kernel", "Network", "parse"]
 
 
 def __getattr__(name: str) -> Any:
