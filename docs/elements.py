@@ -38,9 +38,9 @@ same for everybody or held, as belongs to an error of the rig: a delay below zer
 """
 
 _PASSIVE = """\
-**Passive** is what cannot give more energy than it was given, Re z ≥ 0 at every frequency, whatever the values. Of a
-wrapper it is said provided that what it wraps is. `known_passive` of `bayes_impedance.network.passivity` says it for a
-whole network.
+**Passive** is what cannot give more energy than it was given, whatever the values: Re z ≥ 0 at every frequency, and for
+growing motions, Re s > 0. (A loss factor is defined for steady vibrations only.) Of a wrapper it is said provided that
+what it wraps is. `known_passive` of `bayes_impedance.network.passivity` says it for a whole network.
 """
 
 _LINES = """\
