@@ -65,11 +65,11 @@ def transform(
     if code == 7 or code == 17:
         y = 1.0 + 0j if c1 == -1.0 else s
         w = y * x / z
-        g, dg = _root_coth(w) if code == 7 else _root_tanh(w)
+        g, dg = root_coth(w) if code == 7 else root_tanh(w)
         return z * g, g - w * dg, y * dg * slope, none, none
     if code == 18:
         # The product of two roots in the right half-plane: y/z may be negative, and the sign of its root chance.
-        t = cmath.sqrt((1.0 + 0j if c1 == -1.0 else s) * x) * cmath.sqrt(z)
+        t = root((1.0 + 0j if c1 == -1.0 else s) * x) * root(z)
         return t, 0.5 * t / z, 0.5 * t * slope / x, none, none
     if code == 8:
         a = 1.0 / (1.0 + np.exp(-u1))
@@ -117,25 +117,42 @@ def transform(
 
 
 @_compiled
-def _root_tanh(w: complex) -> tuple[complex, complex]:
-    """g(w) = sqrt(w) tanh sqrt(w), analytic in w, and its derivative."""
-    if abs(w) < _SMALL_TANH:
-        return _series(w, 0.0, _TANH)  # type: ignore[no-any-return]
-    x = cmath.sqrt(w)  # the root with Re x >= 0, so that the exponential cannot overflow
-    e = cmath.exp(-2.0 * x)
-    tanh = (1.0 - e) / (1.0 + e)
-    return x * tanh, (tanh + x * (1.0 - tanh * tanh)) / (2.0 * x)
+def inverse(z: complex) -> complex:
+    """1/z, without the care for numbers beyond 1e154 that a compiled complex division takes."""
+    scale = 1.0 / (z.real * z.real + z.imag * z.imag)
+    return complex(z.real * scale, -z.imag * scale)
 
 
 @_compiled
-def _root_coth(w: complex) -> tuple[complex, complex]:
+def root(z: complex) -> complex:
+    """The root of z with real part above zero, without the care for numbers beyond 1e154."""
+    larger = np.sqrt(0.5 * (np.sqrt(z.real * z.real + z.imag * z.imag) + abs(z.real)))
+    smaller = 0.5 * abs(z.imag) / larger if larger > 0.0 else 0.0
+    if z.real >= 0.0:
+        return complex(larger, np.copysign(smaller, z.imag))
+    return complex(smaller, np.copysign(larger, z.imag))
+
+
+@_compiled
+def root_tanh(w: complex) -> tuple[complex, complex]:
+    """g(w) = sqrt(w) tanh sqrt(w), analytic in w, and its derivative."""
+    if w.real * w.real + w.imag * w.imag < _SMALL_TANH**2:
+        return _series(w, 0.0, _TANH)  # type: ignore[no-any-return]
+    x = root(w)  # with Re x >= 0, so that the exponential cannot overflow
+    e = np.exp(-2.0 * x.real) * complex(np.cos(2.0 * x.imag), -np.sin(2.0 * x.imag))
+    tanh = (1.0 - e) * inverse(1.0 + e)
+    return x * tanh, 0.5 * (tanh * inverse(x) + 1.0 - tanh * tanh)
+
+
+@_compiled
+def root_coth(w: complex) -> tuple[complex, complex]:
     """g(w) = sqrt(w) coth sqrt(w), analytic in w, and its derivative."""
-    if abs(w) < _SMALL_COTH:
+    if w.real * w.real + w.imag * w.imag < _SMALL_COTH**2:
         return _series(w, 1.0, _COTH)  # type: ignore[no-any-return]
-    x = cmath.sqrt(w)  # the root with Re x >= 0, so that the exponential cannot overflow
-    e = cmath.exp(-2.0 * x)
-    coth = (1.0 + e) / (1.0 - e)
-    return x * coth, (coth - x * (coth * coth - 1.0)) / (2.0 * x)
+    x = root(w)  # with Re x >= 0, so that the exponential cannot overflow
+    e = np.exp(-2.0 * x.real) * complex(np.cos(2.0 * x.imag), -np.sin(2.0 * x.imag))
+    coth = (1.0 + e) * inverse(1.0 - e)
+    return x * coth, 0.5 * (coth * inverse(x) + 1.0 - coth * coth)
 
 
 @_compiled
