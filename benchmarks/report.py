@@ -21,6 +21,7 @@ def table(results: Results) -> str:
     ]
     for part, rows in (
         ("kernel", _kernel),
+        ("constructs", _constructs),
         ("one_curve", _one_curve),
         ("population", _population),
         ("diagnosis", _diagnosis),
@@ -57,6 +58,16 @@ def _kernel(r: Results) -> list[Row]:
     ]
     if "jax, gradient" in r["seconds"]:
         rows.append(("... by JAX, compiled", times("jax, gradient"), ""))
+    return rows
+
+
+def _constructs(r: Results) -> list[Row]:
+    value, slope = r["impedance"], r["derivative"]
+    alone = [f"{row[next(iter(row))]['nanoseconds'][0]:.2g} ns" for row in (value, slope)]
+    rows = [(f"a damper alone, for each frequency ({r['date']})", f"{alone[0]}; with its derivative {alone[1]}", "")]
+    for name in list(value)[1:]:
+        times = [_range(row[name]["times a damper"], "x") for row in (value, slope)]
+        rows.append((f"... `{name}`".replace("|", r"\|"), f"{times[0]}; {times[1]}", ""))
     return rows
 
 

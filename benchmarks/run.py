@@ -22,7 +22,7 @@ from typing import Any
 from report import draw, replace_between, table
 
 HERE = Path(__file__).resolve().parent
-PARTS = ("kernel", "one_curve", "population", "diagnosis", "end_to_end")
+PARTS = ("kernel", "constructs", "one_curve", "population", "diagnosis", "end_to_end")
 _PACKAGES = ("bayes_impedance", "numpy", "scipy", "numba", "emcee", "jax", "numpyro", "impedance", "lmfit")
 _BUSY, _PATIENCE_S = 0.5, 180
 """Load average from which another process competes for the cores, and the wait for it to fall below, in seconds: in
@@ -58,6 +58,10 @@ def one_part(name: str, options: argparse.Namespace) -> dict[str, Any]:
         import kernel
 
         return kernel.measure()
+    if name == "constructs":
+        import constructs
+
+        return constructs.measure()
     if name == "one_curve":
         import one_curve
 
@@ -89,13 +93,15 @@ def main(arguments: list[str] | None = None) -> None:
         return
     path = options.out / "results.json"
     results: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
-    results["machine"] = machine()
+    here = machine()
+    if set(options.only) == set(PARTS) or "machine" not in results:
+        results["machine"] = here  # otherwise it stays that of the numbers that stay
     for part in options.only:
         load = _when_calm()
         print(
             f"{part}: the machine's load is {load:.1f}" + (" (busy: ratios will scatter)" * (load > _BUSY)), flush=True
         )
-        results[part] = _apart(part, options) | {"load before": load}
+        results[part] = _apart(part, options) | {"load before": load, "date": here["date"]}
         options.out.mkdir(parents=True, exist_ok=True)
         path.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
     text = table(results)

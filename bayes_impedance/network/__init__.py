@@ -1,9 +1,12 @@
-"""Networks of masses, springs and dampers: notation and computation.
+"""Networks of masses, springs, dampers and more: notation and computation.
 
-Input: notation such as ``(n3|r3)-(m2|r1|n1)``. Output: impedance over frequency with its derivatives.
-Open :mod:`.notation` first (the tree), then :mod:`.elements` (mass, compliance, damper), :mod:`.program` (the network
-as arrays) and :mod:`.kernel` (compiled evaluation). :mod:`.operations` is the table of operations on the impedance of a
-place, :mod:`.transform` their formulas, :mod:`.rational` the network as a ratio of polynomials.
+Input: notation such as ``(n3|r3)-(m2|r1|n1)``, or circuits such as ``R0-p(R1,CPE1)``. Output: impedance over frequency
+with its derivatives. Open :mod:`.notation` first (the text), then :mod:`.tree` and :mod:`.elements` (mass, compliance,
+damper), :mod:`.parameters` and :mod:`.constructs` (power laws, wrappers; what is shared or held), :mod:`.program` (the
+network as arrays) and :mod:`.kernel` (compiled evaluation). :mod:`.electrical` reads and prints circuits.
+:mod:`.operations` is the table of operations on the impedance of a place, :mod:`.transform` their formulas,
+:mod:`.rational` the network as a ratio of polynomials. :mod:`.redundancy` says what no recording can tell apart,
+:mod:`.passivity` whether a network is passive by construction.
 
 The kernel is imported at first use: the notation alone needs no compiler.
 """

@@ -28,7 +28,8 @@ written                            T(z)                                         
 **A line** is a layer in which y acts along the way and 1/z between the way and the ground: a mass m spread over
 tissue whose impedance between its two sides is z (shear waves), or a resistance r with capacitors n, a line of
 diffusion. Then ``line_free[r](n)`` is Warburg's open, ``line_fixed[r](n)`` his short, ``line_matched[r](n)`` his
-infinite impedance. For slow motion it is z + y/3 with a free end, y with a fixed one.
+infinite impedance. For slow motion it is z + y/3 with a free end, y with a fixed one. Without an end it is the product
+of the roots of y and z in the right half-plane, which is passive if they are.
 
 Each formula stands here once in numpy, for any complex s: the definition that tests hold the compiled kernel
 against (:mod:`bayes_impedance.network.transform`).
@@ -108,20 +109,25 @@ class Construct:
 
 def _filtered(low: bool) -> Formula:
     def of(s: np.ndarray, z: np.ndarray, x: Sequence[np.ndarray], _: Sequence[str]) -> np.ndarray:
-        size = np.abs(x[0] if low else 2 * np.pi * x[0])
+        positive = np.real(x[0]) >= 0
+        size = np.where(positive, 1, -1) * (x[0] if low else 2 * np.pi * x[0])  # abs, but analytic in x on either side
         factor = 1 / (1 + s * size) if low else s / (s + size)
-        return np.asarray(np.where(np.real(x[0]) >= 0, z * factor, z / factor))
+        return np.asarray(np.where(positive, z * factor, z / factor))
 
     return of
 
 
 def _line(end: Callable[[np.ndarray], np.ndarray]) -> Formula:
     def of(s: np.ndarray, z: np.ndarray, x: Sequence[np.ndarray], letters: Sequence[str]) -> np.ndarray:
-        along = x[0] * s ** _POWER_OF_S[letters[0]]
-        root = np.sqrt(along / z + 0j)
+        root = np.sqrt(x[0] * s ** _POWER_OF_S[letters[0]] / z + 0j)  # of either sign: root * end(root) is even
         return np.asarray(z * root * end(root))
 
     return of
+
+
+def _matched_line(s: np.ndarray, z: np.ndarray, x: Sequence[np.ndarray], letters: Sequence[str]) -> np.ndarray:
+    # Of sqrt(y z) the root that is passive: y/z may be negative, where the sign of its root is a matter of rounding.
+    return np.asarray(np.sqrt(x[0] * s ** _POWER_OF_S[letters[0]] + 0j) * np.sqrt(z + 0j))
 
 
 CONSTRUCTS: dict[str, Construct] = {
@@ -208,7 +214,7 @@ CONSTRUCTS: dict[str, Construct] = {
             operation="line_matched",
             letters=("mr",),
             passive=True,
-            formula=_line(np.ones_like),
+            formula=_matched_line,
             text="sqrt(y z)",
             story="The same layer without an end: nothing comes back from the far side.",
             source="Warburg 1899; Barsoukov and Macdonald 2005, section 2.1.3",

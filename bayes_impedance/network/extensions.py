@@ -15,7 +15,15 @@ import numpy.typing as npt
 
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.constructs import CONSTRUCTS, Construct
-from bayes_impedance.network.parameters import EXPONENTS, LOGIT, Parameter, Symbol, plain_parameter, quantity_of
+from bayes_impedance.network.parameters import (
+    EXPONENTS,
+    LOGIT,
+    Parameter,
+    Symbol,
+    exactly,
+    plain_parameter,
+    quantity_of,
+)
 from bayes_impedance.network.rational import TransferFunction
 from bayes_impedance.network.tree import Network, require_allowed, require_distinct, require_name, value_of
 
@@ -54,7 +62,7 @@ class PowerLaw(Network):
                     "2, damper to mass)"
                 )
         if self.reference_hz is not None and not (np.isfinite(self.reference_hz) and self.reference_hz > 0):
-            raise InputError(f"'{self._notation()}': the reference frequency must be above zero")
+            raise InputError(f"'{self._notation()}': the reference frequency must be above zero and finite")
         require_allowed(self.own_parameters)
 
     @property
@@ -66,7 +74,7 @@ class PowerLaw(Network):
         return plain_parameter(self.size), own
 
     def _notation(self) -> str:
-        at = "" if self.reference_hz is None else f"@{self.reference_hz:.12g}"
+        at = "" if self.reference_hz is None else f"@{exactly(self.reference_hz)}"
         return f"{self.size}^{self.exponent}{at}"
 
     def impedance(self, s: npt.ArrayLike, values: Mapping[str, Any]) -> np.ndarray:
@@ -100,7 +108,8 @@ class Wrapped(Network):
         letters, word = self.construct.letters, self.construct.word
         wanted = ", ".join(f"{letter[0]}1" for letter in letters)
         if len(self.symbols) != len(letters):
-            raise InputError(f"{word} has {len(letters)} parameters, not {len(self.symbols)}: {word}[{wanted}](...)")
+            many = f"{len(letters)} parameter{'s' * (len(letters) > 1)}"
+            raise InputError(f"{word} has {many}, not {len(self.symbols)}: {word}[{wanted}](...)")
         for symbol, allowed in zip(self.symbols, letters, strict=True):
             require_name(symbol.name, "a parameter", "a letter and then digits")
             if symbol.name[0] not in allowed:

@@ -35,10 +35,10 @@ import numpy as np
 import numpy.typing as npt
 
 from bayes_impedance.errors import InputError
-from bayes_impedance.network.operations import Operation
+from bayes_impedance.network.operations import N_PARAMETERS, Operation
 from bayes_impedance.network.parameters import Parameter
 from bayes_impedance.network.program import Program, compile_network, parameter_names
-from bayes_impedance.network.transform import transform
+from bayes_impedance.network.rows import slopes_row, transform_row
 from bayes_impedance.network.tree import Network
 from bayes_impedance.runtime.compiled_functions import kept_njit
 
@@ -110,13 +110,13 @@ def forward(program: Program, theta: np.ndarray, omega: np.ndarray, sums: np.nda
                     sums[node, 1, f] += outputs[child, 1, f]
         if program.node_code[node] > 0:
             u, c = _parameters(program, node, theta), program.node_constant[node]
-            for f in range(n_frequencies):
-                z = complex(sums[node, 0, f], sums[node, 1, f])
-                out = transform(program.node_code[node], u[0], u[1], u[2], c[0], c[1], c[2], omega[f], z)[0]
-                if program.node_invert[node] == 1:
-                    out = 1.0 / out
-                outputs[node, 0, f] = out.real
-                outputs[node, 1, f] = out.imag
+            transform_row(program.node_code[node], u, c, omega, sums, outputs, node)
+            if program.node_invert[node] == 1:
+                for f in range(n_frequencies):
+                    x, y = outputs[node, 0, f], outputs[node, 1, f]
+                    scale = 1.0 / (x * x + y * y)
+                    outputs[node, 0, f] = x * scale
+                    outputs[node, 1, f] = -y * scale
         elif inverted:
             for f in range(n_frequencies):
                 x, y = sums[node, 0, f], sums[node, 1, f]
@@ -165,6 +165,7 @@ def backward(
     and imaginary part: one and zero if the result is z itself.
     """
     n_nodes, n_frequencies = program.node_parent.size, omega.size
+    slopes = np.empty((N_PARAMETERS, 2, n_frequencies if program.node_code.any() else 0))
     for node in range(n_nodes - 1, -1, -1):
         parent = program.node_parent[node]
         if parent < 0:
@@ -177,19 +178,12 @@ def backward(
                 adjoints[node, 1, f] = adjoints[parent, 1, f]
         if program.node_code[node] > 0:
             u, c = _parameters(program, node, theta), program.node_constant[node]
-            for f in range(n_frequencies):
-                z = complex(sums[node, 0, f], sums[node, 1, f])
-                bar = complex(adjoints[node, 0, f], adjoints[node, 1, f])
-                t = transform(program.node_code[node], u[0], u[1], u[2], c[0], c[1], c[2], omega[f], z)
-                for k in range(3):
-                    p = program.node_parameter[node, k]
-                    if 0 <= p < theta.size:
-                        slope = bar * (t[2] if k == 0 else t[3] if k == 1 else t[4])
-                        derivative[p, 0, f] = slope.real
-                        derivative[p, 1, f] = slope.imag
-                bar = bar * t[1]
-                adjoints[node, 0, f] = bar.real
-                adjoints[node, 1, f] = bar.imag
+            slopes_row(program.node_code[node], u, c, omega, sums, adjoints, node, slopes)
+            for k in range(N_PARAMETERS):
+                p = program.node_parameter[node, k]
+                if 0 <= p < theta.size:
+                    for f in range(n_frequencies):
+                        derivative[p, 0, f], derivative[p, 1, f] = slopes[k, 0, f], slopes[k, 1, f]
     for t in range(program.term_node.size):
         node, element = program.term_node[t], program.term_element[t]
         if element >= theta.size:

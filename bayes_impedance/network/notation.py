@@ -10,31 +10,23 @@ The grammar, in which blanks do not matter::
     wrapper = word "[" symbol {"," symbol} "]" "(" network ")"     delay[d1*](...)
     symbol  = name ["*" | "=" number]                              * : the same for everybody; = : held at a value
 
-What the leaves and wrappers mean is in :mod:`bayes_impedance.network.constructs`. ``str(network)`` writes a network in
-the notation from which :func:`parse` makes an equal one.
+What the leaves and wrappers mean is in :mod:`bayes_impedance.network.constructs`. What begins with a capital letter or
+with ``p(`` is no such network, and is read in the spelling of :mod:`bayes_impedance.network.electrical`.
+``str(network)`` writes a network in the notation from which :func:`parse` makes an equal one.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 
 from bayes_impedance.errors import InputError
+from bayes_impedance.network.electrical import is_circuit, read_circuit
 from bayes_impedance.network.extensions import PowerLaw, Wrapped, wrapped
 from bayes_impedance.network.parameters import Symbol
+from bayes_impedance.network.tokens import DEEPEST, NUMBER, Tokens
 from bayes_impedance.network.tree import NAME, PAPER_NETWORK, Element, Network, Parallel, Place, Series, group_of
-from bayes_impedance.runtime.user_table import shown, text_in
 
 __all__ = ["PAPER_NETWORK", "Element", "Network", "Parallel", "Place", "PowerLaw", "Series", "Wrapped", "parse"]
-
-DEEPEST = 50
-"""Largest nesting depth of parentheses and labels. By choice: recursion takes a few calls per level, and Python allows
-a thousand in all. The fingertip's network has four levels."""
-LONGEST = 10_000
-"""Most characters of a notation. By choice: a thousand elements with their groups, far more than can be estimated."""
-
-_TOKEN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*|(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|\S")
-_NUMBER = re.compile(r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
 
 
 def parse(text: str) -> Network:
@@ -43,49 +35,29 @@ def parse(text: str) -> Network:
     Parameters
     ----------
     text : str
-        For instance ``skin:(n3|r3)-tissue:(m2|r1|n1|(m1-(n2|r2)))``. Blanks do not matter.
+        For instance ``skin:(n3|r3)-tissue:(m2|r1|n1|(m1-(n2|r2)))``, or in the spelling of electrical circuits,
+        ``R0-p(R1,CPE1)-Wo1`` (:mod:`bayes_impedance.network.electrical`). Blanks do not matter.
 
     Raises
     ------
     InputError
         If the notation is invalid; the message gives the position.
     """
-    return _Parser(text).read()
+    return read_circuit(text) if is_circuit(text) else _Parser(text).read()
 
 
-class _Parser:
+class _Parser(Tokens):
     """Recursive descent by the grammar above."""
 
     def __init__(self, text: str) -> None:
-        self.text = text_in(text, "a network")
-        if len(text) > LONGEST:
-            raise InputError(f"network {shown(text)} has {len(text)} characters; at most {LONGEST} are read")
-        self.shown = shown(text) if len(text) > 200 or not text.isprintable() else f"'{text}'"
+        super().__init__(text, "network")
         self.depth = 0
-        self.tokens = [(m.group(), m.start()) for m in _TOKEN.finditer(text)]
-        self.position = 0
 
     def read(self) -> Network:
         network = self.expression()
         if self.peek():
             raise self.error("'|', '-' or the end")
         return network
-
-    def peek(self, ahead: int = 0) -> str:
-        i = self.position + ahead
-        return self.tokens[i][0] if i < len(self.tokens) else ""
-
-    def take(self) -> str:
-        token = self.peek()
-        self.position += 1
-        return token
-
-    def error(self, expected: str) -> InputError:
-        if not self.peek():
-            return InputError(f"network {self.shown} ends too early: expected {expected}")
-        token, start = self.tokens[self.position]
-        token = repr(token) if len(token) <= 60 else shown(token)
-        return InputError(f"network {self.shown}: {token} at character {start + 1} is not {expected}")
 
     def expression(self) -> Network:
         return self.group("|", Parallel, self.term)
@@ -103,7 +75,7 @@ class _Parser:
     def part(self) -> Network:
         self.depth += 1
         if self.depth > DEEPEST:
-            raise InputError(f"network {self.shown} is nested more than {DEEPEST} levels deep; write it in fewer")
+            raise self.too_deep()
         try:
             return self._part()
         finally:
@@ -115,7 +87,7 @@ class _Parser:
             self.take()
             part = self.part()
             if part.label is not None:
-                raise InputError(f"network {self.shown}: '{label}:{part.label}:' gives one group two labels; keep one")
+                raise InputError(f"{self.shown}: '{label}:{part.label}:' gives one group two labels; keep one")
             return part.labelled(label)
         if self.peek() == "(":
             return self.enclosed()
@@ -129,7 +101,7 @@ class _Parser:
                 raise self.error("'^' and the power law's exponent, such as p1^a1")
             return Element(size.name, None, size.shared, size.value)
         self.take()
-        exponent = Symbol("", value=self.number()) if _NUMBER.fullmatch(self.peek()) else self.symbol()
+        exponent = self.symbol() if NAME.fullmatch(self.peek()) else Symbol("", value=self.number("an exponent"))
         if self.peek() != "@":
             return PowerLaw(size, exponent)
         self.take()
@@ -163,15 +135,10 @@ class _Parser:
             return Symbol(name, value=self.number())
         return Symbol(name)
 
-    def number(self) -> float:
+    def number(self, what: str = "a number") -> float:
         sign = -1.0 if self.peek() == "-" else 1.0
         if sign < 0:
             self.take()
-        if not _NUMBER.fullmatch(self.peek()):
-            raise self.error("a number")
+        if not NUMBER.fullmatch(self.peek()):
+            raise self.error(what)
         return sign * float(self.take())
-
-    def expect(self, sign: str) -> None:
-        if self.peek() != sign:
-            raise self.error(f"'{sign}'")
-        self.take()

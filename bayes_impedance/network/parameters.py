@@ -99,6 +99,11 @@ def quantity_of(name: str) -> Quantity:
     return quantity
 
 
+def exactly(value: float) -> str:
+    """The shortest text from which the same number is read."""
+    return repr(float(value)).removesuffix(".0")
+
+
 @dataclass(frozen=True)
 class Symbol:
     """A parameter as it is written in a network.
@@ -119,7 +124,7 @@ class Symbol:
 
     def __str__(self) -> str:
         if self.value is not None:
-            return f"{self.name}={self.value:.12g}" if self.name else f"{self.value:.12g}"
+            return f"{self.name}={exactly(self.value)}" if self.name else exactly(self.value)
         return f"{self.name}*" if self.shared else self.name
 
 
@@ -181,7 +186,7 @@ class Parameter:
             If the parameter cannot have the value.
         """
         x = np.asarray(value, dtype=float)
-        if self.link == LOG and np.all(x > 0):
+        if self.link == LOG and np.all((x > 0) & np.isfinite(x)):
             return np.asarray(np.log(x * self.quantity.factor))
         inside = x - self.quantity.low
         if self.link == LOGIT and np.all((inside > 0) & (inside < 1)):
@@ -189,7 +194,7 @@ class Parameter:
         if self.link == SIGNED and np.all(np.isfinite(x)):
             return x
         low = self.quantity.low
-        wanted = "above zero" if self.link == LOG else f"between {low:g} and {low + 1:g}" if self.link == LOGIT else ""
+        wanted = {LOG: "above zero and finite", LOGIT: f"between {low:g} and {low + 1:g}", SIGNED: "finite"}[self.link]
         raise InputError(f"{self.quantity.name} '{self.name or self.letter}' cannot be {value}: it must be {wanted}")
 
 

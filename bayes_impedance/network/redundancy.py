@@ -9,36 +9,32 @@ r"""Structural identifiability: elements of a network that no recording can dist
 and in series the other way round. Only that combination can be determined, so the network is written with one element
 in their place before it is fitted (:func:`merged`).
 
-**Other cases.** A network may have more elements than its rational function has coefficients without having two
-adjacent elements of one kind. Element p is structurally identifiable if its derivative is no combination of the
-others':
+**Other cases.** A network may have more parameters than its impedance has degrees of freedom without having two
+adjacent elements of one kind. A gain absorbs the size of everything inside it; of a line without an end only the
+product of the roots of its two impedances shows. Parameter p is structurally identifiable if its derivative is no
+combination of the others':
 
 .. math:: \operatorname{rank} J_{(p)} < \operatorname{rank} J, \qquad
           J_{kp} = \frac{\partial z(s_k;\, x)}{\partial x_p}
 
-for generic x and more values of s than there are elements. The rank is decided exactly: impedance and derivatives are
-computed with integers modulo a large prime at random x and s, where sums, products and reciprocals are exact, as for
-rational numbers. By the Schwartz-Zippel lemma, the chance that a random point shows a smaller rank than the
-generic one is below the degree of the determinant over the prime: 1e-16 (J. T. Schwartz, J. ACM 27, 1980).
+for generic x and more values of s than there are parameters. The rank is decided exactly, for every network
+(:mod:`bayes_impedance.network.residues`): p is not identifiable if a vector of the null space of J has a component
+along p. Filters whose parameter may have either sign are taken above zero, as the filters that they are called.
+
+This is about one curve. A parameter that is the same for all and one that varies, side by side and of one kind, cannot
+be told apart by any single person's curve, however many people there are: they are not merged, as the sum of a
+constant and of something log-normal is not log-normal, but no number is reported for either. What is held is known,
+and is never merged.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from bayes_impedance.network.elements import kind_of
-from bayes_impedance.network.notation import Element, Network, Parallel
-
-_PRIME = 2**61 - 1
-"""Mersenne prime: a product of two residues is exact in Python's integers."""
-
-_SEED = 1
-"""Seed of the random point. By choice: the result depends on it with probability 1e-16 only."""
-
-_MORE_POINTS = 3
-"""Values of s in excess of the number of elements. By choice: the rank needs no more than the number of elements."""
+from bayes_impedance.network.notation import Element, Network, Parallel, Place, Series
+from bayes_impedance.network.residues import PRIME, slopes_at_points
+from bayes_impedance.network.tree import group_of
 
 
 @dataclass(frozen=True)
@@ -63,6 +59,8 @@ class Combination:
 def merged(network: Network) -> tuple[Network, tuple[Combination, ...]]:
     """The network with adjacent elements of one kind replaced by a single element.
 
+    Those that are held stay as they are, and so do two of which only one is the same for all.
+
     Parameters
     ----------
     network : Network
@@ -75,7 +73,8 @@ def merged(network: Network) -> tuple[Network, tuple[Combination, ...]]:
         The replaced elements.
     """
     found: list[Combination] = []
-    result = _merged(network, set(network.elements), found)
+    taken = {p.name for p in network.parameters} | {node.label for _, node in network.walk() if node.label is not None}
+    result = _merged(network, taken, found)
     return (result, tuple(found)) if found else (network, ())
 
 
@@ -83,21 +82,29 @@ def _merged(node: Network, taken: set[str], found: list[Combination]) -> Network
     if not node.parts:
         return node
     parts = [_merged(part, taken, found) for part in node.parts]
-    alike: dict[str, list[str]] = {}
+    if len(parts) == 1:
+        return node.replaced(Place((0,), ""), parts[0])
+    alike: dict[tuple[str, bool], list[str]] = {}
     for part in parts:
-        if isinstance(part, Element) and part.label is None:
-            alike.setdefault(kind_of(part.name).letter, []).append(part.name)
+        if isinstance(part, Element) and (kind := _kind(part)):
+            alike.setdefault(kind, []).append(part.name)
     kept = list[Network]()
     for part in parts:
-        same = alike.get(kind_of(part.name).letter, []) if isinstance(part, Element) and part.label is None else []
-        if len(same) < 2:
+        kind = _kind(part) if isinstance(part, Element) else None
+        if not isinstance(part, Element) or kind is None or len(alike[kind]) < 2:
             kept.append(part)
-        elif isinstance(part, Element) and part.name == same[0]:
-            kept.append(Element(_combined(same, isinstance(node, Parallel), taken, found)))
-    group = kept[0]
-    for part in kept[1:]:
-        group = group | part if isinstance(node, Parallel) else group - part
+        elif part.name == alike[kind][0]:
+            name = _combined(alike[kind], isinstance(node, Parallel), taken, found)
+            kept.append(Element(name, shared=part.shared))
+    group = kept[0] if len(kept) == 1 else group_of(Parallel if isinstance(node, Parallel) else Series, kept)
     return group.labelled(node.label) if node.label is not None else group
+
+
+def _kind(element: Element) -> tuple[str, bool] | None:
+    """Kind, and whether it is the same for all, of an element that may be merged with its like; None if it may not."""
+    if element.label is not None or element.value is not None:
+        return None
+    return kind_of(element.name).letter, element.shared
 
 
 def _combined(same: list[str], parallel: bool, taken: set[str], found: list[Combination]) -> str:
@@ -133,47 +140,29 @@ def inseparable(network: Network) -> tuple[str, ...]:
         In the order in which they are written; empty if all are structurally identifiable.
     """
     names = network.elements
-    rng = np.random.default_rng(_SEED)
-    x = {name: int(rng.integers(1, _PRIME)) for name in names}
-    rows = []
-    for _ in range(len(names) + _MORE_POINTS):
-        _, slopes = _value(network, int(rng.integers(1, _PRIME)), x)
-        rows.append([slopes.get(name, 0) for name in names])
-    whole = _rank(rows)
-    if whole == len(names):
-        return ()
-    return tuple(name for p, name in enumerate(names) if _rank([r[:p] + r[p + 1 :] for r in rows]) == whole)
+    free = _null_space(slopes_at_points(network), len(names))
+    return tuple(name for p, name in enumerate(names) if any(vector[p] for vector in free))
 
 
-def _value(node: Network, s: int, x: dict[str, int]) -> tuple[int, dict[str, int]]:
-    """Impedance and its derivatives with respect to the elements, modulo the prime."""
-    if isinstance(node, Element):
-        kind = kind_of(node.name)
-        factor, value = pow(s, kind.power, _PRIME), x[node.name]
-        z = factor * pow(value, kind.exponent, _PRIME) % _PRIME
-        return z, {node.name: kind.exponent * z * pow(value, -1, _PRIME) % _PRIME}
-    total, slopes = 0, dict[str, int]()
-    for part in node.parts:
-        z, own = _value(part, s, x)
-        inverse = 1 if isinstance(node, Parallel) else pow(z, -1, _PRIME)
-        weight = 1 if isinstance(node, Parallel) else -inverse * inverse
-        total += z if isinstance(node, Parallel) else inverse
-        slopes.update({name: weight * slope % _PRIME for name, slope in own.items()})
-    if isinstance(node, Parallel):
-        return total % _PRIME, slopes
-    z = pow(total, -1, _PRIME)
-    return z, {name: -z * z * slope % _PRIME for name, slope in slopes.items()}
-
-
-def _rank(rows: list[list[int]]) -> int:
-    """Rank of a matrix of residues, by elimination."""
-    left, rank = [row[:] for row in rows], 0
-    for column in range(len(left[0]) if left else 0):
-        pivot = next((row for row in left if row[column] % _PRIME), None)
+def _null_space(rows: list[list[int]], width: int) -> list[list[int]]:
+    """A basis of the vectors that a matrix of residues takes to zero, by elimination."""
+    left, pivots = [row[:] for row in rows], dict[int, list[int]]()
+    for column in range(width):
+        pivot = next((row for row in left if row[column]), None)
         if pivot is None:
             continue
         left.remove(pivot)
-        rank += 1
-        inverse = pow(pivot[column], -1, _PRIME)
-        left = [[(a - row[column] * inverse * b) % _PRIME for a, b in zip(row, pivot, strict=True)] for row in left]
-    return rank
+        inverse = pow(pivot[column], -1, PRIME)
+        pivot = [a * inverse % PRIME for a in pivot]
+        left, above = ([_without(row, pivot, column) for row in r] for r in (left, list(pivots.values())))
+        pivots = dict(zip(pivots, above, strict=True)) | {column: pivot}
+    return [
+        [1 if p == f else -pivots[p][f] % PRIME if p in pivots else 0 for p in range(width)]
+        for f in range(width)
+        if f not in pivots
+    ]
+
+
+def _without(row: list[int], pivot: list[int], column: int) -> list[int]:
+    factor = row[column]
+    return [(a - factor * b) % PRIME for a, b in zip(row, pivot, strict=True)] if factor else row

@@ -16,6 +16,15 @@ from bayes_impedance.runtime.compiled_functions import kept_njit
 _compiled: Any = kept_njit(nogil=True, error_model="numpy")
 
 
+_SMALL_COTH, _SMALL_TANH = 0.1, 0.01
+"""Of abs(w): below, the power series are used, of which all terms above 1e-15 are kept, also in the derivative. Above,
+the closed form of coth has a derivative that is a difference of numbers 1/w times larger, and is good to 1e-14."""
+
+_COTH = (1 / 3, -1 / 45, 2 / 945, -1 / 4725, 2 / 93555, -1382 / 638512875, 4 / 18243225, -3617 / 162820783125)
+_TANH = (1.0, -1 / 3, 2 / 15, -17 / 315, 62 / 2835, -1382 / 155925, 21844 / 6081075, -929569 / 638512875)
+"""Coefficients of w, w^2, ... of sqrt(w) coth sqrt(w) - 1 and sqrt(w) tanh sqrt(w)."""
+
+
 @_compiled
 def transform(
     code: int, u0: float, u1: float, u2: float, c0: float, c1: float, c2: float, omega: float, z: complex
@@ -53,11 +62,15 @@ def transform(
         return z * factor, factor, z * factor * log_s * slope, none, none
     if code == 6:
         return z * complex(1.0, x), complex(1.0, x), 1j * z * slope, none, none
-    if code == 7 or code == 17 or code == 18:
+    if code == 7 or code == 17:
         y = 1.0 + 0j if c1 == -1.0 else s
         w = y * x / z
-        g, dg = _root_coth(w) if code == 7 else _root_tanh(w) if code == 17 else _root(w)
+        g, dg = root_coth(w) if code == 7 else root_tanh(w)
         return z * g, g - w * dg, y * dg * slope, none, none
+    if code == 18:
+        # The product of two roots in the right half-plane: y/z may be negative, and the sign of its root chance.
+        t = root((1.0 + 0j if c1 == -1.0 else s) * x) * root(z)
+        return t, 0.5 * t / z, 0.5 * t * slope / x, none, none
     if code == 8:
         a = 1.0 / (1.0 + np.exp(-u1))
         log_s = complex(np.log(omega / c1), 0.5 * np.pi)
@@ -104,33 +117,52 @@ def transform(
 
 
 @_compiled
-def _root(w: complex) -> tuple[complex, complex]:
-    """The root of w with Re >= 0, and its derivative."""
-    x = cmath.sqrt(w)
-    return x, 0.5 / x
+def inverse(z: complex) -> complex:
+    """1/z, without the care for numbers beyond 1e154 that a compiled complex division takes."""
+    scale = 1.0 / (z.real * z.real + z.imag * z.imag)
+    return complex(z.real * scale, -z.imag * scale)
 
 
 @_compiled
-def _root_tanh(w: complex) -> tuple[complex, complex]:
+def root(z: complex) -> complex:
+    """The root of z with real part above zero, without the care for numbers beyond 1e154."""
+    larger = np.sqrt(0.5 * (np.sqrt(z.real * z.real + z.imag * z.imag) + abs(z.real)))
+    smaller = 0.5 * abs(z.imag) / larger if larger > 0.0 else 0.0
+    if z.real >= 0.0:
+        return complex(larger, np.copysign(smaller, z.imag))
+    return complex(smaller, np.copysign(larger, z.imag))
+
+
+@_compiled
+def root_tanh(w: complex) -> tuple[complex, complex]:
     """g(w) = sqrt(w) tanh sqrt(w), analytic in w, and its derivative."""
-    if abs(w) < 1e-2:
-        third = 17.0 * w * w * w * w / 315.0
-        return w - w * w / 3.0 + 2.0 * w * w * w / 15.0 - third, 1.0 - 2.0 * w / 3.0 + 0.4 * w * w - 4.0 * third / w
-    x = cmath.sqrt(w)  # the root with Re x >= 0, so that the exponential cannot overflow
-    e = cmath.exp(-2.0 * x)
-    tanh = (1.0 - e) / (1.0 + e)
-    return x * tanh, (tanh + x * (1.0 - tanh * tanh)) / (2.0 * x)
+    if w.real * w.real + w.imag * w.imag < _SMALL_TANH**2:
+        return _series(w, 0.0, _TANH)  # type: ignore[no-any-return]
+    x = root(w)  # with Re x >= 0, so that the exponential cannot overflow
+    e = np.exp(-2.0 * x.real) * complex(np.cos(2.0 * x.imag), -np.sin(2.0 * x.imag))
+    tanh = (1.0 - e) * inverse(1.0 + e)
+    return x * tanh, 0.5 * (tanh * inverse(x) + 1.0 - tanh * tanh)
 
 
 @_compiled
-def _root_coth(w: complex) -> tuple[complex, complex]:
+def root_coth(w: complex) -> tuple[complex, complex]:
     """g(w) = sqrt(w) coth sqrt(w), analytic in w, and its derivative."""
-    if abs(w) < 1e-2:
-        return 1.0 + w / 3.0 - w * w / 45.0 + 2.0 * w * w * w / 945.0, 1.0 / 3.0 - 2.0 * w / 45.0 + 2.0 * w * w / 315.0
-    x = cmath.sqrt(w)  # the root with Re x >= 0, so that the exponential cannot overflow
-    e = cmath.exp(-2.0 * x)
-    coth = (1.0 + e) / (1.0 - e)
-    return x * coth, (coth - x * (coth * coth - 1.0)) / (2.0 * x)
+    if w.real * w.real + w.imag * w.imag < _SMALL_COTH**2:
+        return _series(w, 1.0, _COTH)  # type: ignore[no-any-return]
+    x = root(w)  # with Re x >= 0, so that the exponential cannot overflow
+    e = np.exp(-2.0 * x.real) * complex(np.cos(2.0 * x.imag), -np.sin(2.0 * x.imag))
+    coth = (1.0 + e) * inverse(1.0 - e)
+    return x * coth, 0.5 * (coth * inverse(x) + 1.0 - coth * coth)
+
+
+@_compiled
+def _series(w: complex, constant: float, coefficients: tuple[float, ...]) -> tuple[complex, complex]:
+    """A power series and its derivative, by Horner's rule; the coefficients begin with that of w."""
+    g, dg = 0j, 0j
+    for k in range(len(coefficients) - 1, -1, -1):
+        g = g * w + coefficients[k]
+        dg = dg * w + (k + 1) * coefficients[k]
+    return constant + g * w, dg
 
 
 @_compiled

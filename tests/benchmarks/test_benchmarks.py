@@ -8,12 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bayes_impedance.network.constructs import CONSTRUCTS
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
 from bayes_impedance.person.likelihood import Likelihood, log_likelihood, log_likelihood_gradient
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-peers, floor, timing, report = (importlib.import_module(name) for name in ("peers", "floor", "timing", "report"))
+peers, floor, timing, report, constructs = (
+    importlib.import_module(name) for name in ("peers", "floor", "timing", "report", "constructs")
+)
 
 
 @pytest.fixture
@@ -100,3 +103,16 @@ def test_the_table_says_what_was_measured(tmp_path: Path) -> None:
     assert "one curve fitted by rival | 70 of 71 optima, 100 ms, 7.5 times ours" in text
     report.draw(results, tmp_path / "picture.png")
     assert (tmp_path / "picture.png").stat().st_size > 5000
+
+
+def test_every_construct_is_timed_and_in_the_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert all(any(f"{word}[" in text for text in constructs.NETWORKS.values()) for word in CONSTRUCTS)
+    monkeypatch.setattr(
+        constructs, "seconds_of", lambda work: {name: 2.0 + np.arange(3) + len(work[name]()) for name in work}
+    )
+    result = constructs.measure() | {"date": "2026-01-02"}
+    machine = {"processor": "P", "cores": 2, "python": "3.11", "date": "2026-01-01", "packages": {"numpy": "2.0"}}
+    text = report.table({"machine": machine, "constructs": result})
+    assert "a damper alone, for each frequency (2026-01-02)" in text
+    for name in list(constructs.NETWORKS)[1:]:
+        assert f"| ... `{name}` | 1x (1 to 1); 1x (1 to 1) |" in text

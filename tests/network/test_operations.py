@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from operation_cases import (
@@ -11,6 +13,7 @@ from operation_cases import (
     NETWORK,
     OMEGA,
     THETA,
+    W0,
     Case,
     S,
     assert_close,
@@ -22,7 +25,8 @@ from operation_cases import (
 )
 
 from bayes_impedance.network.kernel import Kernel
-from bayes_impedance.network.operations import LOGARITHMIC, N_PARAMETERS, NAMES, Operation
+from bayes_impedance.network.operations import LOGARITHMIC, N_PARAMETERS, NAMES, OWN_CODES, Operation
+from bayes_impedance.network.rows import slopes_row, transform_row
 from bayes_impedance.network.transform import transform, transform_many
 
 
@@ -50,6 +54,36 @@ def test_five_outputs_against_central_differences(case: Case) -> None:
             continue
         one = np.eye(len(case.u))[k]
         assert_close(by_parameter[k], difference(lambda h, one=one: five(case, case.u + h * one, z)[0]), z)
+
+
+@CASE
+def test_all_frequencies_at_once_are_one_by_one(case: Case) -> None:
+    """The loops that a network uses, against the formula for one frequency: to a few units of the last digit."""
+    assert_rows_are_formulas(NAMES.index(case.name) + 1, case.constants, case.u)
+
+
+@pytest.mark.parametrize("name", OWN_CODES)
+def test_all_frequencies_at_once_for_a_networks_own_nodes(name: str) -> None:
+    for constants in ((1.0, 1.0, LOGARITHMIC), (0.0, W0, LOGARITHMIC), (0.0, -1.0, LOGARITHMIC)):
+        if name != "power_law" or constants[1] > 0:
+            assert_rows_are_formulas(OWN_CODES[name], constants, (-0.7, 0.4, 0.2))
+
+
+def assert_rows_are_formulas(code: int, constants: Sequence[float], u: Sequence[float]) -> None:
+    z, c = some_impedances(5), np.zeros(N_PARAMETERS)
+    c[: len(constants)] = constants
+    own = (*u, 0.0, 0.0)[:N_PARAMETERS]
+    sums, adjoints = (np.array([[x.real, x.imag]]) for x in (z, np.full_like(z, 0.3 - 0.8j)))
+    output, slopes = np.empty_like(sums), np.empty((N_PARAMETERS, 2, z.size))
+    transform_row(code, own, c, OMEGA, sums, output, 0)
+    slopes_row(code, own, c, OMEGA, sums, adjoints, 0, slopes)
+    value, inner, *by_u = transform_many(code, np.array([own]), c, OMEGA, z[None])[:, 0]
+    np.testing.assert_allclose(output[0, 0] + 1j * output[0, 1], value, rtol=1e-14)
+    turned = adjoints[0, 0] + 1j * adjoints[0, 1] - (0.3 - 0.8j) * inner
+    # A thin line's T hardly depends on z: its dT/dz is a small difference of two terms of the size of T/z.
+    assert np.all(np.abs(turned) <= 2e-14 * np.maximum(np.abs(inner), np.abs(value / z)))
+    for slope, expected in zip(slopes, by_u, strict=True):
+        np.testing.assert_allclose(slope[0] + 1j * slope[1], (0.3 - 0.8j) * expected, rtol=2e-14)
 
 
 @CASE
