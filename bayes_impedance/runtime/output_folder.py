@@ -92,11 +92,6 @@ def _settle(folder: Path, known: Made, before: dict[str, tuple[int, int, int] | 
         (folder / MARK).unlink(missing_ok=True)
 
 
-def made_by_us(folder: Path) -> tuple[str, ...]:
-    """Names of files that the package has written to a folder, or was about to write when it was killed."""
-    return tuple(_made(folder))
-
-
 def _require_ours(folder: Path, names: Iterable[str], overwrite: bool) -> None:
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is no folder; name one for the results with -o")
