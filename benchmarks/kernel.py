@@ -16,9 +16,10 @@ from peers import (
 )
 from timing import ratio, seconds_of, spread
 
-from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.network.kernel import Kernel, compiled
 from bayes_impedance.network.notation import parse
-from bayes_impedance.person.likelihood import Likelihood, log_likelihood, log_likelihood_gradient
+from bayes_impedance.network.program import Program
+from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood, all_repetitions, log_likelihood
 from bayes_impedance.population.simulate import FINGERTIP
 
 _POINTS, _SETS, _SMALL = 401, 256, 16
@@ -75,6 +76,30 @@ def measure() -> dict[str, Any]:
         "points": _POINTS,
         "sets per call": _SETS,
     }
+
+
+def log_likelihood_gradient(kernel: Kernel, likelihood: Likelihood, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Log likelihood of log elements (S, P), (S,), and its gradient, (S, P), as the search for a mode computes them."""
+    d = likelihood
+    return _gradients(kernel.program, np.ascontiguousarray(theta), d.deviations, d.omega, d.z, d.weight, d.count)
+
+
+@compiled
+def _gradients(
+    program: Program,
+    theta: np.ndarray,
+    deviations: np.ndarray,
+    omega: np.ndarray,
+    z: np.ndarray,
+    weight: np.ndarray,
+    count: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    values, gradients = np.empty(theta.shape[0]), np.empty(theta.shape)
+    for i in range(theta.shape[0]):
+        chi, gradient, _ = all_repetitions(program, theta[i], deviations, omega, z, weight)
+        values[i] = -(SCALE_SHAPE + count) * np.log(SCALE_SHAPE + 0.5 * chi)
+        gradients[i] = -(SCALE_SHAPE + count) / (SCALE_SHAPE + 0.5 * chi) * gradient
+    return values, gradients
 
 
 def _require_equal(

@@ -74,4 +74,4 @@ def _population(file: Path) -> VirtualPopulation:
     """The population described by a fit or by an earlier simulation."""
     from bayes_impedance.population.simulate import population_from
 
-    return population_from(read_json(file, "a summary.json or truth.json"), str(file))
+    return population_from(read_json(file, "give a summary.json or truth.json"), str(file))

@@ -196,7 +196,11 @@ def _missing(fit: PopulationFit, p: float, bent: dict[str, float]) -> str:
 
 
 def _error(fit: PopulationFit) -> np.ndarray:
-    """Relative error of each person's fitted network, shape (N,)."""
+    """Relative error of each person's fitted network against the mean recording, shape (N,).
+
+    The error among the predictions is another number: of each repetition with its own deviation, so that noise counts
+    in full; and they are made only when this examination has released the executor.
+    """
     own = zip(fit.recordings.subjects, fit.person_draws.mean(axis=(0, 1)), strict=True)
     return np.array([relative_rms(fit.kernel.impedance(theta, s.frequency_hz), s.mean) for s, theta in own])
 

@@ -244,9 +244,12 @@ class _Ensemble:
             (emcee.moves.DEMove(), 0.08),
             (emcee.moves.DEMove(gamma0=1.0), 0.02),
         ]
-        return emcee.EnsembleSampler(
+        sampler = emcee.EnsembleSampler(
             self.n_walkers, self.n_dimensions, self.log_probability, moves=moves, vectorize=True, backend=backend
         )
+        # emcee's wrapper prints walkers and traceback of any error, also of one that is told in a sentence elsewhere.
+        sampler.log_prob_fn = self.log_probability
+        return sampler
 
     def run_to(self, n_steps: int, progress: Callable[[int], None]) -> None:
         """Sample until the ensemble has this many steps."""

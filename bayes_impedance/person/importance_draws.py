@@ -181,11 +181,8 @@ def _propose_along(
     anywhere = rng.normal(size=(from_reference, dimension)) @ np.linalg.cholesky(reference.covariance).T
     theta = np.vstack([own, reference.mean + anywhere])
     log_t = np.full(n, -np.inf)
-    constant = gammaln((nu + dimension) / 2) - gammaln(nu / 2) - 0.5 * dimension * np.log(nu * np.pi)
     for centre, factor, weight in zip(valley.centre, factors, valley.weight, strict=True):
-        square = np.sum(np.linalg.solve(factor, (theta - centre).T) ** 2, axis=0)
-        log_own = constant - np.sum(np.log(np.diag(factor))) - 0.5 * (nu + dimension) * np.log1p(square / nu)
-        log_t = np.logaddexp(log_t, np.log(weight) + log_own)
+        log_t = np.logaddexp(log_t, np.log(weight) + _log_t(theta, centre, factor))
     log_reference = reference.log_density(theta) - 0.5 * dimension * np.log(2 * np.pi)
     return theta, np.logaddexp(np.log1p(-_DEFENSIVE) + log_t, np.log(_DEFENSIVE) + log_reference)
 
@@ -220,14 +217,20 @@ def _propose(
             + ndtri(uniform(from_reference, dimension, seeds[1])) @ np.linalg.cholesky(reference.covariance).T,
         ]
     )
+    log_t = _log_t(theta, centre, factor)
+    log_reference = reference.log_density(theta) - 0.5 * dimension * np.log(2 * np.pi)
+    part = from_reference / n
+    return theta, np.logaddexp(np.log1p(-part) + log_t, np.log(max(part, 1e-300)) + log_reference)
+
+
+def _log_t(theta: np.ndarray, centre: np.ndarray, factor: np.ndarray) -> np.ndarray:
+    """Log density of the multivariate t at theta (n, P), shape (n,), from its scale matrix's Cholesky factor (P, P)."""
+    dimension, nu = centre.size, _DEGREES_OF_FREEDOM
     square = np.sum(np.linalg.solve(factor, (theta - centre).T) ** 2, axis=0)
-    log_t = (
+    return np.asarray(
         gammaln((nu + dimension) / 2)
         - gammaln(nu / 2)
         - 0.5 * dimension * np.log(nu * np.pi)
         - np.sum(np.log(np.diag(factor)))
         - 0.5 * (nu + dimension) * np.log1p(square / nu)
     )
-    log_reference = reference.log_density(theta) - 0.5 * dimension * np.log(2 * np.pi)
-    part = from_reference / n
-    return theta, np.logaddexp(np.log1p(-part) + log_t, np.log(max(part, 1e-300)) + log_reference)

@@ -224,24 +224,6 @@ def _log_likelihoods(
     return result
 
 
-@compiled
-def _log_likelihood_gradients(
-    program: Program,
-    theta: np.ndarray,
-    deviations: np.ndarray,
-    omega: np.ndarray,
-    z: np.ndarray,
-    weight: np.ndarray,
-    count: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    values, gradients = np.empty(theta.shape[0]), np.empty(theta.shape)
-    for i in range(theta.shape[0]):
-        chi, gradient, _ = all_repetitions(program, theta[i], deviations, omega, z, weight)
-        values[i] = -(SCALE_SHAPE + count) * np.log(SCALE_SHAPE + 0.5 * chi)
-        gradients[i] = -(SCALE_SHAPE + count) / (SCALE_SHAPE + 0.5 * chi) * gradient
-    return values, gradients
-
-
 def repetition_equations(kernel: Kernel, likelihood: Likelihood, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Gradient J^T W r, shape (J, P), and information J^T W J, shape (J, P, P), of every repetition at theta (P,)."""
     d = likelihood
@@ -270,11 +252,3 @@ def log_likelihood(kernel: Kernel, likelihood: Likelihood, theta: np.ndarray) ->
     theta = np.ascontiguousarray(theta)
     values = _log_likelihoods(kernel.program, theta, d.deviations, d.omega, d.z, d.weight, d.count)
     return np.where(np.isfinite(values), values, -np.inf)
-
-
-def log_likelihood_gradient(kernel: Kernel, likelihood: Likelihood, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Log likelihood of log elements (S, P) as in :func:`log_likelihood`, (S,), and its gradient, (S, P)."""
-    d = likelihood
-    return _log_likelihood_gradients(  # type: ignore[no-any-return]
-        kernel.program, np.ascontiguousarray(theta), d.deviations, d.omega, d.z, d.weight, d.count
-    )

@@ -221,7 +221,7 @@ def estimate(
     progress("population estimate", _MAX_ROUNDS, _MAX_ROUNDS)
     outcomes = state.fits.gathered(_outcome)
     kernel = pooling.kernel
-    unseen = np.isin(kernel.elements, inseparable(kernel.network) if kernel.network.plain else ())
+    unseen = np.isin(kernel.elements, inseparable(kernel.network))
     limits = np.array([DETERMINED_SD if p.link == LOG else DETERMINED_BOUNDED for p in kernel.parameters])
     shared_sd = np.sqrt(np.diag(state.shared_covariance(with_prior=False))) if pooling.names else np.zeros(0)
     shared_sd = np.where(unseen[pooling.shared], np.inf, shared_sd)

@@ -58,7 +58,7 @@ def checked_model(
         If network, covariates and recordings are not consistent.
     """
     written = network_of(recordings, network)
-    fitted, combinations = merged(written) if written.plain else (written, ())
+    fitted, combinations = merged(written)
     kernel = Kernel(fitted)
     standardised = standardised_covariates(recordings, covariates)
     require_usable(recordings, kernel)

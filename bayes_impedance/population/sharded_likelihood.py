@@ -207,7 +207,8 @@ def part_of(
     along_valley: bool,
 ) -> Part:
     """Draw for some persons, in this process; the arguments are those of :meth:`KeptDraws.made`."""
-    return _drawn_part(_Plan(kernel, rho, covariance, n_draws, along_valley), data, fits, means, covariates, seeds)
+    plan = _Plan(kernel, rho, covariance, n_draws, along_valley, None)
+    return _drawn_part(plan, data, fits, None, means, covariates, seeds)
 
 
 def _drawn_part(

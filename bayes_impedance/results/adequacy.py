@@ -42,11 +42,6 @@ class Adequacy:
     p_value: float = 1.0
     effects: tuple[str, ...] = ()
 
-    @property
-    def sentences(self) -> tuple[str, ...]:
-        """All misfits as sentences, the most severe first."""
-        return (*self.gross, *self.misfit)
-
     def summary(self) -> dict[str, Any]:
         """Entry of ``summary.json``."""
         return {

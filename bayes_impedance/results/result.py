@@ -22,7 +22,8 @@ from bayes_impedance.population.fit import PopulationFit
 from bayes_impedance.results.adequacy import Adequacy
 from bayes_impedance.results.predictive import PROBABILITIES, Predictive
 from bayes_impedance.results.summary import summary_of
-from bayes_impedance.runtime.atomic_files import read_json, write_json
+from bayes_impedance.runtime.atomic_files import write_json
+from bayes_impedance.runtime.input_files import read_json
 
 if TYPE_CHECKING:
     import pandas as pd

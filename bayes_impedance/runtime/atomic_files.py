@@ -20,8 +20,6 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from bayes_impedance.errors import InputError
-
 TEMPORARY_SUFFIX = ".tmp"
 """Suffix of the temporary file's name."""
 
@@ -137,38 +135,6 @@ def write_json(file: Path, content: Any, *, indent: int = 2) -> Path:
         If a number is not finite: JSON cannot represent it.
     """
     return write_text(file, json.dumps(content, indent=indent, allow_nan=False) + "\n")
-
-
-def read_json(file: Path, remedy: str) -> dict[str, Any]:
-    """Read a JSON object.
-
-    Parameters
-    ----------
-    file : Path
-    remedy : str
-        Remedy at the end of the error message.
-
-    Raises
-    ------
-    InputError
-        If there is no such file, or it is not a JSON object.
-    """
-    try:
-        content = json.loads(file.read_text(encoding="utf-8"), parse_constant=_not_a_number)
-    except FileNotFoundError:
-        raise InputError(f"{file}: there is no such file; {remedy}") from None
-    except RecursionError:
-        raise InputError(f"{file}: cannot be read as JSON (too deep); {remedy}") from None
-    except (ValueError, OSError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise InputError(f"{file}: cannot be read as JSON ({reason}); {remedy}") from None
-    if not isinstance(content, dict):
-        raise InputError(f"{file}: holds no object of JSON; {remedy}")
-    return content
-
-
-def _not_a_number(text: str) -> float:
-    raise ValueError(f"{text} is no number of JSON")
 
 
 def write_together(contents: dict[Path, bytes]) -> None:

@@ -21,7 +21,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from bayes_impedance.errors import InputError, WorkerError
-from bayes_impedance.runtime.worker_processes import Processes
+from bayes_impedance.runtime.worker_processes import Processes, use_one_thread
 
 Result = TypeVar("Result")
 
@@ -70,6 +70,7 @@ def executor_of(threads: int = 2, processes: int | None = None, scheduler: str |
         raise InputError(
             'a scheduler needs the package distributed: pip install "bayes_impedance[dask]", or leave out --scheduler'
         ) from None
+    _require_certificates(scheduler)
     _say("waiting up to %d s for the Dask scheduler at %s", _SCHEDULER_SECONDS, scheduler)
     try:
         asyncio.run(asyncio.wait_for(_require_scheduler(scheduler), _SCHEDULER_SECONDS))
@@ -77,10 +78,10 @@ def executor_of(threads: int = 2, processes: int | None = None, scheduler: str |
             scheduler, timeout=_SCHEDULER_SECONDS, set_as_default=False
         )
     except Exception as error:  # a wrong address or port raises many types of exception
-        reason = " ".join(str(error).split()) or "no answer"
+        reason = " ".join(str(error).split()) or f"nothing within {_SCHEDULER_SECONDS} s"
         raise InputError(
-            f"no Dask scheduler answers at '{scheduler}' within {_SCHEDULER_SECONDS} s ({reason}); start one with "
-            "'dask scheduler', give its address, or leave out --scheduler"
+            f"no Dask scheduler answers at '{scheduler}' ({reason}); start one with 'dask scheduler', "
+            "give its address, or leave out --scheduler"
         ) from None
     with _quiet(), _closing(client), _Watch(client, scheduler) as watch:
         try:
@@ -97,6 +98,25 @@ def executor_of(threads: int = 2, processes: int | None = None, scheduler: str |
             if watch.lost or client.status != "running":  # other errors follow from this one
                 raise WorkerError(watch.lost or _lost(scheduler)) from None
             raise
+
+
+def _require_certificates(address: str) -> None:
+    """Check that Dask's configuration names certificates if the address needs them, and that they can be read."""
+    from distributed.security import Security
+
+    if not address.startswith("tls://"):
+        return
+    try:
+        security = Security()  # type: ignore[no-untyped-call]
+        given = security.get_connection_args("client")["ssl_context"] is not None  # type: ignore[no-untyped-call]
+        reason = "Dask's configuration does not name them"
+    except (OSError, ValueError) as error:  # ssl's errors are of the system's
+        given, reason = False, " ".join(str(error).split())
+    if not given:
+        raise InputError(
+            f"the Dask scheduler at '{address}' needs certificates ({reason}); name their files in Dask's "
+            "configuration as distributed.comm.tls.ca-file, .client.cert and .client.key, or leave out --scheduler"
+        )
 
 
 async def _require_scheduler(address: str) -> None:
@@ -212,15 +232,15 @@ class Cluster(Executor):
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Any:
         """Submit a task to any worker."""
-        return self._tasks.submit(fn, *args, **kwargs)
+        return self._tasks.submit(_OneThread(fn), *args, **kwargs)
 
     def keep(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """Submit a task whose result stays with its worker."""
-        return self.client.submit(function, *arguments, pure=False, retries=_RETRIES)
+        return self.client.submit(_OneThread(function), *arguments, pure=False, retries=_RETRIES)
 
     def keep_each(self, function: Callable[..., Any], rows: Sequence[Sequence[Any]], *shared: Any) -> list[Any]:
         """Submit ``function(*row, *shared)`` for every row in one batch, half the cost of single submissions."""
-        task = partial(_called, function=function, shared=shared)
+        task = partial(_called, function=_OneThread(function), shared=shared)
         columns = zip(*rows, strict=True)
         return list(self.client.map(task, *columns, key=_name(function), pure=False, retries=_RETRIES))
 
@@ -261,6 +281,20 @@ def map_persons(
 def over_rows(function: Callable[..., Result], *columns: Sequence[Any] | np.ndarray) -> list[Result]:
     """Results of ``function(*row)`` for every row of the columns."""
     return [function(*row) for row in zip(*columns, strict=True)]
+
+
+class _OneThread:
+    """A task that uses one thread for linear algebra, because more threads round differently.
+
+    Workers of ``dask worker --no-nanny`` would use all processors; a nanny starts its worker with one thread each.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self.function, self.__name__ = function, _name(function)
+
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
+        use_one_thread()
+        return self.function(*arguments, **named)
 
 
 def _called(*row: Any, function: Callable[..., Result], shared: Sequence[Any]) -> Result:

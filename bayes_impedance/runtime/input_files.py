@@ -19,8 +19,11 @@ LARGEST_TABLE = 256 * 2**20
 """Bytes of a table, uncompressed: five million rows of 50 characters. As cells of text they take ten times the memory;
 what is larger belongs into Parquet, parted by subject, which is read part by part."""
 LARGEST_DESCRIPTION = 2**20
-"""Bytes of a TOML or JSON file: a description of ten thousand lines. The shipped ones have less than a hundredth; the
-parser of TOML reads a megabyte a second."""
+"""Bytes of a TOML file: a description of ten thousand lines. The shipped ones have less than a hundredth; the parser of
+TOML reads a megabyte a second."""
+LARGEST_JSON = 2**23
+"""Bytes of a JSON file: a summary with several findings for each of thousands of subjects. Its parser reads tens of
+megabytes a second."""
 
 _GZIP_MAGIC = b"\x1f\x8b"
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
@@ -128,24 +131,48 @@ def read_toml(path: Path, wanted: str) -> dict[str, Any]:
     InputError
         If there is no such file, or it is not TOML.
     """
-    return parse_toml(decode(_described(path, f"{wanted} as TOML"), str(path)), str(path))
+    data = _described(path, f"give {wanted} as TOML", LARGEST_DESCRIPTION)
+    return parse_toml(decode(data, str(path)), str(path))
 
 
-def read_json(path: Path, wanted: str) -> Any:
-    """Read a JSON file; arguments and errors are those of :func:`read_toml`."""
-    text = decode(_described(path, wanted), str(path))
+def read_json(path: Path, remedy: str) -> dict[str, Any]:
+    """Read a JSON object, from a user or written by this package and perhaps damaged since.
+
+    Parameters
+    ----------
+    path : Path
+    remedy : str
+        Remedy at the end of the error message: ``"fit the recordings again"``.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, or it is not a JSON object.
+    """
+    data = _described(path, remedy, LARGEST_JSON)
     try:
-        return json.loads(text)
+        content = json.loads(data.decode("utf-8-sig"), parse_constant=_not_a_number)
     except RecursionError:
-        raise InputError(f"{path}: cannot be read as JSON (it is nested too deeply); give {wanted}") from None
+        reason = "it is nested too deeply"
+    except UnicodeDecodeError:
+        reason = "it is not UTF-8 text"
     except ValueError as error:
-        raise InputError(f"{path}: cannot be read as JSON ({_reason(error)}); give {wanted}") from None
+        reason = _reason(error)
+    else:
+        if isinstance(content, dict):
+            return content
+        reason = "it holds no object"
+    raise InputError(f"{path}: cannot be read as JSON ({reason}); {remedy}")
 
 
-def _described(path: Path, wanted: str) -> bytes:
+def _not_a_number(text: str) -> float:
+    raise ValueError(f"{text} is no number of JSON")
+
+
+def _described(path: Path, remedy: str, largest: int) -> bytes:
     if not path.exists():
-        raise InputError(f"{path}: there is no such file; give {wanted}")
-    return read_bytes(path, LARGEST_DESCRIPTION)
+        raise InputError(f"{path}: there is no such file; {remedy}")
+    return read_bytes(path, largest)
 
 
 def parse_toml(text: str, file: str) -> dict[str, Any]:

@@ -92,11 +92,6 @@ def _settle(folder: Path, known: Made, before: dict[str, tuple[int, int, int] | 
         (folder / MARK).unlink(missing_ok=True)
 
 
-def made_by_us(folder: Path) -> tuple[str, ...]:
-    """Names of files that the package has written to a folder, or was about to write when it was killed."""
-    return tuple(_made(folder))
-
-
 def require_ours(folder: Path, names: Iterable[str], overwrite: bool) -> None:
     """Refuse a folder in which files of these names are not the package's; nothing is changed.
 

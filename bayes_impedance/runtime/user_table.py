@@ -46,11 +46,6 @@ def shown(value: object) -> str:
     return _short(" ".join(str(value).split()))
 
 
-def in_one_line(text: str) -> str:
-    """A message without line breaks and control characters, which names of files and subjects may contain."""
-    return "".join(c if c.isprintable() else " " if c.isspace() else "?" for c in text)
-
-
 def _quoted(text: str) -> str:
     return f'"{_short(text)}"' if text.isprintable() else _short(repr(text[: 2 * _LONGEST_SHOWN]))
 

@@ -20,6 +20,7 @@ import traceback
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass, field
+from functools import cache
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from queue import Empty, SimpleQueue
@@ -234,6 +235,12 @@ def _prepare() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for name in _ONE_THREAD_EACH:
         os.environ[name] = "1"
+    use_one_thread()
+
+
+@cache
+def use_one_thread() -> None:
+    """Use one thread for linear algebra in this process from now on."""
     import numpy  # noqa: F401  (libraries must be loaded before threads can be limited)
     import scipy.linalg  # noqa: F401
     from threadpoolctl import threadpool_limits

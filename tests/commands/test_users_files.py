@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 import shutil
 from pathlib import Path
@@ -15,13 +16,18 @@ from bayes_impedance.commands.arguments import parser_of_commands
 from bayes_impedance.commands.cli import main
 from bayes_impedance.commands.export import FILES, PICTURES
 from bayes_impedance.report.fit_tables import command
-from bayes_impedance.runtime.output_folder import MARK, made_by_us
+from bayes_impedance.runtime.output_folder import MARK
 
 SIMULATE = ["--subjects", "2", "--points", "5"]
 
 
 def contents(folder: Path) -> dict[str, bytes]:
     return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def made(folder: Path) -> set[str]:
+    """Names of the files that the package remembers to have written."""
+    return set(json.loads((folder / MARK).read_text(encoding="utf-8"))["made"])
 
 
 @pytest.mark.parametrize("name", ["recordings.csv", "recordings.csv.gz", "subjects.csv", "dataset.toml", "truth.json"])
@@ -95,7 +101,7 @@ def test_a_new_fit_takes_away_the_pages_of_the_old_one(tiny: Path, tmp_path: Pat
     assert {"report.html", "pictures/forest.png"} <= set(contents(out))
     assert main([*fit_arguments(tiny / "data", out), "--seed", "5"]) == 0
     assert set(contents(out)) == {"result.nc", "summary.json", "seconds.json", MARK, "pictures/holiday.png"}
-    assert set(made_by_us(out)) == {"result.nc", "summary.json", "seconds.json"}
+    assert made(out) == {"result.nc", "summary.json", "seconds.json"}
 
 
 def test_an_interruption_while_drawing_says_that_the_fit_is_there(
@@ -165,6 +171,6 @@ def test_everything_that_export_writes_is_known_beforehand(product: str, tiny: P
     pictures = {f"{name}.{kind}" for name in PICTURES.get(product, ()) for kind in ("svg", "png")}
     written = set(contents(tmp_path / "out")) - {MARK}
     assert written <= set(FILES[product]) | pictures
-    assert set(made_by_us(tmp_path / "out")) == written
+    assert made(tmp_path / "out") == written
     (tmp_path / "out" / FILES[product][0]).write_text("mine")
     assert main([*arguments, "--users", "40", "--grid", "4"]) == 2

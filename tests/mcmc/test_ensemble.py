@@ -227,3 +227,20 @@ def test_progress_is_reported_to_the_end():
     for entries in stages.values():
         assert entries[-1][1] == entries[-1][2]
         assert all(0 <= done <= total for _, done, total in entries)
+
+
+@pytest.mark.parametrize("calls", [5, 60])  # in the burn-in, and in the chains
+def test_an_error_of_the_density_is_raised_and_not_printed(calls, capfd):
+    """emcee prints walkers and a traceback; whoever catches the error says what has happened."""
+    left = [calls]
+
+    def density(x):
+        left[0] -= 1
+        if left[0] < 0:
+            raise ZeroDivisionError("lost")
+        return Gaussian()(x)
+
+    settings = SamplerSettings(ensembles=1, burn_in=(20,), chunk=200, longest=200)
+    with pytest.raises(ZeroDivisionError, match="lost"):
+        sample(density, np.zeros(D), np.ones(D), settings, np.random.SeedSequence(1), silent)
+    assert capfd.readouterr() == ("", "")

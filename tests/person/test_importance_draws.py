@@ -6,7 +6,7 @@ from scipy import stats
 
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
-from bayes_impedance.person.importance_draws import Reference, draw
+from bayes_impedance.person.importance_draws import Reference, _log_t, draw
 from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood, log_likelihood
 from bayes_impedance.person.marginal_likelihood import Ridge, find_ridge
 from bayes_impedance.person.mode import Mode, find_mode
@@ -90,6 +90,15 @@ def test_effective_draws_stay_high_where_the_data_say_little() -> None:
     weight = np.exp(draws.log_weight)
     spread = np.sqrt(weight @ (draws.theta[:, 0] - weight @ draws.theta[:, 0]) ** 2)
     assert spread > 0.6
+
+
+def test_density_of_the_t_is_that_of_scipy() -> None:
+    """Constant included: in the mixtures it stands beside the density of the reference population."""
+    rng = np.random.default_rng(6)
+    root = rng.normal(size=(4, 4))
+    centre, covariance, theta = rng.normal(size=4), root @ root.T, rng.normal(scale=5, size=(50, 4))
+    expected = stats.multivariate_t(centre, covariance, df=10).logpdf(theta)
+    np.testing.assert_allclose(_log_t(theta, centre, np.linalg.cholesky(covariance)), expected, rtol=1e-10)
 
 
 def test_same_seed_same_draws() -> None:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import gzip
-import json
 from pathlib import Path
 
 import pytest
 
 from bayes_impedance.errors import InputError
+from bayes_impedance.runtime import input_files
 from bayes_impedance.runtime.input_files import decode, line_of, parse_toml, read_bytes, read_json, read_toml
 
 TEXT = b"0123456789" * 1000
@@ -106,12 +106,48 @@ def test_descriptions(tmp_path: Path) -> None:
         read_toml(file, "a device")
     file.write_text("x = 1", encoding="utf-8")
     assert read_toml(file, "a device") == {"x": 1}
-    for text, words in (("[" * 100_000, "nested too deeply"), ("{", "cannot be read as JSON"), ("9" * 5000, "digits")):
-        file.write_text(text, encoding="utf-8")
-        with pytest.raises(InputError, match=words):
-            read_json(file, "a summary.json")
-    file.write_text(json.dumps([1]), encoding="utf-8")
-    assert read_json(file, "a list") == [1]
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", "Expecting value"),
+        (b"{", "Expecting property name"),
+        (b"[1]", "no object"),
+        (b"null", "no object"),
+        (b"\xff", "not UTF-8"),
+        (b"\xff\xfe{\0}\0", "not UTF-8"),
+        (b'{"a": NaN}', "NaN is no number of JSON"),
+        (b'{"a": -Infinity}', "-Infinity is no number of JSON"),
+        (b'{"a":' * 100_000, "nested too deeply"),
+        (b"[" * 200_000, "nested too deeply"),
+        (b"9" * 5000, "thousands of digits"),
+    ],
+)
+def test_what_is_no_object_of_json_is_one_sentence(tmp_path: Path, content: bytes, words: str) -> None:
+    file = tmp_path / "a.json"
+    file.write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        read_json(file, "do this")
+    told = str(caught.value)
+    assert told.startswith(f"{file}: cannot be read as JSON (")
+    assert words in told
+    assert told.endswith("); do this")
+    assert len(told) < len(str(file)) + 120
+
+
+def test_objects_of_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "a.json"
+    with pytest.raises(InputError, match=r"a\.json: there is no such file; do this"):
+        read_json(file, "do this")
+    with pytest.raises(InputError, match="cannot be read"):
+        read_json(tmp_path, "do this")
+    for content in (b'{"a": [1]}', b'\xef\xbb\xbf{"a": [1]}', gzip.compress(b'{"a": [1]}')):
+        file.write_bytes(content)
+        assert read_json(file, "do this") == {"a": [1]}
+    monkeypatch.setattr(input_files, "LARGEST_JSON", 20)
+    with pytest.raises(InputError, match="larger than"):
+        read_json(file, "do this")
 
 
 def test_lines_of_keys() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayes_impedance.errors import InputError
-from bayes_impedance.runtime.user_table import UserTable, choice_in, in_one_line, number_in, shown, text_in
+from bayes_impedance.runtime.user_table import UserTable, choice_in, number_in, shown, text_in
 
 
 def test_keys_that_are_not_known_are_refused_or_told() -> None:
@@ -70,7 +70,3 @@ def test_any_value_is_shown_in_one_short_line() -> None:
     ):
         assert len(shown(value)) < 100
         assert shown(value).isprintable()
-
-
-def test_one_line() -> None:
-    assert in_one_line("a\nb\tc\x1b[31m\u03a9 d") == "a b c?[31m\u03a9 d"

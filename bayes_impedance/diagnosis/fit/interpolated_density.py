@@ -55,15 +55,12 @@ class Explored:
     draws : ndarray, shape (S, A)
     points : ndarray, shape (K, A)
         Points of evaluation.
-    heights : ndarray, shape (K,)
-        Log density at the points.
     rests : bool
         Whether mean and covariance of the draws have converged.
     """
 
     draws: np.ndarray
     points: np.ndarray
-    heights: np.ndarray
     rests: bool
 
 
@@ -101,7 +98,7 @@ def explored(
         new = _farthest(draws, points, root, 2 + size)
         points = np.vstack([points, new])
         heights = np.r_[heights, [log_density(point) for point in new]]
-    return Explored(draws[rng.integers(len(draws), size=n_draws)], points, heights, bool(rests))
+    return Explored(draws[rng.integers(len(draws), size=n_draws)], points, bool(rests))
 
 
 def design(size: int) -> list[np.ndarray]:

@@ -79,7 +79,7 @@ class CorrelationTest:
         Smallest p first.
     tried : int
         Statistics for which `p_corrected` is corrected: all pairs, and the score of all.
-    persons, replicates : int
+    persons : int
     reason : str
         Why nothing was tested; empty if it was.
     remarks : tuple of str
@@ -93,7 +93,6 @@ class CorrelationTest:
     pairs: tuple[Correlation, ...]
     tried: int
     persons: int
-    replicates: int
     reason: str = ""
     remarks: tuple[str, ...] = ()
 
@@ -161,7 +160,6 @@ def correlation_test(likelihoods: PersonLikelihoods, seed: int, count: int = REP
         pairs=tuple(found),
         tried=len(pairs) + 1,
         persons=n,
-        replicates=count,
         reason="",
         remarks=remarks,
     )
@@ -217,7 +215,6 @@ def _nothing(n: int, reason: str, remarks: tuple[str, ...] = ()) -> CorrelationT
         pairs=(),
         tried=0,
         persons=n,
-        replicates=0,
         reason=reason,
         remarks=remarks,
     )

@@ -83,7 +83,7 @@ class Subgroup:
         For both searches, each of which counts its directions through its replicates.
     tried : int
         Directions tried: the elements, and any.
-    persons, replicates : int
+    persons : int
     membership : ndarray, shape (N,)
         Probability of belonging to the group.
     reason : str
@@ -105,7 +105,6 @@ class Subgroup:
     p_corrected: float
     tried: int
     persons: int
-    replicates: int
     membership: np.ndarray
     reason: str = ""
     remarks: tuple[str, ...] = ()
@@ -177,7 +176,6 @@ def find_subgroup(
         p_corrected=bonferroni(min(p), 2),
         tried=kept.size + 1,
         persons=n,
-        replicates=len(null),
         membership=belongs,
         reason="",
         remarks=remarks,
@@ -299,7 +297,6 @@ def _nothing(n: int, p: int, reason: str, remarks: tuple[str, ...] = ()) -> Subg
         p_corrected=1.0,
         tried=0,
         persons=n,
-        replicates=0,
         membership=np.zeros(n),
         reason=reason,
         remarks=remarks,

@@ -32,14 +32,6 @@ together, about as many as the search for missing physics (1 %)."""
 _SMALLEST_RHO = 1e-3
 """Lower bound of the dispersion of log elements between repetitions. By choice: a precision must be finite."""
 
-_MEMBER = 0.5
-"""Probability of membership above which a person is named as a member of a subgroup: membership is then more probable
-than not."""
-
-_REPORTED_PAIR = 0.05
-"""Corrected p-value below which a pair of elements is named once the correlations as a whole are significant. By
-choice."""
-
 
 def person_likelihoods(fit: Refit) -> PersonLikelihoods:
     """Each person's likelihood of the log elements, deviations between repetitions integrated out."""

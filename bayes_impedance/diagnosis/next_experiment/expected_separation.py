@@ -44,8 +44,6 @@ from bayes_impedance.network.elements import MASS, kind_of
 from bayes_impedance.person.likelihood import SCALE_SHAPE
 from bayes_impedance.units import hertz, number_with_unit, significant
 
-KINDS = ("none", "wider_high", "wider_low", "contactor_mass", "preload", "position")
-
 WIDER = 3.0
 """Factor by which a band is extended: half a decade. By choice: many analysers can do that."""
 
@@ -83,7 +81,8 @@ class Proposal:
     measurement : str
         What to measure, as part of a sentence.
     kind : str
-        One of :data:`KINDS`; ``none`` is the present experiment.
+        ``none`` (the present experiment), ``wider_high``, ``wider_low``, ``contactor_mass``, ``preload`` or
+        ``position``.
     elpd : float
         Expected difference of the log likelihoods of the two explanations if the winner is true, in natural
         logarithms, for all people and recordings.
