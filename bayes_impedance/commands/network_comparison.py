@@ -214,11 +214,13 @@ def _with_refits(
     """Replace values whose weights cannot be believed, if they are few."""
     import numpy as np
 
+    from bayes_impedance.network.notation import parse
     from bayes_impedance.results.leave_one_out import refit_without
     from bayes_impedance.runtime.executors import executor_of
 
     who = np.flatnonzero(left_out.doubtful).tolist()
-    if not who or len(who) > MOST_REFITS:
+    shared = any(p.shared for p in parse(result.attributes["network"]).parameters)
+    if not who or len(who) > MOST_REFITS or shared:  # a refit holds no draws for other values of what is shared
         return left_out
     if not resume:
         _discard_refits(checkpoints)
