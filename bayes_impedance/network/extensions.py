@@ -73,6 +73,9 @@ class PowerLaw(Network):
         own = Parameter(symbol=exponent, letter=letter, link=LOGIT)
         return plain_parameter(self.size), own
 
+    def _holding_own(self, values: Mapping[str, float]) -> Network:
+        return replace(self, size=_held(self.size, values), exponent=_held(self.exponent, values))
+
     def _notation(self) -> str:
         at = "" if self.reference_hz is None else f"@{exactly(self.reference_hz)}"
         return f"{self.size}^{self.exponent}{at}"
@@ -137,6 +140,9 @@ class Wrapped(Network):
     def _with_parts(self, parts: Sequence[Network]) -> Network:
         return replace(self, part=parts[0])
 
+    def _holding_own(self, values: Mapping[str, float]) -> Network:
+        return replace(self, symbols=tuple(_held(symbol, values) for symbol in self.symbols))
+
     def _notation(self) -> str:
         return f"{self.construct.word}[{', '.join(str(symbol) for symbol in self.symbols)}]({self.part})"
 
@@ -165,3 +171,7 @@ def wrapped(word: str, symbols: Sequence[Symbol], part: Network) -> Wrapped:
 
 def _not_rational(what: str) -> InputError:
     return InputError(f"{what} has no transfer function that is a ratio of polynomials; use a network without it")
+
+
+def _held(symbol: Symbol, values: Mapping[str, float]) -> Symbol:
+    return Symbol(symbol.name, value=values[symbol.name]) if symbol.name in values else symbol

@@ -120,6 +120,16 @@ class Network(ABC):
             raise InputError(f"'{label}' cannot be a label: use letters, digits and '_', and not the word 'port'")
         return replace(self, _label=label)  # type: ignore[call-arg]
 
+    def holding(self, values: Mapping[str, float]) -> Network:
+        """The same network with some of its parameters held at these values."""
+        parts = [part.holding(values) for part in self.parts]
+        same = all(new is old for new, old in zip(parts, self.parts, strict=True))
+        result = self if same else self._with_parts(parts).labelled(self.label)
+        return result._holding_own(values)
+
+    def _holding_own(self, _values: Mapping[str, float]) -> Network:
+        return self
+
     # ---------------------------------------------------------------- notation
 
     @abstractmethod
@@ -259,6 +269,9 @@ class Element(Network):
     @property
     def own_parameters(self) -> tuple[Parameter, ...]:
         return (plain_parameter(self.symbol),)
+
+    def _holding_own(self, values: Mapping[str, float]) -> Network:
+        return replace(self, shared=False, value=values[self.name]) if self.name in values else self
 
     def _notation(self) -> str:
         return str(self.symbol)

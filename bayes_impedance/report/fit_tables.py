@@ -151,9 +151,7 @@ def _spread(entry: dict[str, float | None]) -> tuple[str, str]:
 
 def _groups_of(network: Network) -> dict[str, str]:
     """Label of the smallest labelled group around each element, or an empty text."""
-    return {
-        path_node.elements[0]: _innermost(network, path) for path, path_node in network.walk() if not path_node.parts
-    }
+    return {p.name: _innermost(network, path) for path, node in network.walk() for p in node.own_parameters}
 
 
 def _innermost(network: Network, path: tuple[int, ...]) -> str:
