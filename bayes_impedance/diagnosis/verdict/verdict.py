@@ -8,6 +8,7 @@ from importlib.metadata import version
 
 import numpy as np
 
+from bayes_impedance.diagnosis.extended_network import extended_network
 from bayes_impedance.diagnosis.fit.baseline import Fitted
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
 from bayes_impedance.diagnosis.fit.refit import Refit
@@ -218,8 +219,17 @@ def make_verdict(recordings: Recordings, fitted: Fitted, evidence: Evidence, see
         if differences is None
         else tuple(d for d in differences if d.p_value < _SIGNIFICANT_DIFFERENCE),
         shortcomings=(*gross, *partial),
+        extended_network=_extended(evidence),
     )
     return replace(verdict, summary=sentence(verdict, len(recordings.subjects)))
+
+
+def _extended(evidence: Evidence) -> str | None:
+    """Notation of the network with everything that was added; None if nothing was, or it is no network."""
+    if not evidence.changed or not evidence.final.model.additions:
+        return None
+    network = extended_network(evidence.final.model)
+    return None if network is None else str(network)
 
 
 def _shortcomings(recordings: Recordings, final: Refit) -> tuple[list[str], list[str]]:

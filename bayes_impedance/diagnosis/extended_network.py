@@ -1,0 +1,154 @@
+"""The network with everything that was found missing, in the one notation of networks.
+
+An effect of the catalogue acts at a place of the network; each has a form in the language of networks
+(:data:`bayes_impedance.network.constructs.CONSTRUCTS`), so that what a diagnosis proposes can be fitted, compared and
+exported like any other network:
+
+==================  =======================================  =====================================
+effect              where it differs between people          where it is the same for all
+==================  =======================================  =====================================
+add (m, r, k)       place|m9, place|r9, place|n9             offset[m9*](place), of either sign
+delay               delay[d9](place)                         delay[d9*](place)
+highpass, lowpass   highpass[f9](place), lowpass[t9](place)  with *
+power               p9^a9 in the spring's place              p9*^a9*
+hysteresis          hysteretic[e9](place)                    with *
+line                line_free[m9](place)                     with *
+beside_power        place|p9^a9                              with *
+relaxation          place|(r9-n9)                            with *
+resonator           place|(m9-(n9|r9))                       with *
+bypass              place|r9|n9                              with *
+reflex              reflex[k9, d9, f9](place)                with *
+series_compliance   place-n9                                 with *
+series_layer        place-(r9|n9)                            with *
+==================  =======================================  =====================================
+
+Where only the coefficient of an effect differs, its shapes (an exponent, a latency) are the same for all; a time
+constant or a resonance becomes elements that differ. A change during the sweep and structures of the population are no
+networks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from bayes_impedance.diagnosis.fit.model import Addition, Model
+from bayes_impedance.network.extensions import PowerLaw, wrapped
+from bayes_impedance.network.notation import Element, Network, Place
+from bayes_impedance.network.operations import Operation
+from bayes_impedance.network.parameters import Symbol
+
+_MARK = "effect_place_"
+_WRAPPERS = {
+    "delay": ("delay", "d"),
+    "highpass": ("highpass", "f"),
+    "lowpass": ("lowpass", "t"),
+    "hysteresis": ("hysteretic", "e"),
+    "line": ("line_free", "m"),
+    "reflex": ("reflex", "kdf"),
+}
+"""Word and letters of the wrapper that an operation is."""
+
+
+def extended_network(model: Model) -> Network | None:
+    """The network with all additions of a model.
+
+    Parameters
+    ----------
+    model : Model
+
+    Returns
+    -------
+    Network or None
+        None if an addition has no form in the language of networks.
+    """
+    tree, kernel = model.kernel.network, model.kernel
+    additions = dict(zip(kernel.operations, _additions_of(model), strict=True))
+    marks = dict[Operation, str]()
+    for k, operation in enumerate(kernel.operations):
+        # Labels stay where they are when other parts of the network change.
+        there = tree.at(Place(operation.path, ""))
+        if there.label is None:
+            tree = tree.replaced(Place(operation.path, ""), there.labelled(f"{_MARK}{k}"))
+        marks[operation] = tree.at(Place(operation.path, "")).label or ""
+    names = _Names(tree)
+    shared = {p.name for p in model.parameters if p.shared}
+    for operation in sorted(kernel.operations, key=lambda o: -len(o.path)):
+        place = Place(_path_of(tree, marks[operation]), "")
+        changed = _changed(tree.at(place), operation, additions[operation], names)
+        if changed is None:
+            return None
+        if changed.label is None and place.path:
+            changed = changed.labelled(marks[operation])
+        tree = tree.replaced(place, changed)
+    return _without_marks(tree.sharing(shared))
+
+
+def _additions_of(model: Model) -> list[Addition]:
+    """The addition to which each operation belongs."""
+    by_name = {p.name: model.additions[p.addition] for p in model.parameters}
+    return [by_name[operation.parameters[0]] for operation in model.kernel.operations]
+
+
+def _changed(node: Network, operation: Operation, addition: Addition, names: _Names) -> Network | None:
+    everything = addition.pooling == "shared"
+    shapes = addition.pooling != "free"
+    own = node.labelled(None) if (node.label or "").startswith(_MARK) else node
+
+    def symbol(letter: str, shape: bool = False) -> Symbol:
+        return Symbol(names.new(letter), shared=everything or (shape and shapes))
+
+    def element(letter: str) -> Element:
+        s = symbol(letter)
+        return Element(s.name, None, s.shared)
+
+    def power_law() -> PowerLaw:
+        return PowerLaw(symbol("p"), symbol("a", shape=True))
+
+    name = operation.name
+    if name == "add":
+        letter = addition.effect.coefficients[0].unit
+        if everything:
+            return wrapped("offset", [symbol(letter)], own)
+        return own | element("n" if letter == "k" else letter)
+    if name in _WRAPPERS:
+        word, letters = _WRAPPERS[name]
+        return wrapped(word, [symbol(letter, shape=i > 0) for i, letter in enumerate(letters)], own)
+    if name == "power":
+        return power_law()
+    if name == "beside_power":
+        return own | power_law()
+    if name == "relaxation":
+        return own | (element("r") - element("n"))
+    if name == "resonator":
+        return own | (element("m") - (element("n") | element("r")))
+    if name == "bypass":
+        return own | element("r") | element("n")
+    if name == "series_compliance":
+        return own - element("n")
+    if name == "series_layer":
+        return own - (element("r") | element("n"))
+    return None
+
+
+class _Names:
+    """Names that are free in a network."""
+
+    def __init__(self, network: Network) -> None:
+        self.taken = {p.name for p in network.parameters} | {n.label for _, n in network.walk() if n.label}
+
+    def new(self, letter: str) -> str:
+        number = next(k for k in range(1, len(self.taken) + 2) if f"{letter}{k}" not in self.taken)
+        self.taken.add(f"{letter}{number}")
+        return f"{letter}{number}"
+
+
+def _path_of(network: Network, label: str) -> tuple[int, ...]:
+    return next(path for path, node in network.walk() if node.label == label)
+
+
+def _without_marks(network: Network) -> Network:
+    parts: Sequence[Network] = [_without_marks(part) for part in network.parts]
+    label = network.label
+    kept = None if label is None or label.startswith((_MARK, "inner_place_")) else label
+    bare = network.labelled(None)
+    return (bare.with_parts(parts) if parts else bare).labelled(kept)
