@@ -35,4 +35,4 @@ def proposed_network(file: Path) -> str:
     if effects and networks[0] == networks[1]:
         names = ", ".join(sorted({str(e.get("id")) for e in effects}))
         raise InputError(f"{path}: what was found ({names}) is no network of its own; fit {networks[0]} without --with")
-    return networks[1]
+    return str(networks[1])

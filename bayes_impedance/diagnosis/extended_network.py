@@ -31,7 +31,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from bayes_impedance.diagnosis.fit.model import Addition, Model
+from bayes_impedance.diagnosis.fit.model import TEMPORARY_LABEL, Addition, Model
 from bayes_impedance.network.extensions import PowerLaw, wrapped
 from bayes_impedance.network.notation import Element, Network, Place
 from bayes_impedance.network.operations import Operation
@@ -63,24 +63,26 @@ def extended_network(model: Model) -> Network | None:
     """
     tree, kernel = model.kernel.network, model.kernel
     additions = dict(zip(kernel.operations, _additions_of(model), strict=True))
-    marks = dict[Operation, str]()
-    for k, operation in enumerate(kernel.operations):
-        # Labels stay where they are when other parts of the network change.
-        there = tree.at(Place(operation.path, ""))
-        if there.label is None:
-            tree = tree.replaced(Place(operation.path, ""), there.labelled(f"{_MARK}{k}"))
-        marks[operation] = tree.at(Place(operation.path, "")).label or ""
     names = _Names(tree)
-    shared = {p.name for p in model.parameters if p.shared}
-    for operation in sorted(kernel.operations, key=lambda o: -len(o.path)):
-        place = Place(_path_of(tree, marks[operation]), "")
-        changed = _changed(tree.at(place), operation, additions[operation], names)
+    paths = sorted({operation.path for operation in kernel.operations}, key=lambda path: -len(path))
+    marks = dict[tuple[int, ...], str]()
+    for k, path in enumerate(paths):
+        # Labels stay where they are when other parts of the network change.
+        there = tree.at(Place(path, ""))
+        marks[path] = there.label or f"{_MARK}{k}"
+        tree = tree.replaced(Place(path, ""), there.labelled(marks[path]))
+    for path in paths:  # the innermost first
+        place = Place(_path_of(tree, marks[path]), "")
+        changed: Network | None = tree.at(place)
+        if _is_temporary(marks[path]):
+            changed = tree.at(place).labelled(None)
+        for operation in kernel.operations:
+            if operation.path == path and changed is not None:
+                changed = _changed(changed, operation, additions[operation], names)
         if changed is None:
             return None
-        if changed.label is None and place.path:
-            changed = changed.labelled(marks[operation])
         tree = tree.replaced(place, changed)
-    return _without_marks(tree.sharing(shared))
+    return _without_marks(tree.sharing({p.name for p in model.parameters if p.shared}))
 
 
 def _additions_of(model: Model) -> list[Addition]:
@@ -92,7 +94,7 @@ def _additions_of(model: Model) -> list[Addition]:
 def _changed(node: Network, operation: Operation, addition: Addition, names: _Names) -> Network | None:
     everything = addition.pooling == "shared"
     shapes = addition.pooling != "free"
-    own = node.labelled(None) if (node.label or "").startswith(_MARK) else node
+    own = node
 
     def symbol(letter: str, shape: bool = False) -> Symbol:
         return Symbol(names.new(letter), shared=everything or (shape and shapes))
@@ -142,6 +144,10 @@ class _Names:
         return f"{letter}{number}"
 
 
+def _is_temporary(label: str) -> bool:
+    return label.startswith((_MARK, TEMPORARY_LABEL))
+
+
 def _path_of(network: Network, label: str) -> tuple[int, ...]:
     return next(path for path, node in network.walk() if node.label == label)
 
@@ -149,6 +155,6 @@ def _path_of(network: Network, label: str) -> tuple[int, ...]:
 def _without_marks(network: Network) -> Network:
     parts: Sequence[Network] = [_without_marks(part) for part in network.parts]
     label = network.label
-    kept = None if label is None or label.startswith((_MARK, "inner_place_")) else label
+    kept = None if label is None or _is_temporary(label) else label
     bare = network.labelled(None)
     return (bare.with_parts(parts) if parts else bare).labelled(kept)

@@ -30,7 +30,8 @@ TYPICAL_DISPERSION = 0.35
 SHAPE_DISPERSION = 0.2
 """The same for shapes (exponents, time constants), which differ less than coefficients do. By choice."""
 
-_INNER = "inner_place_"
+TEMPORARY_LABEL = "inner_place_"
+"""Beginning of the labels by which places are found again after branches were inserted."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -296,7 +297,7 @@ def _with_labels(network: Network) -> Network:
     for k, place in enumerate(network.places()):
         node = network.at(place)
         if not isinstance(node, Element) and node.label is None:
-            network = network.replaced(place, node.labelled(f"{_INNER}{k}"))
+            network = network.replaced(place, node.labelled(f"{TEMPORARY_LABEL}{k}"))
     return network
 
 
@@ -315,7 +316,7 @@ def _find(network: Network, name: str) -> Place:
 
 def _without_labels(network: Network) -> Network:
     """The network without the temporary labels."""
-    kept = None if network.label is None or network.label.startswith(_INNER) else network.label
+    kept = None if network.label is None or network.label.startswith(TEMPORARY_LABEL) else network.label
     if not network.parts:
         return network.labelled(kept)
     if isinstance(network, Wrapped):
