@@ -38,6 +38,8 @@ from bayes_impedance.network.operations import Operation
 from bayes_impedance.network.parameters import Symbol
 
 _MARK = "effect_place_"
+_NO_NETWORK = ("sweep",)
+"""Operations that no network computes: a change of an element while the frequency is swept."""
 _WRAPPERS = {
     "delay": ("delay", "d"),
     "highpass": ("highpass", "f"),
@@ -49,17 +51,12 @@ _WRAPPERS = {
 """Word and letters of the wrapper that an operation is."""
 
 
-def extended_network(model: Model) -> Network | None:
-    """The network with all additions of a model.
+def extended_network(model: Model) -> Network:
+    """The network with all additions of a model that are networks; the others are :func:`no_networks`.
 
     Parameters
     ----------
     model : Model
-
-    Returns
-    -------
-    Network or None
-        None if an addition has no form in the language of networks.
     """
     tree, kernel = model.kernel.network, model.kernel
     additions = dict(zip(kernel.operations, _additions_of(model), strict=True))
@@ -73,16 +70,19 @@ def extended_network(model: Model) -> Network | None:
         tree = tree.replaced(Place(path, ""), there.labelled(marks[path]))
     for path in paths:  # the innermost first
         place = Place(_path_of(tree, marks[path]), "")
-        changed: Network | None = tree.at(place)
+        changed = tree.at(place)
         if _is_temporary(marks[path]):
             changed = tree.at(place).labelled(None)
         for operation in kernel.operations:
-            if operation.path == path and changed is not None:
+            if operation.path == path and operation.name not in _NO_NETWORK:
                 changed = _changed(changed, operation, additions[operation], names)
-        if changed is None:
-            return None
         tree = tree.replaced(place, changed)
     return _without_marks(tree.sharing({p.name for p in model.parameters if p.shared}))
+
+
+def no_networks(model: Model) -> tuple[str, ...]:
+    """Ids of the additions of a model that have no form in the language of networks."""
+    return tuple(sorted({a.effect.id for a in model.additions if a.effect.operation in _NO_NETWORK}))
 
 
 def _additions_of(model: Model) -> list[Addition]:
@@ -91,7 +91,7 @@ def _additions_of(model: Model) -> list[Addition]:
     return [by_name[operation.parameters[0]] for operation in model.kernel.operations]
 
 
-def _changed(node: Network, operation: Operation, addition: Addition, names: _Names) -> Network | None:
+def _changed(node: Network, operation: Operation, addition: Addition, names: _Names) -> Network:
     everything = addition.pooling == "shared"
     shapes = addition.pooling != "free"
     own = node
@@ -127,9 +127,8 @@ def _changed(node: Network, operation: Operation, addition: Addition, names: _Na
         return own | element("r") | element("n")
     if name == "series_compliance":
         return own - element("n")
-    if name == "series_layer":
-        return own - (element("r") | element("n"))
-    return None
+    assert name == "series_layer"  # the last of them: a test builds every operation
+    return own - (element("r") | element("n"))
 
 
 class _Names:
