@@ -182,9 +182,11 @@ def _export(options: argparse.Namespace) -> int:
         unreliable=options.unreliable,
     )
     with Bars() as bars:
-        files, answer = export_result(options.result, options.out, chosen, bars)
+        files, notes, answer = export_result(options.result, options.out, chosen, bars)
     for file in files:
         tell(str(file))
+    for note in notes:
+        tell(f"note: {note}")
     if answer is not None:
         tell()
         tell(f"{answer}")

@@ -78,7 +78,9 @@ class ExportOptions:
     unreliable: bool = False
 
 
-def export_result(result: Path, out: Path, options: ExportOptions, progress: Progress) -> tuple[list[Path], str | None]:
+def export_result(
+    result: Path, out: Path, options: ExportOptions, progress: Progress
+) -> tuple[list[Path], list[str], str | None]:
     """Write design inputs.
 
     Parameters
@@ -93,6 +95,8 @@ def export_result(result: Path, out: Path, options: ExportOptions, progress: Pro
     Returns
     -------
     files : list of Path
+    notes : list of str
+        What the users lack of the fit, and what could not be written of them.
     answer : str or None
         The sentence of the stability analysis, if it was requested.
 
@@ -127,7 +131,7 @@ def _names(options: ExportOptions) -> list[str]:
 
 def _written(
     fit: Result, result: Path, out: Path, device: Device, options: ExportOptions, progress: Progress
-) -> tuple[list[Path], str | None]:
+) -> tuple[list[Path], list[str], str | None]:
     import numpy as np
 
     from bayes_impedance.design.answer import design_answer
@@ -166,7 +170,8 @@ def _written(
             progress=progress,
         )
         files += write_stability(out, answer)
-    warnings = [*fit.problems, *fit.summary["adequacy"]["misfit"]]
+    notes = [population.note] if population.note else []
+    warnings = [*fit.problems, *fit.summary["adequacy"]["misfit"], *notes]
     if warnings:
         files = [warned(file, warnings) for file in files]
     if options.pictures:
@@ -180,7 +185,7 @@ def _written(
                 last = felt(answer)
                 figures |= {} if last is None else {"transparency": last}
             files += [save_figure(figure, out, name) for name, figure in figures.items()]
-    return files, None if answer is None else answer.sentence
+    return files, notes, None if answer is None else answer.sentence
 
 
 def assumed(texts: Sequence[str]) -> dict[str, float]:

@@ -14,8 +14,9 @@ from bayes_impedance.design.circuits import spice
 from bayes_impedance.design.circuits.passivity_check import passive_coefficients, passive_states, positive_elements
 from bayes_impedance.design.circuits.transfer_functions import described, written
 from bayes_impedance.design.representatives import Representatives
-from bayes_impedance.design.users import PERCENTILES, UserPopulation, Users, percentile_curves
+from bayes_impedance.design.users import PERCENTILES, UserPopulation, Users, free_parameters, percentile_curves
 from bayes_impedance.errors import InputError
+from bayes_impedance.network.passivity import known_passive
 from bayes_impedance.runtime.atomic_files import write_json, write_text
 
 if TYPE_CHECKING:
@@ -51,19 +52,21 @@ def write_users(
     everybody = chosen.users + users
     if not positive_elements(everybody).all():
         raise InputError("a user has an element of no size or of infinite size: check the assumed values")
-    with_units = {e: f"{e} ({unit})" for e, unit in users.units.items()}
+    with_units = {e: f"{e} ({unit})" if unit else e for e, unit in users.units.items()}
     elements = population.network.elements
-    free = [e for e in elements if e not in population.fixed]
+    free = [e for e in elements if e not in {*population.fixed, *population.shared}]
     deviation = np.sqrt(np.diag(population.covariance))
     table: dict[str, Any] = {
-        "schema": 1,
+        "schema": 2,
         "network": str(users.network),
         "unit": users.unit,
         "units": users.units,
         "users": len(users),
+        "scales": {p.name: p.link for p in free_parameters(users.network)},
         "assumed": list(population.fixed),
+        "taken_out": list(population.removed),
         "centre": population.median_user().of(0),
-        "log_covariance": {"elements": list(elements), "matrix": population.covariance.tolist()},
+        "covariance": {"elements": list(elements), "matrix": population.covariance.tolist()},
         "correlation": [
             [a, b, float(population.covariance[i, j] / deviation[i] / deviation[j])]
             for i, a in enumerate(elements)
@@ -75,7 +78,7 @@ def write_users(
             for i, (name, rule) in enumerate(zip(chosen.users.names, chosen.rules, strict=True))
         ],
         "spanning_radius": chosen.radius,
-        "passive": True,
+        "passive": known_passive(users.network) or None,
     }
     magnitude, phase = percentile_curves(users, frequency_hz)
     shown = [f"p{100 * p:02.0f}" for p in PERCENTILES]

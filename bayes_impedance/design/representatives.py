@@ -1,8 +1,8 @@
 r"""Representative users of a population, chosen by stated rules so that the choice is reproducible.
 
-**Named users.** With the population's centre c and the covariance S of a new user's log elements, the most probable
-user among those with a given value of a property q lies, to first order, along :math:`S g` with g the gradient of
-ln q:
+**Named users.** With the population's centre c and the covariance S of a new user's parameters u (log elements), the
+most probable user among those with a given value of a property q lies, to first order, along :math:`S g` with g the
+gradient of ln q:
 
 .. math:: \theta = c \pm t\,\frac{S g}{\sqrt{g^T S g}}, \qquad t = \Phi^{-1}(0.95) = 1.645 .
 
@@ -71,7 +71,7 @@ def representatives(
         Size of the spanning set; fewer if there are not so many candidates.
     """
     centre, covariance = population.centre, population.covariance
-    names, rules, rows = ["median"], ["posterior median of the population's mean log elements"], [centre]
+    names, rules, rows = ["median"], ["posterior median of the population's mean"], [centre]
     for pair, frequency, gradient in _properties(population, band_hz):
         step = norm.ppf(LEVEL) * covariance @ gradient / np.sqrt(gradient @ covariance @ gradient)
         for name, sign in zip(pair, (1, -1), strict=True):
@@ -90,8 +90,8 @@ def representatives(
         + f" ({users.names[row]})"
         for i, row in enumerate(chosen)
     ]
-    theta = np.concatenate([np.array(rows), users.log_elements[chosen]])
-    return Representatives(Users(population.network, population.unit, tuple(names), theta), tuple(rules), radius)
+    theta = np.concatenate([np.array(rows), users.u[chosen]])
+    return Representatives(population.users(names, theta), tuple(rules), radius)
 
 
 def spanning(population: UserPopulation, users: Users, number: int) -> tuple[np.ndarray, float]:
@@ -105,7 +105,7 @@ def spanning(population: UserPopulation, users: Users, number: int) -> tuple[np.
     """
     free = [i for i, e in enumerate(population.network.elements) if e not in population.fixed]
     factor = np.linalg.cholesky(population.covariance[np.ix_(free, free)])
-    white = np.linalg.solve(factor, (users.log_elements - population.centre)[:, free].T).T
+    white = np.linalg.solve(factor, (users.u - population.centre)[:, free].T).T
     away = np.sum(white**2, axis=1)
     inside = np.flatnonzero(away <= chi2.ppf(LEVEL, len(free)))
     if inside.size == 0:

@@ -1,13 +1,17 @@
 r"""Virtual users: new people, drawn from the posterior predictive distribution of the population.
 
-A user's log elements are drawn in two steps: population parameters from the posterior, then a person from that
-population,
+A user is drawn in two steps, on the unbounded scales of the parameters (:mod:`bayes_impedance.network.parameters`; the
+logarithm of an element): population parameters from the posterior, then a person from that population,
 
 .. math:: (\mu, \Sigma) \sim p(\cdot\,|\,\text{recordings}), \qquad \theta \sim N(\mu,\ \Sigma + B B^T),
 
 so that elements are correlated as between people, and the uncertainty of the population is part of the spread. (B holds
 the effects of standardised covariates, if the fit had any: a new user's covariates are not known.) With `repetitions`,
 the deviation of one repetition is added: :math:`\theta + \delta`, :math:`\delta \sim N(0, \operatorname{diag}\rho^2)`.
+
+A user is the body alone (:mod:`bayes_impedance.design.body`): what belongs to the rig is taken out of the network, and
+its columns out of the posterior, which integrates over them. A parameter of the body that is the same for everybody,
+such as the exponent ``a1*`` of a power law, has no spread in a population but may differ between populations.
 
 :class:`UserPopulation` keeps the posterior's draws of :math:`(\mu, \Sigma)`. By importance weights
 (:meth:`UserPopulation.weights`) one set of users serves as a sample from each of these populations. So probabilities
@@ -24,10 +28,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import solve_triangular
 
+from bayes_impedance.design.body import body_of
 from bayes_impedance.errors import InputError
-from bayes_impedance.network.elements import kind_of
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Network, parse
+from bayes_impedance.network.parameters import Parameter
 from bayes_impedance.results.result import Result
 
 if TYPE_CHECKING:
@@ -43,7 +48,7 @@ error."""
 
 @dataclass(frozen=True)
 class Users:
-    """Users, described by the elements of one network.
+    """Users, described by the parameters of one network.
 
     Attributes
     ----------
@@ -51,75 +56,95 @@ class Users:
     unit : str
         Of the impedance.
     names : tuple of str, length N
-    log_elements : ndarray, shape (N, P)
-        Natural logarithms of the elements, in the order of ``network.elements``.
+    u : ndarray, shape (N, P)
+        The parameters on their unbounded scales (natural logarithms of elements), in the order of ``network.elements``.
+    band_hz : (float, float), optional
+        Band of the recordings: where ladders that replace power laws and lines are accurate.
     """
 
     network: Network
     unit: str
     names: tuple[str, ...]
-    log_elements: np.ndarray
+    u: np.ndarray
+    band_hz: tuple[float, float] | None = None
 
     def __len__(self) -> int:
         return len(self.names)
 
     def __getitem__(self, rows: slice | npt.ArrayLike) -> Users:
         chosen = np.arange(len(self))[rows if isinstance(rows, slice) else np.asarray(rows)]
-        return replace(self, names=tuple(self.names[i] for i in chosen), log_elements=self.log_elements[chosen])
+        return replace(self, names=tuple(self.names[i] for i in chosen), u=self.u[chosen])
 
     @property
     def elements(self) -> tuple[str, ...]:
-        """Names of the elements."""
+        """Names of the parameters that are not held: elements, exponents, and those of wrappers."""
         return self.network.elements
 
     @property
     def values(self) -> dict[str, np.ndarray]:
-        """Value of each element in its unit, shape (N,)."""
-        return dict(zip(self.elements, np.exp(self.log_elements).T, strict=True))
+        """Value of each parameter in its unit, shape (N,)."""
+        return dict(zip(self.elements, values_of(self.network, self.u).T, strict=True))
 
     @property
     def units(self) -> dict[str, str]:
-        """Unit of each element."""
-        return {e: kind_of(e).unit(self.unit) for e in self.elements}
+        """Unit of each parameter; empty for a pure number."""
+        return {p.name: p.unit(self.unit) for p in free_parameters(self.network)}
 
     def of(self, row: int) -> dict[str, float]:
-        """Elements of one user in their units."""
-        return dict(zip(self.elements, np.exp(self.log_elements[row]).tolist(), strict=True))
+        """Parameters of one user in their units."""
+        return dict(zip(self.elements, values_of(self.network, self.u[row]).tolist(), strict=True))
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Elements of all users: one row for each, with the name as index; ``attrs["units"]`` holds units."""
+        """Parameters of all users: one row for each, with the name as index; ``attrs["units"]`` holds units."""
         import pandas as pd
 
-        values = np.exp(self.log_elements)
+        values = values_of(self.network, self.u)
         frame = pd.DataFrame(values, index=pd.Index(self.names, name="user", dtype=object), columns=list(self.elements))
         frame.attrs["units"] = self.units
         return frame
 
     def impedance(self, frequency_hz: npt.ArrayLike) -> np.ndarray:
         """Impedance of each user, complex, shape (N, F)."""
-        return Kernel(self.network).impedance(self.log_elements, frequency_hz)
+        return Kernel(self.network).impedance(self.u, frequency_hz)
 
     def __add__(self, other: Users) -> Users:
         names = (*self.names, *other.names)
-        return replace(self, names=names, log_elements=np.concatenate([self.log_elements, other.log_elements]))
+        return replace(self, names=names, u=np.concatenate([self.u, other.u]))
+
+
+def free_parameters(network: Network) -> tuple[Parameter, ...]:
+    """Parameters that are not held, in the order of ``network.elements``."""
+    return tuple(p for p in network.parameters if not p.held)
+
+
+def values_of(network: Network, u: np.ndarray) -> np.ndarray:
+    """Values of the parameters in their units from their unbounded scales, both (..., P)."""
+    columns = [p.value(u[..., i]) for i, p in enumerate(free_parameters(network))]
+    return np.stack(columns, axis=-1)
 
 
 @dataclass(frozen=True, kw_only=True)
 class UserPopulation:
-    """Posterior of the population: S draws of its parameters.
+    """Posterior of the population: S draws of its parameters, on their unbounded scales.
 
     Attributes
     ----------
     network : Network
     unit : str
     mu : ndarray, shape (S, P)
-        Mean log elements.
+        Means.
     factor : ndarray, shape (S, P, P)
         Lower Cholesky factor of the covariance between persons, effects of covariates included.
     between_repetitions : ndarray, shape (S, P)
         Standard deviations between repetitions.
     fixed : tuple of str
-        Elements with an assumed value that is the same for all users.
+        Parameters with an assumed value that is the same for all users.
+    band_hz : (float, float), optional
+        Band of the recordings.
+    removed : tuple of str
+        What was taken out of the fitted network because it belongs to the rig.
+    note : str
+        The same as a sentence; empty if nothing was taken out.
     """
 
     network: Network
@@ -128,22 +153,34 @@ class UserPopulation:
     factor: np.ndarray
     between_repetitions: np.ndarray
     fixed: tuple[str, ...] = ()
+    band_hz: tuple[float, float] | None = None
+    removed: tuple[str, ...] = ()
+    note: str = ""
+
+    @property
+    def shared(self) -> tuple[str, ...]:
+        """Parameters of the body that are the same for everybody in a population."""
+        return tuple(p.name for p in free_parameters(self.network) if p.shared)
+
+    def users(self, names: Sequence[str], u: np.ndarray) -> Users:
+        """Users of this network with given parameters on their unbounded scales, shape (N, P)."""
+        return Users(self.network, self.unit, tuple(names), u, self.band_hz)
 
     @property
     def centre(self) -> np.ndarray:
-        """Posterior median of the mean log elements: the population centre, shape (P,)."""
+        """Posterior median of the means: the population centre, shape (P,)."""
         return np.asarray(np.median(self.mu, axis=0))
 
     @property
     def covariance(self) -> np.ndarray:
-        """Covariance of a new user's log elements: between persons plus posterior covariance of mu, shape (P, P)."""
+        """Covariance of a new user's u: between persons plus posterior covariance of mu, shape (P, P)."""
         away = self.mu - self.mu.mean(axis=0)
         between = np.mean(self.factor @ np.swapaxes(self.factor, 1, 2), axis=0)
         return np.asarray(between + away.T @ away / len(away))
 
     def median_user(self) -> Users:
         """The population centre as a user."""
-        return Users(self.network, self.unit, ("centre",), self.centre[None])
+        return self.users(("centre",), self.centre[None])
 
     def draw(self, number: int, seed: int, *, repetitions: bool = False) -> Users:
         """Virtual users from the posterior predictive distribution.
@@ -169,13 +206,15 @@ class UserPopulation:
         if repetitions:
             theta = theta + self.between_repetitions[rows] * rng.normal(size=theta.shape)
         width = len(str(number))
-        return Users(self.network, self.unit, tuple(f"user_{i + 1:0{width}d}" for i in range(number)), theta)
+        return self.users([f"user_{i + 1:0{width}d}" for i in range(number)], theta)
 
     def weights(self, users: Users, number: int) -> np.ndarray:
         r"""Importance weights of users from the posterior predictive, for single populations of the posterior.
 
         For population s the weight of user i is proportional to
         :math:`N(\theta_i; \mu_s, \Sigma_s) / \tfrac1S \sum_r N(\theta_i; \mu_r, \Sigma_r)`, with the sum over all S.
+        The densities are of what differs between people. What they share is taken as the users have it: its posterior
+        adds to the spread of the users, not to the differences between populations.
 
         Parameters
         ----------
@@ -201,29 +240,30 @@ class UserPopulation:
 
     def _log_density(self, users: Users, row: int) -> np.ndarray:
         """Log density of users in one population, up to a constant, shape (N,)."""
-        free = [i for i, e in enumerate(self.network.elements) if e not in self.fixed]
+        same = {*self.fixed, *self.shared}
+        free = [i for i, e in enumerate(self.network.elements) if e not in same]
         factor = self.factor[row][np.ix_(free, free)]
-        white = solve_triangular(factor, (users.log_elements[:, free] - self.mu[row, free]).T, lower=True)
+        white = solve_triangular(factor, (users.u[:, free] - self.mu[row, free]).T, lower=True)
         return np.asarray(-0.5 * np.sum(white**2, axis=0) - np.sum(np.log(np.diag(factor))))
 
 
 def population_of(
     result: Result, assume: Mapping[str, float] | None = None, unreliable: bool = False
 ) -> UserPopulation:
-    """The population that a finished fit describes.
+    """The population that a finished fit describes, without what belongs to the rig.
 
     Parameters
     ----------
     result : Result
     assume : mapping of str to float, optional
-        Values for elements that the recordings do not determine, in their units.
+        Values for parameters that the recordings do not determine, in their units.
     unreliable : bool
         Accept a fit that must not be used; the outputs made from it must say so.
 
     Raises
     ------
     InputError
-        If the fit must not be used, is of one person, or leaves an element without a value.
+        If the fit must not be used, is of one person, leaves an element without a value, or describes the rig only.
     """
     if result.problems and not unreliable:
         raise InputError(
@@ -233,15 +273,17 @@ def population_of(
     posterior = result.groups["posterior"]
     if "dispersion_between_persons" not in posterior:
         raise InputError("the fit is of one subject: there is no population to draw users from; fit more recordings")
-    network, assume = parse(str(result.attributes["network"])), dict(assume or {})
+    body = body_of(parse(str(result.attributes["network"])))
+    network, columns, assume = body.network, body.columns, dict(assume or {})
     unknown = sorted(set(assume) - set(network.elements))
     if unknown or any(not value > 0 for value in assume.values()):
         raise InputError(f"assumed values must be positive and of elements among {', '.join(network.elements)}")
 
     mu, tau, rho = (
-        _flat(posterior, name) for name in ("mu", "dispersion_between_persons", "dispersion_between_repetitions")
+        _flat(posterior, name)[:, columns]
+        for name in ("mu", "dispersion_between_persons", "dispersion_between_repetitions")
     )
-    correlation = _flat(posterior, "correlation")
+    correlation = _flat(posterior, "correlation")[:, columns[:, None], columns]
     undetermined = [e for e, v in zip(network.elements, mu[0], strict=True) if not np.isfinite(v) and e not in assume]
     if undetermined:
         raise InputError(
@@ -250,19 +292,21 @@ def population_of(
         )
     covariance = tau[:, :, None] * correlation * tau[:, None, :]
     if "slope" in posterior:
-        slope = _flat(posterior, "slope")
+        slope = _flat(posterior, "slope")[:, columns]
         covariance = covariance + slope @ np.swapaxes(slope, 1, 2)
-    for name, value in assume.items():
-        i = network.elements.index(name)
-        mu[:, i], rho[:, i] = np.log(value), 0.0
-        covariance[:, i, :] = covariance[:, :, i] = 0.0
-        covariance[:, i, i] = 1.0  # for the factorisation only
+    free = free_parameters(network)
+    for i, parameter in enumerate(free):
+        if parameter.name in assume:
+            mu[:, i], rho[:, i] = parameter.u(assume[parameter.name]), 0.0
+    same = [i for i, parameter in enumerate(free) if parameter.shared or parameter.name in assume]
+    covariance[:, same, :] = covariance[:, :, same] = 0.0
+    covariance[:, same, same] = 1.0  # for the factorisation only
     try:
         factor = np.linalg.cholesky(covariance)
     except np.linalg.LinAlgError:
         raise InputError("the fit's elements have a covariance that is not positive definite: fit again") from None
-    for name in assume:
-        factor[:, network.elements.index(name), :] = 0.0
+    factor[:, same, :] = 0.0
+    frequency = np.asarray(result.coords["frequency_hz"], dtype=float)
     return UserPopulation(
         network=network,
         unit=str(result.attributes["unit"]),
@@ -270,6 +314,9 @@ def population_of(
         factor=factor,
         between_repetitions=rho,
         fixed=tuple(assume),
+        band_hz=(float(frequency[0]), float(frequency[-1])),
+        removed=body.removed,
+        note=body.note,
     )
 
 

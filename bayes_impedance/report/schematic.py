@@ -5,6 +5,9 @@ A tree of series and parallel groups is drawn by two rules. A *chain* puts its p
 (``-``) form a chain and those that share one velocity (``|``) a stack. In a circuit diagram of the same tree it is the
 other way round, because voltage takes the place of force: impedances that add are drawn in a row.
 
+A wrapper is a box around the part whose impedance it changes, with its word and its parameters on top. A parameter that
+is the same for everybody has its ``*``, one that is held its value.
+
 The size of each part is computed first (its width, and its height above and below its own line). It is painted when its
 position is known; wires fill the remaining width.
 """
@@ -15,18 +18,23 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 
-from bayes_impedance.network.elements import kind_of
-from bayes_impedance.network.notation import Element, Network, Parallel, Place
+from bayes_impedance.network.notation import Element, Network, Parallel, Place, PowerLaw, Wrapped
+from bayes_impedance.network.parameters import Symbol
+from bayes_impedance.report.schematic_symbols import ELECTRICAL, MECHANICAL, SYMBOL, line, wire
+from bayes_impedance.units import hertz
 
 _WIDTH, _ABOVE, _BELOW = 112.0, 34.0, 36.0
 """Least width of an element and its extent above and below its line, in pixels: the name is above the symbol and the
 value below. By choice, for legibility."""
-_SYMBOL = 46.0
-"""Width of an element's symbol in pixels. By choice: legibility against the drawing's width."""
 _LEAD, _GAP = 20.0, 6.0
 """Length of the wires at either end of a stack, and the gap between its parts, in pixels. By choice, for legibility."""
 _PAD, _HEAD = 9.0, 22.0
 """Distance of a frame from the part inside it, and the height for its label, in pixels. By choice, for legibility."""
+
+_WIDE, _RAISED = 12.0, 9.0
+"""Width of a letter of a name and of an exponent in pixels. By choice: that of wide fonts."""
+_TITLE = 27.0
+"""Height of a wrapper's title in pixels. By choice, for legibility."""
 
 _STYLE = (
     ".w{stroke:#333;stroke-width:1.8;fill:none;stroke-linecap:round;stroke-linejoin:round}"
@@ -35,6 +43,9 @@ _STYLE = (
     "text{font-family:system-ui,'Segoe UI',Roboto,Helvetica,Arial,sans-serif;fill:#222}"
     ".n{font-size:16px;font-weight:600}.v{font-size:13px;fill:#0b5a8f}.l{font-size:13px;fill:#5b6b78;font-style:italic}"
     ".p{font-size:13px;fill:#444}"
+    ".o{stroke:#7b6aa3;stroke-width:1.2;fill:#8f7fb8;fill-opacity:.06}.h{font-size:13px;fill:#5b4a85}"
+    ".x{font-size:12px;font-weight:600}"
+    ".q{font-size:14px;font-weight:600;fill:#222}.u{fill:#0b5a8f}"
 )
 _MARKED = (  # included only if something is marked
     ".k{stroke:#c77700;stroke-width:2;fill:#f6a623;fill-opacity:.16}.kb{fill:#c77700}"
@@ -89,7 +100,7 @@ def schematic(
     Returns
     -------
     str
-        An ``<svg>`` element for an HTML page. Each element is a group with the attribute ``data-element``.
+        An ``<svg>`` element for an HTML page. Each name of a parameter has the attribute ``data-element``.
     """
     marks = _marks(mark)
     block = _build(network, values or {}, electrical, {path: text for path, text in marks.items() if path})
@@ -126,7 +137,11 @@ def _build(
     node: Network, values: Mapping[str, str], electrical: bool, marks: Mapping[Path, str], path: Path = ()
 ) -> _Block:
     if isinstance(node, Element):
-        block = _element(node.name, values.get(node.name, ""), electrical)
+        block = _element(node.symbol, values.get(node.name, ""), electrical)
+    elif isinstance(node, PowerLaw):
+        block = _power_law(node, values, electrical)
+    elif isinstance(node, Wrapped):
+        block = _boxed(_build(node.part, values, electrical, marks, (*path, 0)), node, values)
     else:
         parts = list(enumerate(node.parts))
         chained = isinstance(node, Parallel) == electrical
@@ -141,19 +156,10 @@ def _build(
 
 
 def _inertia(node: Network) -> int:
-    """0 without a mass, 1 for a group with one, 2 for a mass."""
+    """0 without a mass, 1 for a part with one, 2 for a mass."""
     if isinstance(node, Element):
         return 2 if node.name.startswith("m") else 0
-    return int(any(name.startswith("m") for name in node.elements))
-
-
-def _line(*points: tuple[float, float], kind: str = "w") -> str:
-    path = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
-    return f'<polyline class="{kind}" points="{path}"/>'
-
-
-def _wire(x0: float, x1: float, y: float, dashed: bool = False) -> list[str]:
-    return [_line((x0, y), (x1, y), kind="w d" if dashed else "w")] if x1 - x0 > 0.05 else []
+    return int(any(p.letter == "m" for p in node.parameters))
 
 
 def _dot(x: float, y: float) -> str:
@@ -167,27 +173,58 @@ def _text(x: float, y: float, text: str, kind: str, anchor: str = "middle") -> s
 # -------------------------------------------------------------------- parts
 
 
-def _element(name: str, value: str, electrical: bool) -> _Block:
-    letter = kind_of(name).letter
-    symbol = (_ELECTRICAL if electrical else _MECHANICAL)[letter]
-    to_frame = letter == "m" and not electrical
+def _element(symbol: Symbol, value: str, electrical: bool) -> _Block:
+    def title(x: float, y: float) -> list[str]:
+        return [_text(x, y, str(symbol), "n")]
+
+    return _leaf(symbol, title, _WIDE * len(str(symbol)), [value] if value else [], electrical)
+
+
+def _power_law(node: PowerLaw, values: Mapping[str, str], electrical: bool) -> _Block:
+    """Its exponent stands as a superscript, its value below that of the size."""
+    size, exponent = node.size, node.exponent
+    wide, raised = _WIDE * len(str(size)), _RAISED * len(str(exponent))
+    at = "" if node.reference_hz is None else f"at {hertz(node.reference_hz)}"
+    below = [" ".join(part for part in (values.get(size.name, ""), at) if part)]
+    if values.get(exponent.name):
+        below.append(f"{exponent.name} = {values[exponent.name]}")
+
+    def title(x: float, y: float) -> list[str]:
+        end = x + (wide - raised) / 2  # of the size, so that both together are centred
+        above = [_text(end + 1, y - 7, str(exponent), "x", "start")]
+        return [_text(end, y, str(size), "n", "end"), *(_group(exponent.name, above) if exponent.name else above)]
+
+    return _leaf(size, title, wide + raised, [text for text in below if text], electrical)
+
+
+def _group(name: str, parts: Sequence[str]) -> list[str]:
+    """Parts of the drawing that can be found by the name of their parameter."""
+    return [f'<g data-element="{escape(name, quote=True)}">', *parts, "</g>"]
+
+
+def _leaf(
+    symbol: Symbol, title: Callable[[float, float], list[str]], wide: float, below: Sequence[str], electrical: bool
+) -> _Block:
+    """A symbol with a title above, so many pixels wide, and lines of text below."""
+    kind = symbol.name[0]
+    drawn = (ELECTRICAL if electrical else MECHANICAL)[kind]
+    to_frame = kind == "m" and not electrical
 
     def paint(x: float, y: float, width: float) -> list[str]:
-        left = x + (width - _SYMBOL) / 2
-        right = left + _SYMBOL
-        return [
-            f'<g data-element="{escape(name, quote=True)}">',
-            *_wire(x, left, y),
-            *symbol(left, y),
-            *_wire(right, x + width, y, dashed=to_frame),
-            _text(left + _SYMBOL / 2, y - 21, name, "n"),
-            *([_text(left + _SYMBOL / 2, y + 30, value, "v")] if value else []),
-            "</g>",
+        left = x + (width - SYMBOL) / 2
+        middle, right = left + SYMBOL / 2, left + SYMBOL
+        parts = [
+            *wire(x, left, y),
+            *drawn(left, y),
+            *wire(right, x + width, y, dashed=to_frame),
+            *title(middle, y - 21),
+            *(_text(middle, y + 30 + 16 * i, text, "v") for i, text in enumerate(below)),
         ]
+        return _group(symbol.name, parts)
 
     # A long name or value is wider than a symbol.
-    width = max(_WIDTH, 9.5 * len(name) + 16, 7.6 * len(value) + 16)
-    return _Block(width, _ABOVE + 6, _BELOW if value else 22.0, paint, open_right=to_frame)
+    width = max(_WIDTH, wide + 16, *(7.6 * len(text) + 16 for text in below))
+    return _Block(width, _ABOVE + 6, _BELOW + 16 * (len(below) - 1) if below else 22.0, paint, open_right=to_frame)
 
 
 def _chain(blocks: Sequence[_Block]) -> _Block:
@@ -219,15 +256,15 @@ def _stack(blocks: Sequence[_Block]) -> _Block:
     def paint(x: float, y: float, room: float) -> list[str]:
         left, right = x + _LEAD, x + room - _LEAD
         first, last = y + lines[0] - middle, y + lines[-1] - middle
-        parts = [*_wire(x, left, y), *_wire(right, x + room, y)]
+        parts = [*wire(x, left, y), *wire(right, x + room, y)]
         parts += [
-            _line((left, first), (left, last)),
-            _line((right, first), (right, last)),
+            line((left, first), (left, last)),
+            line((right, first), (right, last)),
             _dot(left, y),
             _dot(right, y),
         ]
-        for block, line in zip(blocks, lines, strict=True):
-            parts += block.paint(left, y + line - middle, right - left)
+        for block, own in zip(blocks, lines, strict=True):
+            parts += block.paint(left, y + own - middle, right - left)
         return parts
 
     return _Block(inner + 2 * _LEAD, middle, total - middle, paint)
@@ -243,13 +280,39 @@ def _frame(block: _Block, label: str) -> _Block:
             f'<rect class="g" x="{left:.1f}" y="{top + 2:.1f}" width="{right - left:.1f}" '
             f'height="{bottom - top - 4:.1f}" rx="8"/>',
             _text(left + 10, top + 19, label, "l", "start"),
-            *_wire(x, left + _PAD, y),
+            *wire(x, left + _PAD, y),
             *block.paint(left + _PAD, y, right - left - 2 * _PAD),
-            *_wire(right - _PAD, x + room, y, dashed=block.open_right),
+            *wire(right - _PAD, x + room, y, dashed=block.open_right),
         ]
 
     width = max(block.width, 8.0 * len(label) + 20) + 4 * _PAD
     return _Block(width, block.above + _HEAD, block.below + _PAD, paint, block.open_right)
+
+
+def _boxed(block: _Block, node: Wrapped, values: Mapping[str, str]) -> _Block:
+    """A box with a wrapper's word and parameters around what it wraps."""
+    word, shown, letters = node.construct.word, [], len(node.construct.word)
+    for symbol in node.symbols:
+        value = f" = {values[symbol.name]}" if values.get(symbol.name) else ""
+        name = f'<tspan class="q" data-element="{escape(symbol.name, quote=True)}">{escape(str(symbol))}</tspan>'
+        shown.append(f'{name}<tspan class="u">{escape(value)}</tspan>')
+        letters += len(str(symbol)) + len(value) + 3
+
+    def paint(x: float, y: float, room: float) -> list[str]:
+        left, right = x + _PAD, x + room - _PAD
+        top, bottom = y - block.above - _TITLE, y + block.below + _PAD
+        return [
+            f'<rect class="o" x="{left:.1f}" y="{top + 2:.1f}" width="{right - left:.1f}" '
+            f'height="{bottom - top - 4:.1f}" rx="3"/>',
+            line((left, top + _TITLE), (right, top + _TITLE), kind="o"),
+            f'<text class="h" x="{left + 9:.1f}" y="{top + 19:.1f}">{escape(word)} &#160;{", ".join(shown)}</text>',
+            *wire(x, left + _PAD, y),
+            *block.paint(left + _PAD, y, right - left - 2 * _PAD),
+            *wire(right - _PAD, x + room, y, dashed=block.open_right),
+        ]
+
+    width = max(block.width + 4 * _PAD, 7.8 * letters + 18 + 2 * _PAD)
+    return _Block(width, block.above + _TITLE, block.below + _PAD, paint, block.open_right)
 
 
 def _marked(block: _Block, text: str) -> _Block:
@@ -258,10 +321,10 @@ def _marked(block: _Block, text: str) -> _Block:
     def paint(x: float, y: float, room: float) -> list[str]:
         left, right = x + _PAD, x + room - _PAD
         return [
-            *_wire(x, left + _PAD, y),
+            *wire(x, left + _PAD, y),
             *_highlight(left, y - block.above - _PAD, right - left, block.above + block.below + 2 * _PAD - 2, text),
             *block.paint(left + _PAD, y, right - left - 2 * _PAD),
-            *_wire(right - _PAD, x + room, y, dashed=block.open_right),
+            *wire(right - _PAD, x + room, y, dashed=block.open_right),
         ]
 
     return _Block(block.width + 4 * _PAD, block.above + 2 * _PAD, block.below + _PAD, paint, block.open_right)
@@ -276,58 +339,13 @@ def _highlight(x: float, y: float, width: float, height: float, text: str) -> li
     return [box, badge, _text(x + 6 + long / 2, y + 4.5, text, "kt")]
 
 
-# -------------------------------------------------------------------- symbols, each between x and x + _SYMBOL
-
-
-def _mass(x: float, y: float) -> list[str]:
-    return [f'<rect class="w b" x="{x:.1f}" y="{y - 14:.1f}" width="{_SYMBOL:.1f}" height="28" rx="2"/>']
-
-
-def _spring(x: float, y: float) -> list[str]:
-    step = _SYMBOL / 12
-    teeth = [(x + step * (2 * i + 1), y + (9 if i % 2 else -9)) for i in range(6)]
-    return [_line((x, y), *teeth, (x + _SYMBOL, y))]
-
-
-def _damper(x: float, y: float) -> list[str]:
-    open_end, wall, piston = x + 8, x + _SYMBOL - 10, x + _SYMBOL * 0.52
-    return [
-        f'<rect class="b" x="{open_end:.1f}" y="{y - 12:.1f}" width="{wall - open_end:.1f}" height="24"/>',
-        _line((open_end, y - 12), (wall, y - 12), (wall, y + 12), (open_end, y + 12)),
-        _line((x, y), (piston, y)),
-        _line((piston, y - 9), (piston, y + 9)),
-        _line((wall, y), (x + _SYMBOL, y)),
-    ]
-
-
-def _coil(x: float, y: float) -> list[str]:
-    radius = _SYMBOL / 8
-    arcs = " ".join(f"a{radius:.2f},{radius:.2f} 0 0 1 {2 * radius:.2f},0" for _ in range(4))
-    return [f'<path class="w" d="M{x:.1f},{y:.1f} {arcs}"/>']
-
-
-def _capacitor(x: float, y: float) -> list[str]:
-    left, right = x + _SYMBOL / 2 - 4, x + _SYMBOL / 2 + 4
-    return [
-        *_wire(x, left, y),
-        _line((left, y - 13), (left, y + 13)),
-        _line((right, y - 13), (right, y + 13)),
-        *_wire(right, x + _SYMBOL, y),
-    ]
-
-
-def _resistor(x: float, y: float) -> list[str]:
-    return [f'<rect class="w b" x="{x:.1f}" y="{y - 9:.1f}" width="{_SYMBOL:.1f}" height="18"/>']
-
-
-_MECHANICAL = {"m": _mass, "n": _spring, "r": _damper}
-_ELECTRICAL = {"m": _coil, "n": _capacitor, "r": _resistor}
+# -------------------------------------------------------------------- ends
 
 
 def _port(x: float, right: float, y: float, name: str) -> list[str]:
     """Terminal on the left, with an arrow into the network."""
     return [
-        *_wire(x + 4, right, y),
+        *wire(x + 4, right, y),
         f'<circle class="w" cx="{x:.1f}" cy="{y:.1f}" r="4"/>',
         f'<path class="t" d="M{x + 36:.1f},{y - 5:.1f} l10,5 l-10,5 z"/>',
         _text(x + 24, y - 12, name, "p"),
@@ -335,10 +353,10 @@ def _port(x: float, right: float, y: float, name: str) -> list[str]:
 
 
 def _terminal(x: float, right: float, y: float) -> list[str]:
-    return [*_wire(x, right - 4, y), f'<circle class="w" cx="{right:.1f}" cy="{y:.1f}" r="4"/>']
+    return [*wire(x, right - 4, y), f'<circle class="w" cx="{right:.1f}" cy="{y:.1f}" r="4"/>']
 
 
 def _ground(x: float, right: float, y: float, dashed: bool) -> list[str]:
     """The inertial frame: a hatched wall."""
-    hatch = [_line((right, y - 20 + 10 * i), (right + 8, y - 28 + 10 * i)) for i in range(5)]
-    return [*_wire(x, right, y, dashed), _line((right, y - 22), (right, y + 22)), *hatch]
+    hatch = [line((right, y - 20 + 10 * i), (right + 8, y - 28 + 10 * i)) for i in range(5)]
+    return [*wire(x, right, y, dashed), line((right, y - 22), (right, y + 22)), *hatch]

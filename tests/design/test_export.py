@@ -158,7 +158,7 @@ def test_elements_that_nobody_saw_need_an_assumption() -> None:
     population = population_of(result, {"n3": 1e-7})
     users = population.draw(50, seed=1)
     np.testing.assert_allclose(users.values["n3"], 1e-7)
-    assert users.log_elements[:, 1:].std(axis=0).min() > 0
+    assert users.u[:, 1:].std(axis=0).min() > 0
     np.testing.assert_allclose(population.weights(users, 20).sum(axis=1), 1)
     with pytest.raises(InputError, match="must be positive"):
         population_of(result, {"n3": -1.0})

@@ -21,7 +21,7 @@ import numpy as np
 from bayes_impedance.classical import check_passivity
 from bayes_impedance.design.circuits.state_space import realise
 from bayes_impedance.design.circuits.transfer_functions import matrices
-from bayes_impedance.design.users import Users
+from bayes_impedance.design.users import Users, free_parameters, values_of
 from bayes_impedance.network.notation import Network
 from bayes_impedance.network.rational import TransferFunction
 
@@ -31,8 +31,8 @@ choice: some 1e7 times double precision, because rates of states differ by order
 
 
 def positive_elements(users: Users) -> np.ndarray:
-    """Whether each user's elements are all positive and finite, shape (N,)."""
-    values = np.exp(users.log_elements)
+    """Whether each user's elements are all positive and finite, shape (N,); exponents off their lower bound."""
+    values = values_of(users.network, users.u) - [p.quantity.low for p in free_parameters(users.network)]
     return np.asarray(np.all(np.isfinite(values) & (values > 0), axis=1))
 
 

@@ -107,7 +107,7 @@ def written(users: Users, rows: range) -> str:
             "\n".join(
                 [
                     f"{users.names[i]}: "
-                    + ", ".join(f"{e} = {v:.4g} {users.units[e]}" for e, v in users.of(i).items()),
+                    + ", ".join(f"{e} = {v:.4g} {users.units[e]}".rstrip() for e, v in users.of(i).items()),
                     f"  numerator    {_polynomial(z.numerator)}",
                     f"  denominator  {_polynomial(z.denominator)}",
                     f"  zeros (rad/s)  {_roots(zeros[i])}",

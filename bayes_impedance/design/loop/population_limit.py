@@ -9,10 +9,10 @@ The uncertainty of the population is the spread of :math:`q_r`. The reported lim
 the outer quantiles of :math:`q_r`. Neither is a quantile of a sample of drawn users: few users do not determine a 1 %
 quantile, and users of a few populations hold little information on the others.
 
-**With few stability computations.** :math:`f = \ln K` is smooth in the log elements. A quadratic polynomial
-:math:`\hat f`, fitted to users of the posterior predictive distribution, takes little time to evaluate, so that its
-quantile :math:`\hat q_r` is computed from thousands of users of every population. The exact f is then computed only for
-users of population r whose :math:`\hat f` is close to :math:`\hat q_r`, and
+**With few stability computations.** :math:`f = \ln K` is smooth in the parameters u (log elements). A quadratic
+polynomial :math:`\hat f`, fitted to users of the posterior predictive distribution, takes little time to evaluate, so
+that its quantile :math:`\hat q_r` is computed from thousands of users of every population. The exact f is then computed
+only for users of population r whose :math:`\hat f` is close to :math:`\hat q_r`, and
 
 .. math:: \ln q_r = \hat q_r + \operatorname{E}\left[f - \hat f \mid \hat f = \hat q_r\right],
 
@@ -39,7 +39,7 @@ from scipy.special import ndtri
 from bayes_impedance.design.circuits.state_space import realise
 from bayes_impedance.design.loop.device import Device
 from bayes_impedance.design.loop.sampled_loop import largest_stiffness, sampled_loop
-from bayes_impedance.design.users import UserPopulation, Users
+from bayes_impedance.design.users import UserPopulation
 
 POPULATIONS = 200
 """Number of posterior draws used. By choice: ten of them lie beyond each end of a 90 % interval."""
@@ -104,9 +104,8 @@ def limits_of_populations(
         In N/m; R is `populations`, or less if some limits are zero or `highest`.
     """
 
-    def limits(log_elements: np.ndarray, halvings: int = _HALVINGS) -> np.ndarray:
-        names = tuple(map(str, range(len(log_elements))))
-        people = Users(population.network, population.unit, names, log_elements)
+    def limits(u: np.ndarray, halvings: int = _HALVINGS) -> np.ndarray:
+        people = population.users([str(i) for i in range(len(u))], u)
         loop = sampled_loop(device, realise(people.network, people.values))
         return largest_stiffness(loop, damping, highest, halvings=halvings)[0]
 

@@ -16,8 +16,8 @@ quantile of every population of the posterior (:mod:`bayes_impedance.design.loop
 90 % interval of these quantiles are reported.
 
 **Which elements cause the worst user's limit.** The change of :math:`\ln K_\max` from the centre of the population to
-the user is attributed to the elements by integrated gradients [2]_ along the straight line in log elements; the
-contributions add up to the difference.
+the user is attributed to the elements by integrated gradients [2]_ along the straight line in the parameters u (log
+elements); the contributions add up to the difference.
 
 References
 ----------
@@ -37,13 +37,13 @@ from bayes_impedance.design.circuits.state_space import realise
 from bayes_impedance.design.loop.device import Device
 from bayes_impedance.design.loop.population_limit import POPULATIONS, limits_of_populations
 from bayes_impedance.design.loop.sampled_loop import SampledLoop, largest_stiffness, sampled_loop, stable
-from bayes_impedance.design.users import UserPopulation, Users
+from bayes_impedance.design.users import UserPopulation, Users, values_of
 
 _STEPS = 8
 """Points of the midpoint rule along the line to the worst user. By choice: few, as the gradient varies slowly."""
 
 _DIFFERENCE = 1e-3
-"""Step of a log element in central differences. By choice: the truncation error is of the order of its square, 1e-6,
+"""Step of a parameter u in central differences. By choice: the truncation error is of the order of its square, 1e-6,
 and the bisected limits are much more accurate than the step."""
 
 
@@ -271,17 +271,18 @@ def reason(
     highest : float
         As in :func:`limit_of`.
     """
-    start, end = population.centre, users.log_elements[row]
+    start, end = population.centre, users.u[row]
     n = start.size
     steps = (np.arange(_STEPS) + 0.5) / _STEPS
     on_line = start + steps[:, None] * (end - start)
     moved = on_line[:, None, None] + _DIFFERENCE * np.array([1, -1])[:, None, None] * np.eye(n)
     points = np.concatenate([moved.reshape(-1, n), start[None], end[None]])
-    people = Users(users.network, users.unit, tuple(map(str, range(len(points)))), points)
+    people = population.users([str(i) for i in range(len(points))], points)
     logs = np.log(np.maximum(largest_stiffness(loop_of(device, people), damping, highest)[0], 1e-300))
     pairs = logs[:-2].reshape(_STEPS, 2, n)
     gradient = np.mean((pairs[:, 0] - pairs[:, 1]) / (2 * _DIFFERENCE), axis=0)
     part = gradient * (end - start)
     order = np.argsort(-np.abs(part))
     names = tuple(users.elements[i] for i in order)
-    return Reason(names, (end - start)[order], part[order], float(logs[-1] - logs[-2]))
+    change = np.log(values_of(users.network, end) / values_of(users.network, start))
+    return Reason(names, change[order], part[order], float(logs[-1] - logs[-2]))

@@ -259,9 +259,9 @@ def test_ngspice_runs_every_user_and_draws_its_own(tmp_path: Path) -> None:
     frequency, z = ngspice("\n".join([*lines, ".endc", ".end"]) + "\n", tmp_path)
     # From 1/z = 1/(s m) + s n/(1 + s n r) at two frequencies: n r and n, whose logarithms correlate as drawn.
     kernel_users = Users(network, "N s/m", tuple(map(str, range(number))), _solved(frequency[:2], z[:2].T))
-    drawn = np.cov(kernel_users.log_elements.T)
+    drawn = np.cov(kernel_users.u.T)
     np.testing.assert_allclose(drawn, factor @ factor.T, atol=0.02)
-    np.testing.assert_allclose(kernel_users.log_elements.mean(axis=0), mu, atol=0.06)
+    np.testing.assert_allclose(kernel_users.u.mean(axis=0), mu, atol=0.06)
 
 
 def _solved(frequency: np.ndarray, z: np.ndarray) -> np.ndarray:

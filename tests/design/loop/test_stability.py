@@ -148,11 +148,11 @@ def test_weights_turn_users_into_single_populations() -> None:
     weights = p.weights(users, 5)
     np.testing.assert_allclose(weights.sum(axis=1), 1)
     for weight, row in zip(weights, rows, strict=True):
-        mean = weight @ users.log_elements
+        mean = weight @ users.u
         spread = np.sqrt(np.diag(p.factor[row] @ p.factor[row].T))
         error = np.sqrt(np.sum(weight**2))
         assert np.all(np.abs(mean - p.mu[row]) < 5 * error * spread)
-        away = users.log_elements - mean
+        away = users.u - mean
         np.testing.assert_allclose(np.sqrt(weight @ away**2), spread, rtol=6 * error)
 
 
@@ -212,7 +212,7 @@ def test_reasons_add_up() -> None:
     assert why.difference == pytest.approx(np.log(limit.each[limit.worst] / limit.mean_user), abs=1e-6)
     assert why.part.sum() == pytest.approx(why.difference, rel=0.02)
     assert list(np.abs(why.part)) == sorted(np.abs(why.part), reverse=True)
-    swapped = users.log_elements[limit.worst].copy()
+    swapped = users.u[limit.worst].copy()
     main = users.elements.index(why.elements[0])
     swapped[main] = p.centre[main]  # with an ordinary value there, most of the harm is undone
     healed = Users(users.network, users.unit, ("healed",), swapped[None])
@@ -239,9 +239,9 @@ def test_representatives_follow_their_rules() -> None:
 def test_users_vary_together_and_once_touched_a_little_more() -> None:
     p = population()
     many, touched = p.draw(8000, seed=13), p.draw(8000, seed=13, repetitions=True)
-    np.testing.assert_allclose(np.cov(many.log_elements.T), p.covariance, atol=0.008)
-    assert np.all(touched.log_elements.std(axis=0) > many.log_elements.std(axis=0))
-    np.testing.assert_array_equal(p.draw(7, seed=13).log_elements, p.draw(7, seed=13).log_elements)
+    np.testing.assert_allclose(np.cov(many.u.T), p.covariance, atol=0.008)
+    assert np.all(touched.u.std(axis=0) > many.u.std(axis=0))
+    np.testing.assert_array_equal(p.draw(7, seed=13).u, p.draw(7, seed=13).u)
     with pytest.raises(InputError, match="ask for one"):
         p.draw(0, seed=1)
 
