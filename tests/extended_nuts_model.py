@@ -26,10 +26,10 @@ import numpyro.distributions as dist
 from jax.scipy.linalg import solve_triangular
 from numpyro.infer import MCMC, NUTS
 from numpyro.infer.util import unconstrain_fn
+from nuts_model import Samples
 
 from bayes_impedance.population.fit import PopulationFit
 from bayes_impedance.recordings.files import Recordings, Subject
-from nuts_model import Samples
 
 Impedance = Callable[[jax.Array, jax.Array, jax.Array], jax.Array]
 """Impedance (..., F) from theta (..., V), phi (S,) and angular frequency (F,)."""

@@ -18,11 +18,11 @@ from bayes_impedance.network.notation import parse
 from bayes_impedance.person.importance_draws import Draws, Reference, draw
 from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood, log_likelihood
 from bayes_impedance.person.marginal_likelihood import Ridge, find_ridge
-from bayes_impedance.population.e_step import Begun, PersonFit, expect
+from bayes_impedance.population.e_step import PersonFit, expect
 from bayes_impedance.population.fit import FitSettings, PopulationFit, fit_population
 from bayes_impedance.population.importance_likelihood import ImportanceLikelihood
 from bayes_impedance.population.parameters import PopulationParameters
-from bayes_impedance.population.shared import Pooling, SharedEquations, shared_equations
+from bayes_impedance.population.shared import Placed, Pooling, SharedEquations, shared_equations
 from bayes_impedance.population.shared_draws import Sharing, moved
 from bayes_impedance.recordings.files import Recordings, Subject
 
@@ -70,7 +70,7 @@ def world(network: str, repetitions: int, persons: int, noise: float = 0.05, see
 
 def fitted(w: World, phi: np.ndarray, likelihood: Likelihood) -> PersonFit:
     """A person's mode and that of the deviations."""
-    fit: Begun | PersonFit = Begun(w.mean, likelihood.deviations)
+    fit: Placed | PersonFit = Placed(w.mean, likelihood.deviations)
     for _ in range(60):
         before = fit
         fit = expect(
