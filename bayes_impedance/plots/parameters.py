@@ -55,19 +55,21 @@ def overview(figure: Figure, result: Result) -> Figure:
     ratios = np.array(
         [np.quantile(c, INTERVAL) / np.median(c) if s else (1, 1, 1) for c, s in zip(central.T, seen, strict=True)]
     )
-    # Of an exponent, and of what may have either sign, one per cent of the value says nothing: of one, or of the prior.
-    for i in np.flatnonzero(seen & np.array([p.link != LOG for p in result.parameters])):
-        unit = 1.0 if result.parameters[i].link == LOGIT else float(prior_sds(result)[i])
-        ratios[i] = 1 + (np.quantile(central[:, i], INTERVAL) - np.median(central[:, i])) / unit
+    for i in np.flatnonzero(seen & np.array([p.link == LOGIT for p in result.parameters])):
+        ratios[i] = 1 + np.quantile(central[:, i], INTERVAL) - np.median(central[:, i])  # of one, not of the exponent
+    near_zero = seen & (ratios[:, 0] * ratios[:, 2] < 0)
+    ratios[near_zero] = 1.0
     percent = 100 * (ratios - 1)
     panels[0].hlines(rows[seen], percent[seen, 0], percent[seen, 2], color=BLUE, lw=2.4)
-    panels[0].plot(np.zeros(seen.sum()), rows[seen], "o", color=BLUE, ms=6)
+    known = seen & ~near_zero
+    panels[0].plot(np.zeros(known.sum()), rows[known], "o", color=BLUE, ms=6)
     panels[0].axvline(0, color=GREY, lw=0.8)
     panels[0].set_xlabel("uncertainty of the central value (%)")
     panels[0].set_yticks(rows, result.elements)
     panels[0].set_ylim(len(rows) - 0.5, -0.5)
-    for i in rows[~seen]:
-        panels[0].text(0.5, i, MISSING, transform=panels[0].get_yaxis_transform(), ha="center", va="center", color=GREY)
+    for i in rows[~seen | near_zero]:
+        told = "may be zero" if near_zero[i] else MISSING
+        panels[0].text(0.5, i, told, transform=panels[0].get_yaxis_transform(), ha="center", va="center", color=GREY)
     if spread:
         _spreads(panels[1], result, rows, seen)
     return figure
@@ -121,9 +123,11 @@ def forest(figure: Figure, result: Result) -> Figure:
     -------
     Figure
     """
-    panels = _grid(figure, len(result.elements), 2)
+    shown = np.flatnonzero(varying(result)).tolist() or list(range(len(result.elements)))
+    panels = _grid(figure, len(shown), 2)
     draws, seen, n = samples(result, "person_log_elements"), identified(result), len(subjects(result))
-    for i, (axes, name) in enumerate(zip(panels, result.elements, strict=True)):
+    for i, axes in zip(shown, panels, strict=True):
+        name = result.elements[i]
         scale = element_scale(result, i)
         axes.set_title(scale.label(name))
         axes.set_xticks([])
@@ -131,10 +135,6 @@ def forest(figure: Figure, result: Result) -> Figure:
             _say_missing(axes)
             continue
         own = result.parameters[i]
-        if own.shared:
-            axes.text(0.5, 0.5, "the same for all", transform=axes.transAxes, ha="center", va="center", color=GREY)
-            axes.set_yticks([])
-            continue
         low, middle, high = own.value(np.quantile(draws[:, :, i], INTERVAL, axis=0)) * scale.factor
         order, x = np.argsort(middle), np.arange(n)
         centre = float(np.median(samples(result, "central")[:, i])) * scale.factor
