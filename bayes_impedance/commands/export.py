@@ -13,7 +13,9 @@ from bayes_impedance.runtime.user_table import number_in, shown
 from bayes_impedance.units import LARGEST_ELEMENT
 
 if TYPE_CHECKING:
+    from bayes_impedance.design.circuits.equivalent import Equivalent
     from bayes_impedance.design.loop.device import Device
+    from bayes_impedance.design.users import Users
     from bayes_impedance.results.result import Result
     from bayes_impedance.runtime.progress import Progress
 
@@ -135,7 +137,14 @@ def _written(
     import numpy as np
 
     from bayes_impedance.design.answer import design_answer
-    from bayes_impedance.design.files import warned, write_spice, write_stability, write_transfer, write_users
+    from bayes_impedance.design.files import (
+        warned,
+        write_spice,
+        write_stability,
+        write_tables,
+        write_transfer,
+        write_users,
+    )
     from bayes_impedance.design.representatives import representatives
     from bayes_impedance.design.users import population_of
 
@@ -150,13 +159,17 @@ def _written(
 
     files: list[Path] = []
     answer = None
-    if "users" in options.what:
+    made, what, notes = _possible(chosen.users + users, options.what)
+    notes = [note for note in (population.note, *notes) if note]
+    if "users" in what:
         files += write_users(out, population, users, chosen, grid)
-    if "transfer" in options.what:
-        files += write_transfer(out, users, chosen.users)
-    if "spice" in options.what:
-        files += write_spice(out, population, users, chosen.users, band)
-    if "stability" in options.what:
+    if "transfer" in what and made is None:
+        files += write_tables(out, users, chosen.users, grid, notes[-1])
+    elif "transfer" in what:
+        files += write_transfer(out, users, chosen.users, made)
+    if "spice" in what:
+        files += write_spice(out, population, users, chosen.users, band, made)
+    if "stability" in what:
         answer = design_answer(
             population,
             # Importance weights are defined for persons, not for single repetitions.
@@ -170,7 +183,6 @@ def _written(
             progress=progress,
         )
         files += write_stability(out, answer)
-    notes = [population.note] if population.note else []
     warnings = [*fit.problems, *fit.summary["adequacy"]["misfit"], *notes]
     if warnings:
         files = [warned(file, warnings) for file in files]
@@ -179,13 +191,37 @@ def _written(
         from bayes_impedance.plots.design import felt, stability, users_band, worst_user
 
         with style():
-            figures = {"users": users_band(users, chosen, grid)} if "users" in options.what else {}
+            figures = {"users": users_band(users, chosen, grid)} if "users" in what else {}
             if answer is not None:
                 figures |= {"stability": stability(answer), "worst_user": worst_user(answer, population)}
                 last = felt(answer)
                 figures |= {} if last is None else {"transparency": last}
             files += [save_figure(figure, out, name) for name, figure in figures.items()]
     return files, notes, None if answer is None else answer.sentence
+
+
+def _possible(everybody: Users, what: Sequence[str]) -> tuple[Equivalent | None, set[str], list[str]]:
+    """Users as elements, the products that can be written of them, and what to say about both."""
+    from bayes_impedance.design.circuits.equivalent import NotRealisableError, equivalent, in_loop
+
+    made, left, notes = None, set(what), list[str]()
+    if left & {"transfer", "spice", "stability"}:
+        try:
+            made = equivalent(everybody)
+            notes.append(made.note)
+        except NotRealisableError as error:
+            left -= {"spice", "stability"}
+            notes.append(f"{error}: impedances are exported as tables over frequency, but neither SPICE nor stability")
+    if "stability" in left:
+        try:
+            loops = in_loop(everybody)
+            notes.append(loops.note and f"in the stability analysis {loops.note}")
+        except NotRealisableError as error:
+            left -= {"stability"}
+            notes.append(f"{error}: stability is not analysed")
+    if not left:
+        raise InputError(notes[-1])
+    return made, left, notes
 
 
 def assumed(texts: Sequence[str]) -> dict[str, float]:

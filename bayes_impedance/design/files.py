@@ -11,8 +11,9 @@ import numpy as np
 
 from bayes_impedance.design.answer import DesignAnswer
 from bayes_impedance.design.circuits import spice
+from bayes_impedance.design.circuits.equivalent import Equivalent, equivalent
 from bayes_impedance.design.circuits.passivity_check import passive_coefficients, passive_states, positive_elements
-from bayes_impedance.design.circuits.transfer_functions import described, written
+from bayes_impedance.design.circuits.transfer_functions import described, parameters_of, tabulated, written
 from bayes_impedance.design.representatives import Representatives
 from bayes_impedance.design.users import PERCENTILES, UserPopulation, Users, free_parameters, percentile_curves
 from bayes_impedance.errors import InputError
@@ -91,8 +92,15 @@ def write_users(
     ]
 
 
-def write_transfer(folder: Path, users: Users, chosen: Users) -> list[Path]:
+def write_transfer(folder: Path, users: Users, chosen: Users, made: Equivalent | None = None) -> list[Path]:
     """``transfer.json`` of all users and ``transfer.txt`` of the representative ones.
+
+    Parameters
+    ----------
+    folder : Path
+    users, chosen : Users
+    made : Equivalent, optional
+        Both as masses, compliances and dampers, those that are chosen first.
 
     Raises
     ------
@@ -100,14 +108,12 @@ def write_transfer(folder: Path, users: Users, chosen: Users) -> list[Path]:
         If a transfer function to be written is not passive.
     """
     everybody = chosen + users
-    table = described(everybody)
-    unsound = [
-        n
-        for n, good in zip(everybody.names, passive_states(everybody.network, everybody.values), strict=True)
-        if not good
-    ]
+    made = equivalent(everybody) if made is None else made
+    table = described(everybody, made)
+    plain = made.users
+    unsound = [n for n, good in zip(plain.names, passive_states(plain.network, plain.values), strict=True) if not good]
     for entry in table["users"][: len(chosen)]:
-        if not passive_coefficients(entry["numerator"], entry["denominator"]):
+        if "numerator" in entry and not passive_coefficients(entry["numerator"], entry["denominator"]):
             unsound.append(entry["name"])
     if unsound:
         raise InputError(
@@ -116,20 +122,48 @@ def write_transfer(folder: Path, users: Users, chosen: Users) -> list[Path]:
         )
     return [
         write_json(folder / "transfer.json", table, indent=1),
-        write_text(folder / "transfer.txt", written(chosen, range(len(chosen)))),
+        write_text(folder / "transfer.txt", written(everybody, range(len(chosen)), made)),
+    ]
+
+
+def write_tables(folder: Path, users: Users, chosen: Users, frequency_hz: np.ndarray, why: str) -> list[Path]:
+    """The same files for users without a finite state space: impedances over frequency.
+
+    Parameters
+    ----------
+    folder : Path
+    users, chosen : Users
+    frequency_hz : ndarray, shape (F,)
+    why : str
+        Why there is none.
+    """
+    z = chosen.impedance(frequency_hz)
+    blocks = [f"impedance z = F/v in {users.unit} at frequencies in Hz; {why}", f"network {users.network}"]
+    for i, name in enumerate(chosen.names):
+        rows = [f"  {f:.6g}  {x.real:.8g} {x.imag:+.8g}j" for f, x in zip(frequency_hz, z[i], strict=True)]
+        blocks.append("\n".join([f"{name}: {parameters_of(chosen, i)}", *rows]))
+    return [
+        write_json(folder / "transfer.json", tabulated(chosen + users, frequency_hz, why), indent=1),
+        write_text(folder / "transfer.txt", "\n\n".join(blocks) + "\n"),
     ]
 
 
 def write_spice(
-    folder: Path, population: UserPopulation, users: Users, chosen: Users, band_hz: tuple[float, float]
+    folder: Path,
+    population: UserPopulation,
+    users: Users,
+    chosen: Users,
+    band_hz: tuple[float, float],
+    made: Equivalent | None = None,
 ) -> list[Path]:
     """``users.lib``, ``monte_carlo.lib`` and ``sweep.cir``, a deck that runs the first and writes ``sweep.txt``."""
-    everybody = chosen + users
+    made = equivalent(chosen + users) if made is None else made
+    everybody = made.users
     if not positive_elements(everybody).all():
         raise InputError("a user has an element of no size or of infinite size: check the assumed values")
     return [
         write_text(folder / "users.lib", spice.library(everybody)),
-        write_text(folder / "monte_carlo.lib", spice.monte_carlo(population)),
+        write_text(folder / "monte_carlo.lib", spice.monte_carlo(population, made=made)),
         write_text(folder / "sweep.cir", spice.sweep(everybody, "users.lib", band_hz, "sweep.txt", points=20)),
     ]
 

@@ -12,20 +12,8 @@ series_compliance   a compliance x, in series
 series_layer        a compliance x beside a damper t/x, in series
 ==================  ==================================================================================================
 
-Two are approximated to a stated accuracy by ladders of positive elements, which are passive by construction.
-
-**Power law** :math:`c\,s^{-\beta}`, :math:`0 < \beta < 1` (``beside_power``, and ``power`` of a spring). From
-
-.. math:: s^{-\beta} = \frac{\sin \pi\beta}{\pi} \int_{-\infty}^{\infty} \frac{e^{(1 - \beta) t}}{s + e^t}\, dt
-
-by the trapezoidal rule with step h: each term :math:`k_i/(s + x_i)` is a compliance :math:`1/k_i` in series with a
-damper :math:`k_i/x_i`. On the imaginary axis the integrand is analytic within :math:`\pi/2` of the real line, so the
-error of the rule falls as :math:`e^{-\pi^2/h}`; terms far below the band are one spring, those far above one damper,
-whose sums are geometric series.
-
-**Layer** (``line``) of mass M, :math:`z \sqrt w \coth \sqrt w` with :math:`w = sM/z`. The expansion :math:`x \coth x
-= 1 + 2\sum_k x^2/(x^2 + k^2\pi^2)` is a network: beside z, for each k, a mass :math:`2M/(k^2\pi^2)` in series with a
-copy of z with twice the impedance. The rest of the sum is one mass.
+Two are approximated to a stated accuracy by the ladders of :mod:`bayes_impedance.design.circuits.fractional`: power
+laws (``beside_power``, and ``power`` of a spring), and a layer of mass (``line``).
 
 Filters of a measurement channel (``highpass``, ``lowpass``) cannot be realised by elements;
 :mod:`bayes_impedance.design.circuits.spice` writes them as sources. A delay, a reflex, rate-independent loss and drift
@@ -39,6 +27,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayes_impedance.design.circuits.expressions import of
+from bayes_impedance.design.circuits.fractional import Found, Names, Terms, line_ladder, power_ladder, together
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Element, Network, Parallel, Place, Series
@@ -157,29 +147,29 @@ def _applied(
     place = Place(operation.path, "")
     x = coefficient(operation, parameters)
     more = [parameters[name] for name in operation.parameters[1:]]
-    names = _Names(network)
+    names = _Names(set(network.elements))
     there = network.at(place)
     match operation.name:
         case "add":
             kind = {1.0: "m", 0.0: "r", -1.0: "n"}[operation.constants[1]]
-            new, own = names.element(kind, 1 / x if kind == "n" else x)
+            new, own = names.numbered(kind, 1 / x if kind == "n" else x)
             return network.beside(place, new), values | own
         case "relaxation":
-            damper, spring = names.element("r", x), names.element("n", float(np.exp(more[0])) / x)
+            damper, spring = names.numbered("r", x), names.numbered("n", float(np.exp(more[0])) / x)
             return network.beside(place, damper[0] - spring[0]), values | damper[1] | spring[1]
         case "resonator":
             p, d = np.exp(more)
-            mass = names.element("m", x)
-            spring, damper = names.element("n", float(1 / (x * p * p))), names.element("r", float(2 * d * p * x))
+            mass = names.numbered("m", x)
+            spring, damper = names.numbered("n", float(1 / (x * p * p))), names.numbered("r", float(2 * d * p * x))
             return network.beside(place, mass[0] - (spring[0] | damper[0])), values | mass[1] | spring[1] | damper[1]
         case "bypass":
-            damper, spring = names.element("r", x), names.element("n", 1 / (operation.constants[1] * more[0]))
+            damper, spring = names.numbered("r", x), names.numbered("n", 1 / (operation.constants[1] * more[0]))
             return network.beside(place, damper[0] | spring[0]), values | damper[1] | spring[1]
         case "series_compliance":
-            new, own = names.element("n", x)
+            new, own = names.numbered("n", x)
             return network.in_series(place, new), values | own
         case "series_layer":
-            spring, damper = names.element("n", x), names.element("r", float(np.exp(more[0])) / x)
+            spring, damper = names.numbered("n", x), names.numbered("r", float(np.exp(more[0])) / x)
             return network.in_series(place, spring[0] | damper[0]), values | spring[1] | damper[1]
         case "line":
             branch, own = _layer(there, values, x, names)
@@ -215,87 +205,45 @@ def power_law(
     InputError
         If no passive ladder has this power law.
     """
-    return _power_law(strength, beta, _Names(None), band_hz, accuracy)
-
-
-class _Names:
-    """Creates elements with unused names."""
-
-    def __init__(self, network: Network | None) -> None:
-        self.used = set(network.elements) if network is not None else set()
-
-    def element(self, letter: str, value: float) -> tuple[Element, dict[str, float]]:
-        """A new element and its value."""
-        number = 1 + max((int(n[1:]) for n in self.used if n[0] == letter and n[1:].isdigit()), default=0)
-        name = f"{letter}{number}"
-        self.used.add(name)
-        return Element(name), {name: float(value)}
+    return _power_law(strength, beta, _Names(), band_hz, accuracy)
 
 
 def _power_law(
     strength: float, beta: float, names: _Names, band_hz: tuple[float, float], accuracy: float
 ) -> tuple[Network, dict[str, float]]:
-    if not (0 < beta < 1 and strength > 0):
-        raise InputError(
-            f"a power law with exponent {-beta:.4g} is no passive material: its exponent lies between -1 (spring) and "
-            "0 (damper)"
-        )
-    low, high = 2 * np.pi * band_hz[0], 2 * np.pi * band_hz[1]
-    # Half the error is allowed for the rule, a quarter for either end, where terms are lumped to first order.
-    step = np.pi**2 / np.log(8 / accuracy)
-    # To first order the error of the lumped terms is (x/w) relative to a sum that falls as (x/w)^(1-beta), or mirrored
-    # above the band.
-    below = np.log(8 / accuracy) / (2 - beta)
-    above = np.log(8 / accuracy) / (1 + beta)
-    first = int(np.floor((np.log(low) - below) / step))
-    last = int(np.ceil((np.log(high) + above) / step))
-    scale = strength * np.sin(np.pi * beta) / np.pi * step
-    x = np.exp(step * np.arange(first, last + 1))
-    k = scale * x ** (1 - beta)
-    # Geometric sums of the terms outside the band: springs below (1 - beta > 0), dampers k/x above (-beta < 0).
-    spring = scale * np.exp((1 - beta) * step * (first - 1)) / -np.expm1(-(1 - beta) * step)
-    damper = scale * np.exp(-beta * step * (last + 1)) / -np.expm1(-beta * step)
-    parts: list[Network] = []
-    values: dict[str, float] = {}
-    ends = [names.element("n", 1 / spring), names.element("r", damper)]
-    for element, own in ends:
-        parts.append(element)
-        values |= own
-    for x_i, k_i in zip(x, k, strict=True):
-        n, r = names.element("n", 1 / k_i), names.element("r", k_i / x_i)
-        parts.append(n[0] - r[0])
-        values |= n[1] | r[1]
-    return Parallel(tuple(parts)), values
+    network, found = power_ladder(of(strength), of(beta), names, band_hz, accuracy)
+    return network, {name: float(x.value) for name, x in found.items()}
+
+
+class _Names(Names):
+    """Creates elements with unused names and plain values."""
+
+    def numbered(self, letter: str, value: float) -> tuple[Element, dict[str, float]]:
+        """A new element and its value."""
+        element, _ = self.element(letter, of(value))
+        assert isinstance(element, Element)  # of a letter
+        return element, {element.name: float(value)}
 
 
 def _layer(there: Network, values: Mapping[str, float], mass: float, names: _Names) -> tuple[Network, dict[str, float]]:
     """The network in parallel to z in a layer of the given mass."""
     if not mass > 0:
         raise InputError("a layer of negative mass is no network: it cannot be built")
-    parts: list[Network] = []
-    found: dict[str, float] = {}
-    rest = 1 / 3
-    for k in range(1, _LINE_TERMS + 1):
-        share = 2 / (k * np.pi) ** 2
-        element, own = names.element("m", mass * share)
-        copy, copied = _copy(there, values, 2.0, names)
-        parts.append(element - copy)
-        found |= own | copied
-        rest -= share
-    element, own = names.element("m", mass * rest)
-    return Parallel((*parts, element)), found | own
+    kappa = np.pi * np.arange(1, _LINE_TERMS + 1)
+    terms = Terms(kappa, np.full(kappa.size, 2.0), 1.0, float(1 / 3 - np.sum(2 / kappa**2)))
+    network, found = line_ladder(
+        terms,
+        lambda c: names.element("m", of(c * mass)),
+        lambda c: _copy(there, values, c, names),
+        whole=False,
+    )
+    return network, {name: float(x.value) for name, x in found.items()}
 
 
-def _copy(
-    network: Network, values: Mapping[str, float], factor: float, names: _Names
-) -> tuple[Network, dict[str, float]]:
+def _copy(network: Network, values: Mapping[str, float], factor: float, names: _Names) -> Found:
     """Copy of a network with new names and its impedance multiplied by a factor."""
     if isinstance(network, Element):
         value = values[network.name]
-        return names.element(network.name[0], value / factor if network.name[0] == "n" else value * factor)
+        return names.element(network.name[0], of(value / factor if network.name[0] == "n" else value * factor))
     pairs = [_copy(part, values, factor, names) for part in network.parts]
-    kind = Parallel if isinstance(network, Parallel) else Series
-    flat: list[Network] = []
-    for part, _ in pairs:
-        flat.extend(part.parts if isinstance(part, kind) else (part,))
-    return kind(tuple(flat)), {name: value for _, own in pairs for name, value in own.items()}
+    return together(Parallel if isinstance(network, Parallel) else Series, *pairs)

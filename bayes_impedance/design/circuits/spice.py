@@ -23,9 +23,10 @@ singular: decks contain ``.options noopac``, which is allowed for circuits of li
 voltage passes the filter, and a controlled source shows the result at the port. With negative coefficient, and for
 the mobility, the filter is the inverse one.
 
-**Monte Carlo.** Besides one sub-circuit per user there is one whose elements are drawn anew for each instance,
-:math:`\exp(c + L g)` with independent standard normal g and the Cholesky factor L of the users' covariance, which
-preserves the correlations.
+**Monte Carlo.** Besides one sub-circuit per user there is one whose parameters are drawn anew for each instance,
+:math:`u = c + L g` with independent standard normal g and the Cholesky factor L of the users' covariance, which
+preserves the correlations. An element is exp u, an exponent lies between its bounds; the elements of ladders are
+computed from these.
 """
 
 from __future__ import annotations
@@ -35,11 +36,14 @@ from itertools import count
 
 import numpy as np
 
+from bayes_impedance.design.circuits.equivalent import Equivalent
+from bayes_impedance.design.circuits.expressions import parameter_name
 from bayes_impedance.design.circuits.ladders import FILTERS, coefficient
-from bayes_impedance.design.users import UserPopulation, Users
+from bayes_impedance.design.users import UserPopulation, Users, free_parameters
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.notation import Element, Network, Parallel
 from bayes_impedance.network.operations import Operation
+from bayes_impedance.network.parameters import LOGIT
 
 ANALOGIES = ("fv", "fc")
 """Force-voltage and force-current."""
@@ -84,7 +88,7 @@ def subcircuit(
     missing = [e for e in network.elements if e not in values]
     if missing:
         raise InputError(f"element '{missing[0]}' has no value: there are values for {', '.join(values) or 'none'}")
-    given = " ".join(f"{_name(e)}={values[e]:.17g}" for e in network.elements)
+    given = " ".join(f"{parameter_name(e)}={values[e]:.17g}" for e in network.elements)
     lines = [f".subckt {name} p q params: {given}"]
     if filters:
         lines += _filtered(network, analogy, filters, dict(parameters or {}))
@@ -112,7 +116,7 @@ def library(users: Users, name: str = "user") -> str:
     first = users.of(0)
     lines += [subcircuit(f"{name}_{analogy}", users.network, first, analogy) for analogy in ANALOGIES]
     for i, who in enumerate(users.names):
-        given = " ".join(f"{_name(e)}={v:.17g}" for e, v in users.of(i).items())
+        given = " ".join(f"{parameter_name(e)}={v:.17g}" for e, v in users.of(i).items())
         for analogy in ANALOGIES:
             lines.append(f".subckt {who}_{analogy} p q\nX1 p q {name}_{analogy} {given}\n.ends {who}_{analogy}")
     return "\n".join(lines) + "\n"
@@ -140,7 +144,7 @@ def sweep(users: Users, include: str, band_hz: tuple[float, float], output: str,
     return "\n".join([*lines, *_control(band_hz, points, output, shown), ".end"]) + "\n"
 
 
-def monte_carlo(population: UserPopulation, name: str = "any_user") -> str:
+def monte_carlo(population: UserPopulation, name: str = "any_user", made: Equivalent | None = None) -> str:
     """Sub-circuits whose elements are drawn anew for every instance, correlated as the population's.
 
     Parameters
@@ -148,27 +152,36 @@ def monte_carlo(population: UserPopulation, name: str = "any_user") -> str:
     population : UserPopulation
     name : str
         Of the sub-circuits, before ``_fv`` and ``_fc``.
+    made : Equivalent, optional
+        Users of the population as elements; needed if its network holds more than masses, compliances and dampers.
     """
-    elements = population.network.elements
+    free = free_parameters(population.network)
     centre = population.mu.mean(axis=0)
-    free = [i for i, e in enumerate(elements) if e not in population.fixed]
-    factor = np.zeros((len(elements), len(free)))
-    factor[free] = np.linalg.cholesky(population.covariance[np.ix_(free, free)])
+    varying = [i for i, p in enumerate(free) if p.name not in population.fixed]
+    factor = np.zeros((len(free), len(varying)))
+    factor[varying] = np.linalg.cholesky(population.covariance[np.ix_(varying, varying)])
     # ngspice evaluates a random parameter anew at each use of its name, but an argument of a call only once.
-    numbers = " ".join(f"g{j + 1}={{agauss(0,1,1)}}" for j in range(len(free)))
-    zeros = " ".join(f"g{j + 1}=0" for j in range(len(free)))
+    numbers = " ".join(f"normal{j + 1}={{agauss(0,1,1)}}" for j in range(len(varying)))
+    zeros = " ".join(f"normal{j + 1}=0" for j in range(len(varying)))
     drawn = []
-    for i, e in enumerate(elements):
-        terms = "".join(f"{factor[i, j]:+.12g}*g{j + 1}" for j in range(len(free)) if factor[i, j] != 0)
-        drawn.append(f".param {_name(e)}={{exp({centre[i]:.12g}{terms})}}")
+    for i, p in enumerate(free):
+        terms = "".join(f"{factor[i, j]:+.12g}*normal{j + 1}" for j in range(len(varying)) if factor[i, j] != 0)
+        u = f"{centre[i]:.12g}{terms}"
+        lowest, hertz = p.quantity.low, p.quantity.factor
+        value = f"{lowest:g}+1/(1+exp(-({u})))" if p.link == LOGIT else f"exp({u})"
+        drawn.append(f".param {parameter_name(p.name)}={{{value if hertz == 1 else f'{value}/{hertz:.17g}'}}}")
+    network = population.network if made is None else made.users.network
+    if made is not None:
+        computed = ((parameter_name(name), text) for name, text in made.texts.items())
+        drawn += [f".param {name}={{{text}}}" for name, text in computed if text != name]
     blocks = []
     for analogy in ANALOGIES:
         inner = f"{name}_given_{analogy}"
-        cards = _cards(population.network, analogy, "p", "q")
+        cards = _cards(network, analogy, "p", "q")
         blocks.append("\n".join([f".subckt {inner} p q params: {zeros}", *drawn, *cards, f".ends {inner}"]))
         outer = f"{name}_{analogy}"
         blocks.append(f".subckt {outer} p q\nX1 p q {inner} {numbers}\n.ends {outer}")
-    head = "* elements are log-normal over users: exp(centre + L g); every instance draws its own g"
+    head = "* elements are log-normal over users: exp(centre + L normal); every instance draws its own normal numbers"
     return "\n\n".join([head, *blocks]) + "\n"
 
 
@@ -194,7 +207,7 @@ def _cards(network: Network, analogy: str, first: str, second: str) -> list[str]
 
 def _between(network: Network, analogy: str, first: str, second: str, nodes: Iterator[int]) -> Iterator[str]:
     if isinstance(network, Element):
-        letter, parameter = network.name[0], _name(network.name)
+        letter, parameter = network.name[0], parameter_name(network.name)
         value = f"1/{parameter}" if analogy == "fc" and letter == "r" else parameter
         yield f"{_CARD[analogy][letter]}_{parameter} {first} {second} {{{value}}}"
         return
@@ -238,10 +251,3 @@ def _filtered(
             lines += [f"Gs{i} 0 s{i} {node} 0 1", store, f"Ea{i} {out} h{i} {node} 0 1", f"Eb{i} h{i} 0 s{i} 0 1"]
         node = out
     return [*lines, f"Eout shown q {node} 0 1"]
-
-
-def _name(element: str) -> str:
-    """Name of a parameter. Plain names are kept; others must not clash with SPICE's case-insensitive reserved words."""
-    if element[1:].isdigit():
-        return element
-    return "p_" + "".join(f"{c.lower()}_" if c.isupper() else c.replace("_", "__") for c in element)

@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from bayes_impedance.design.circuits.equivalent import Equivalent, equivalent
 from bayes_impedance.design.circuits.state_space import Realisation, realise, zeros_and_poles
 from bayes_impedance.design.users import Users
 from bayes_impedance.errors import InputError
@@ -30,6 +31,10 @@ from bayes_impedance.network.rational import TransferFunction
 
 SCHEMA = 1
 """Version of the layout of ``transfer.json``."""
+
+_HIGHEST_DEGREE = 30
+"""Highest degree of a ladder's polynomials that are written as coefficients: up to 26 was tried, and is passive after
+coefficients have been rounded to doubles."""
 
 FORMS = ("transfer", "zeros_poles", "state_space")
 """Forms that :func:`to_control` can make."""
@@ -60,19 +65,31 @@ def matrices(proper: Realisation) -> tuple[np.ndarray, np.ndarray, np.ndarray, n
     return a, b, c, proper.d
 
 
-def described(users: Users) -> dict[str, Any]:
-    """All users' transfer functions, ready for JSON; complex numbers are pairs [re, im]."""
-    impedance = realise(users.network, users.values)
+def described(users: Users, made: Equivalent | None = None) -> dict[str, Any]:
+    """All users' transfer functions, ready for JSON; complex numbers are pairs [re, im].
+
+    Parameters
+    ----------
+    users : Users
+    made : Equivalent, optional
+        The same users as masses, compliances and dampers, if it is known already. If they are not exactly the users,
+        the coefficients are left out where doubles cannot hold those of a passive function: the polynomials of a ladder
+        have high degrees, its poles and states lose nothing.
+    """
+    made = equivalent(users) if made is None else made
+    plain = made.users
+    impedance = realise(plain.network, plain.values)
     zeros, poles, gain = zeros_and_poles(impedance)
     is_mobility = impedance.high >= 0
     parts = matrices(impedance.reciprocal() if is_mobility else impedance)
+    with_coefficients = not made.replaced or impedance.order <= _HIGHEST_DEGREE
     entries = []
     for i, name in enumerate(users.names):
-        z = transfer_function(users.network, users.of(i))
-        entry: dict[str, Any] = {
-            "name": name,
-            "numerator": [float(c) for c in z.numerator],
-            "denominator": [float(c) for c in z.denominator],
+        entry: dict[str, Any] = {"name": name}
+        if with_coefficients:
+            z = transfer_function(plain.network, plain.of(i))
+            entry |= {"numerator": [float(c) for c in z.numerator], "denominator": [float(c) for c in z.denominator]}
+        entry |= {
             "zeros": [[float(x.real), float(x.imag)] for x in zeros[i]],
             "poles": [[float(x.real), float(x.imag)] for x in poles[i]],
             "gain": float(gain[i]),
@@ -80,17 +97,46 @@ def described(users: Users) -> dict[str, Any]:
         a, b, c, d = (part[i].tolist() for part in parts)
         entry["state_space"] = {"A": a, "B": [[x] for x in b], "C": [c], "D": [[d]]}
         entries.append(entry)
-    return {
+    table: dict[str, Any] = {
         "schema": SCHEMA,
         "network": str(users.network),
         "unit": users.unit,
         "quantity": "z = F/v, coefficients and state space in descending powers of s, s in rad/s",
         "state_space_of": "mobility v/F" if is_mobility else "impedance F/v",
-        "users": entries,
+    }
+    if plain is not users:
+        table["equivalent_network"] = str(plain.network)
+        table["relative_error"] = made.error
+        table["band_hz"] = users.band_hz
+    return table | {"users": entries}
+
+
+def tabulated(users: Users, frequency_hz: np.ndarray, why: str) -> dict[str, Any]:
+    """Impedances over frequency, ready for JSON, of users who have no finite state space.
+
+    Parameters
+    ----------
+    users : Users
+    frequency_hz : ndarray, shape (F,)
+    why : str
+        Why they have none.
+    """
+    z = users.impedance(frequency_hz)
+    return {
+        "schema": SCHEMA,
+        "network": str(users.network),
+        "unit": users.unit,
+        "quantity": "z = F/v at frequencies",
+        "why_no_state_space": why,
+        "frequency_hz": frequency_hz.tolist(),
+        "users": [
+            {"name": name, "re": own.real.tolist(), "im": own.imag.tolist()}
+            for name, own in zip(users.names, z, strict=True)
+        ],
     }
 
 
-def written(users: Users, rows: range) -> str:
+def written(users: Users, rows: range, made: Equivalent | None = None) -> str:
     """Transfer functions as readable text.
 
     Parameters
@@ -98,25 +144,34 @@ def written(users: Users, rows: range) -> str:
     users : Users
     rows : range
         Which of them.
+    made : Equivalent, optional
+        As for :func:`described`.
     """
-    zeros, poles, gain = zeros_and_poles(realise(users.network, users.values))
+    made = equivalent(users) if made is None else made
+    plain = made.users
+    impedance = realise(plain.network, plain.values)
+    zeros, poles, gain = zeros_and_poles(impedance)
     blocks = [f"impedance z(s) = F/v in {users.unit}, s in rad/s; mobility v/F = 1/z", f"network {users.network}"]
     for i in rows:
-        z = transfer_function(users.network, users.of(i))
-        blocks.append(
-            "\n".join(
-                [
-                    f"{users.names[i]}: "
-                    + ", ".join(f"{e} = {v:.4g} {users.units[e]}".rstrip() for e, v in users.of(i).items()),
-                    f"  numerator    {_polynomial(z.numerator)}",
-                    f"  denominator  {_polynomial(z.denominator)}",
-                    f"  zeros (rad/s)  {_roots(zeros[i])}",
-                    f"  poles (rad/s)  {_roots(poles[i])}",
-                    f"  gain           {gain[i]:.8g}",
-                ]
-            )
-        )
+        lines = [f"{users.names[i]}: {parameters_of(users, i)}"]
+        if not made.replaced or impedance.order <= _HIGHEST_DEGREE:
+            z = transfer_function(plain.network, plain.of(i))
+            lines += [
+                f"  numerator    {_polynomial(z.numerator)}",
+                f"  denominator  {_polynomial(z.denominator)}",
+            ]
+        lines += [
+            f"  zeros (rad/s)  {_roots(zeros[i])}",
+            f"  poles (rad/s)  {_roots(poles[i])}",
+            f"  gain           {gain[i]:.8g}",
+        ]
+        blocks.append("\n".join(lines))
     return "\n\n".join(blocks) + "\n"
+
+
+def parameters_of(users: Users, row: int) -> str:
+    """One user's parameters as text."""
+    return ", ".join(f"{e} = {v:.4g} {users.units[e]}".rstrip() for e, v in users.of(row).items())
 
 
 def to_control(
@@ -167,7 +222,8 @@ def read_control(file: Path) -> dict[str, Any]:
     Returns
     -------
     dict of str to StateSpace
-        By the users' names; the file states whether they are of the mobility or of the impedance.
+        By the users' names; the file states whether they are of the mobility or of the impedance. Users without a
+        finite state space are FrequencyResponseData of the impedance, omega in rad/s.
 
     Raises
     ------
@@ -177,6 +233,14 @@ def read_control(file: Path) -> dict[str, Any]:
     control = _control()
     try:
         table = json.loads(file.read_text(encoding="utf-8"))
+        if "frequency_hz" in table:
+            omega = 2 * np.pi * np.array(table["frequency_hz"], dtype=float)
+            return {
+                str(entry["name"]): control.FrequencyResponseData(
+                    np.array(entry["re"]) + 1j * np.array(entry["im"]), omega
+                )
+                for entry in table["users"]
+            }
         return {
             str(entry["name"]): control.StateSpace(*(entry["state_space"][key] for key in "ABCD"))
             for entry in table["users"]

@@ -36,7 +36,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.special import ndtri
 
-from bayes_impedance.design.circuits.state_space import realise
+from bayes_impedance.design.circuits.equivalent import realised
 from bayes_impedance.design.loop.device import Device
 from bayes_impedance.design.loop.sampled_loop import largest_stiffness, sampled_loop
 from bayes_impedance.design.users import UserPopulation
@@ -106,7 +106,7 @@ def limits_of_populations(
 
     def limits(u: np.ndarray, halvings: int = _HALVINGS) -> np.ndarray:
         people = population.users([str(i) for i in range(len(u))], u)
-        loop = sampled_loop(device, realise(people.network, people.values))
+        loop = sampled_loop(device, realised(people))
         return largest_stiffness(loop, damping, highest, halvings=halvings)[0]
 
     def decided() -> np.ndarray:

@@ -33,7 +33,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayes_impedance.design.circuits.state_space import realise
+from bayes_impedance.design.circuits.equivalent import realised
 from bayes_impedance.design.loop.device import Device
 from bayes_impedance.design.loop.population_limit import POPULATIONS, limits_of_populations
 from bayes_impedance.design.loop.sampled_loop import SampledLoop, largest_stiffness, sampled_loop, stable
@@ -142,7 +142,7 @@ class Reason:
 
 def loop_of(device: Device, users: Users) -> SampledLoop:
     """The sampled loop of a device and each of the users."""
-    return sampled_loop(device, realise(users.network, users.values))
+    return sampled_loop(device, realised(users))
 
 
 def stability_map(
