@@ -90,7 +90,7 @@ def test_the_schema_knows_the_fields_of_each_kind() -> None:
         assert tuple(described["properties"]) == keys
         assert set(described["required"]) == set(keys)
     verdict = list(to_json(from_json(RECORDS["nothing"])))
-    assert list(SCHEMA["properties"]) == [*verdict, "joint", "parameters_differ", "shortcomings"]
+    assert list(SCHEMA["properties"]) == [*verdict, "joint", "parameters_differ", "shortcomings", "extended_network"]
 
 
 @pytest.mark.parametrize(
