@@ -221,13 +221,14 @@ def language(max_leaves=6, passive=False):
 def language_with_u(draw, max_leaves=6, passive=False):
     """Such a network, and for each of its free parameters a u at which its value lies in the span of its letter.
 
-    Signed parameters have either sign, unless the network is to be passive.
+    Signed parameters have either sign, unless the network is to be passive. No value is a round number: one that takes
+    off exactly what another one adds leaves an impedance of zero, of which nothing is defined any more.
     """
     network, u = draw(language(max_leaves, passive)), []
-    for p in network.parameters:
+    for k, p in enumerate(network.parameters):
         if p.held:
             continue
-        value = draw(st.floats(*span(p.letter)))
+        value = draw(st.floats(*span(p.letter))) * (1 if p.link == "logit" else 1 + 0.05 * np.sin(k + 1))
         if p.link == "signed":
             u.append(value * (1 if passive else draw(st.sampled_from([1, -1]))))
         elif p.link == "logit":

@@ -43,6 +43,7 @@ def parser_of_commands() -> argparse.ArgumentParser:
     run = commands.add_parser("run", help="everything: check, fit, pictures and one report")
     _dataset(run)
     _fit_arguments(run)
+    _with(run)
 
     check = commands.add_parser("check", help="what a dataset holds and what is odd about it")
     _dataset(check)
@@ -50,6 +51,7 @@ def parser_of_commands() -> argparse.ArgumentParser:
     fit = commands.add_parser("fit", help="fit only: result.nc and summary.json")
     _dataset(fit)
     _fit_arguments(fit)
+    _with(fit)
 
     compare = commands.add_parser(
         "compare",
@@ -109,6 +111,16 @@ def parser_of_commands() -> argparse.ArgumentParser:
 
 def _dataset(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("dataset", type=Path, metavar="DATASET", help="folder with recordings.csv, or one CSV file")
+
+
+def _with(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--with",
+        dest="proposed",
+        type=Path,
+        metavar="VERDICT",
+        help="verdict.json of a diagnosis: the network with everything that it found missing",
+    )
 
 
 def _fit_arguments(parser: argparse.ArgumentParser) -> None:

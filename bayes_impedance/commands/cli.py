@@ -239,9 +239,16 @@ _JOBS = {
 
 def _fit_options(options: argparse.Namespace) -> Any:
     from bayes_impedance.commands.jobs import FitOptions
+    from bayes_impedance.commands.proposed_network import proposed_network
 
+    network, proposed = options.network, getattr(options, "proposed", None)
+    if proposed is not None:
+        if network is not None:
+            raise InputError("--network and --with exclude each other: each names the network to fit; leave one out")
+        network = proposed_network(proposed)
+        tell(f"network: {network}")
     return FitOptions(
-        network=options.network,
+        network=network,
         covariance=options.covariance,
         covariates=tuple(options.covariate),
         subjects=tuple(options.subject),

@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayes_impedance.commands.jobs import FitOptions, fit_dataset, selected
+from bayes_impedance.commands.proposed_network import proposed_network
 from bayes_impedance.commands.result_folders import FIT_FILES, interrupted, remove
 from bayes_impedance.errors import InputError
 from bayes_impedance.runtime.atomic_files import write_json, write_text
-from bayes_impedance.runtime.input_files import LARGEST_DESCRIPTION, decode, read_bytes, read_json
+from bayes_impedance.runtime.input_files import LARGEST_DESCRIPTION, decode, read_bytes
 from bayes_impedance.runtime.output_folder import output_folder, require_ours
 from bayes_impedance.runtime.user_table import shown
 
@@ -128,11 +129,7 @@ def _network_in(file: Path) -> str:
     """Notation in a text file, or the second network of a verdict."""
     if file.suffix != ".json":
         return decode(read_bytes(file, LARGEST_DESCRIPTION), str(file)).strip()
-    record = read_json(file, "the verdict of a diagnosis")
-    networks = record.get("network") if isinstance(record, dict) else None
-    if not (isinstance(networks, list) and len(networks) == 2 and isinstance(networks[1], str)):
-        raise InputError(f"{file}: is not the verdict of a diagnosis: it has no pair of networks; give another file")
-    return networks[1]
+    return proposed_network(file)
 
 
 def _result_of(folder: Path, recordings: Recordings, dataset: Path) -> Result:

@@ -104,7 +104,7 @@ def _unwrapped(node: Wrapped, removed: list[str]) -> Network | None:
             f"{head} is the body's, but all that it wraps ({node.part}) is the same for everybody or held and so the "
             "rig's: wrap a part with elements of each person's own"
         )
-    return node._with_parts([part]).labelled(node.label)
+    return node.with_parts([part]).labelled(node.label)
 
 
 def _named(part: Network, label: str | None) -> Network:

@@ -129,6 +129,11 @@ def _all(fit: PopulationFit) -> dict[str, float]:
     return {name: np.inf for name, seen in zip(fit.kernel.elements, fit.identified, strict=True) if seen}
 
 
+def varying_of(fit: PopulationFit) -> np.ndarray:
+    """Which parameters differ between people, bool, shape (P,): all of the only person's."""
+    return np.array([fit.one_person or not p.shared for p in fit.kernel.parameters])
+
+
 def _refitted(fit: PopulationFit, executor: Executor) -> tuple[Refitter, Refit, tuple[str, ...]]:
     """Converged refit of the examined people, started at the posterior's centre, with its refitter and their names."""
     n = len(fit.recordings.subjects)
@@ -136,18 +141,23 @@ def _refitted(fit: PopulationFit, executor: Executor) -> tuple[Refitter, Refit, 
     data = []
     for i in some:
         s = fit.recordings.subjects[i]
-        data.append(Likelihood.make(s.frequency_hz, s.z, fit.noise[i] / fit.noise_scale[i], fit.deviations[i]))
+        own = fit.deviations[i][:, varying_of(fit)]
+        data.append(Likelihood.make(s.frequency_hz, s.z, fit.noise[i] / fit.noise_scale[i], own))
     refitter = Refitter(data, executor, fit.one_person)
-    tree = fit.kernel.network
-    model = build(tree, (), scales_of(fit.recordings), ())
-    persons = fit.person_draws.mean(axis=(0, 1))
-    u = np.concatenate([persons[i] + fit.deviations[i] for i in some])
+    # What is the same for everybody is held at its central value: the people are examined.
+    shared = ~varying_of(fit)
+    centre = {p.name: float(p.value(np.median(fit.parameters.mu[:, k]))) for k, p in enumerate(fit.kernel.parameters)}
+    held = {p.name: centre[p.name] for p, same in zip(fit.kernel.parameters, shared, strict=True) if same}
+    model = build(fit.kernel.network.holding(held), (), scales_of(fit.recordings), ())
+    persons = fit.person_draws.mean(axis=(0, 1))[:, ~shared]
+    u = np.concatenate([persons[i] + fit.deviations[i][:, ~shared] for i in some])
     p = persons.shape[1]
     if fit.one_person:
         population = Population(fit.prior.centre, np.eye(p) * fit.prior.centre_sd**2, np.full(p, 0.1))
     else:
-        rho = fit.parameters.between_repetitions.mean(axis=0)
-        population = Population(fit.parameters.mu.mean(axis=0), fit.parameters.covariance.mean(axis=0), rho)
+        rho = fit.parameters.between_repetitions.mean(axis=0)[~shared]
+        covariance = fit.parameters.covariance.mean(axis=0)[np.ix_(~shared, ~shared)]
+        population = Population(fit.parameters.mu.mean(axis=0)[~shared], covariance, rho)
     base = refitter.settle(refitter.fit(model, u, population, 60), fit.seed, rounds=1)
     return refitter, base, tuple(fit.recordings.names[i] for i in some)
 
@@ -161,7 +171,7 @@ def _consequences(
     p_size = screening.log_p(np.nan_to_num(screening.z))
     tried, explained = set[str](), False
     known = {name for name, seen in zip(fit.kernel.elements, fit.identified, strict=True) if seen}
-    half = 0.5 * np.subtract(*np.quantile(fit.parameters.mu, (0.95, 0.05), axis=0))
+    half = 0.5 * np.subtract(*np.quantile(fit.parameters.mu[:, varying_of(fit)], (0.95, 0.05), axis=0))
     for k in order:
         candidate = screening.candidates[k]
         significant = min(float(p_size[k]), float(screening.log_p_spread[k])) < np.log(ALPHA)
@@ -213,7 +223,7 @@ def _two_groups(group: Subgroup) -> str:
 
 
 def _outliers(fit: PopulationFit) -> list[str]:
-    seen = np.flatnonzero(fit.identified)
+    seen = np.flatnonzero(fit.identified & varying_of(fit))
     n = len(fit.recordings.subjects)
     if n < seen.size + 3 or not seen.size:
         return []

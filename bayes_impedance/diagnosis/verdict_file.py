@@ -60,6 +60,10 @@ PHYSICS_KEYS: dict[Kind, tuple[str, ...]] = {
 """Fields of an entry of the physics by its kind, in the order of the file. No two kinds have the same fields."""
 
 
+_OPTIONAL = ("joint", "parameters_differ", "extended_network")
+"""Keys that are left out if there is nothing to say."""
+
+
 def to_json(verdict: Verdict) -> dict[str, Any]:
     """Content of ``verdict.json``: dictionaries, lists, texts, and numbers; non-finite numbers become null.
 
@@ -70,7 +74,9 @@ def to_json(verdict: Verdict) -> dict[str, Any]:
     named = {field.name: getattr(verdict, field.name) for field in fields(verdict)}
     record: dict[str, Any] = {"schema": SCHEMA, "mismatch": verdict.mismatch}
     for name, value in named.items():
-        if (name in ("joint", "parameters_differ") and value is None) or (name == "shortcomings" and not value):
+        if (name in ("joint", "parameters_differ", "extended_network") and value is None) or (
+            name == "shortcomings" and not value
+        ):
             continue
         record[name] = _plain(value)
         if name == "network":
@@ -149,6 +155,7 @@ def _verdict(record: Mapping[str, Any]) -> Verdict:
         joint=None if joint is None else Joint(tuple(joint["parameters"]), tuple(map(tuple, joint["correlation"]))),
         parameters_differ=None if differ is None else tuple(ParameterDifference(**row) for row in differ),
         shortcomings=tuple(record.get("shortcomings", ())),
+        extended_network=record.get("extended_network"),
     )
 
 

@@ -352,6 +352,9 @@ class Verdict:
         What differs significantly from a claimed simulation; None without one.
     shortcomings : tuple of str
         What is left that is large in absolute terms, whatever explanations were compared; the gravest first.
+    extended_network : str or None
+        Notation of the network with all effects that were found, which can be fitted like any other; None if there are
+        none, or one of them is no network.
     """
 
     summary: str
@@ -373,6 +376,7 @@ class Verdict:
     joint: Joint | None = None
     parameters_differ: tuple[ParameterDifference, ...] | None = None
     shortcomings: tuple[str, ...] = ()
+    extended_network: str | None = None
 
     @property
     def mismatch(self) -> bool:

@@ -6,7 +6,7 @@ Their formulas are derived in :mod:`bayes_impedance.network.constructs`; the tre
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -73,6 +73,12 @@ class PowerLaw(Network):
         own = Parameter(symbol=exponent, letter=letter, link=LOGIT)
         return plain_parameter(self.size), own
 
+    def _holding_own(self, values: Mapping[str, float]) -> Network:
+        return replace(self, size=_held(self.size, values), exponent=_held(self.exponent, values))
+
+    def _sharing_own(self, names: Collection[str]) -> Network:
+        return replace(self, size=_same(self.size, names), exponent=_same(self.exponent, names))
+
     def _notation(self) -> str:
         at = "" if self.reference_hz is None else f"@{exactly(self.reference_hz)}"
         return f"{self.size}^{self.exponent}{at}"
@@ -134,8 +140,14 @@ class Wrapped(Network):
             for i, symbol in enumerate(self.symbols)
         )
 
-    def _with_parts(self, parts: Sequence[Network]) -> Network:
+    def with_parts(self, parts: Sequence[Network]) -> Network:
         return replace(self, part=parts[0])
+
+    def _holding_own(self, values: Mapping[str, float]) -> Network:
+        return replace(self, symbols=tuple(_held(symbol, values) for symbol in self.symbols))
+
+    def _sharing_own(self, names: Collection[str]) -> Network:
+        return replace(self, symbols=tuple(_same(symbol, names) for symbol in self.symbols))
 
     def _notation(self) -> str:
         return f"{self.construct.word}[{', '.join(str(symbol) for symbol in self.symbols)}]({self.part})"
@@ -165,3 +177,11 @@ def wrapped(word: str, symbols: Sequence[Symbol], part: Network) -> Wrapped:
 
 def _not_rational(what: str) -> InputError:
     return InputError(f"{what} has no transfer function that is a ratio of polynomials; use a network without it")
+
+
+def _held(symbol: Symbol, values: Mapping[str, float]) -> Symbol:
+    return Symbol(symbol.name, value=values[symbol.name]) if symbol.name in values else symbol
+
+
+def _same(symbol: Symbol, names: Collection[str]) -> Symbol:
+    return Symbol(symbol.name, shared=True) if symbol.name in names else symbol

@@ -27,6 +27,7 @@ A parameter may also be held at a value that is known from elsewhere, ``m9=0.011
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -102,6 +103,11 @@ def quantity_of(name: str) -> Quantity:
 def exactly(value: float) -> str:
     """The shortest text from which the same number is read."""
     return repr(float(value)).removesuffix(".0")
+
+
+def unit_of_parameter(name: str, impedance_unit: str) -> str:
+    """Unit of the parameter with this name, given the unit of the impedance."""
+    return unit_of(quantity_of(name).unit, impedance_unit)
 
 
 @dataclass(frozen=True)
@@ -202,3 +208,8 @@ def plain_parameter(symbol: Symbol) -> Parameter:
     """A mass, compliance, damper or power law: on a logarithmic scale. An exponent: between its bounds."""
     letter = symbol.name[:1]
     return Parameter(symbol=symbol, letter=letter, link=LOGIT if letter in EXPONENTS else LOG)
+
+
+def values_of(parameters: Sequence[Parameter], u: np.ndarray) -> np.ndarray:
+    """Values in their units of all parameters, which are the last axis of u."""
+    return np.stack([p.value(u[..., i]) for i, p in enumerate(parameters)], axis=-1)

@@ -22,6 +22,7 @@ from bayes_impedance.network.elements import kind_of
 from bayes_impedance.network.extensions import RADIAN_PER_SECOND, PowerLaw, Wrapped
 from bayes_impedance.network.operations import LOGARITHMIC, N_PARAMETERS, Operation, code_of
 from bayes_impedance.network.parameters import SIGNED, Parameter
+from bayes_impedance.network.transform import transform_many
 from bayes_impedance.network.tree import Element, Network, Series
 
 
@@ -159,6 +160,32 @@ def _compiled(node: PowerLaw | Wrapped, scales: Mapping[str, float]) -> tuple[in
     letters = [parameter.letter for parameter in node.own_parameters]
     constants = node.construct.constants(letters, first.link, scales.get(first.name, 1.0), first.quantity.factor)
     return code_of(node.construct.operation), list(constants)
+
+
+def changed_by(
+    node: Wrapped, u: Mapping[str, np.ndarray], omega: np.ndarray, z: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """What a wrapper makes of the impedance inside, and the derivative of that with respect to it.
+
+    Parameters
+    ----------
+    node : Wrapped
+    u : mapping of str to ndarray, shape (M,)
+        The parameters that are not held.
+    omega : ndarray, shape (F,)
+    z : ndarray, complex, shape (M, F)
+
+    Returns
+    -------
+    T, dT : ndarray, complex, shape (M, F)
+    """
+    code, constants = _compiled(node, {})
+    own = np.zeros((len(z), N_PARAMETERS))
+    for k, parameter in enumerate(node.own_parameters):
+        known = parameter.symbol.value
+        own[:, k] = u[parameter.name] if known is None else float(parameter.u(known))
+    t = transform_many(code, own, np.array(constants), omega, np.ascontiguousarray(z))
+    return t[0], t[1]
 
 
 def parameter_names(network: Network, operations: Sequence[Operation]) -> tuple[str, ...]:

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Self
 
@@ -120,6 +120,26 @@ class Network(ABC):
             raise InputError(f"'{label}' cannot be a label: use letters, digits and '_', and not the word 'port'")
         return replace(self, _label=label)  # type: ignore[call-arg]
 
+    def holding(self, values: Mapping[str, float]) -> Network:
+        """The same network with some of its parameters held at these values."""
+        parts = [part.holding(values) for part in self.parts]
+        same = all(new is old for new, old in zip(parts, self.parts, strict=True))
+        result = self if same else self.with_parts(parts).labelled(self.label)
+        return result._holding_own(values)
+
+    def sharing(self, names: Collection[str]) -> Network:
+        """The same network with some of its parameters the same for everybody."""
+        result = self
+        if self.parts:
+            result = self.with_parts([part.sharing(names) for part in self.parts]).labelled(self.label)
+        return result._sharing_own(names)
+
+    def _holding_own(self, _values: Mapping[str, float]) -> Network:
+        return self
+
+    def _sharing_own(self, _names: Collection[str]) -> Network:
+        return self
+
     # ---------------------------------------------------------------- notation
 
     @abstractmethod
@@ -210,10 +230,10 @@ class Network(ABC):
         parts = list(self.parts)
         child = parts[path[0]]
         parts[path[0]] = child.replaced(Place(path[1:], ""), new)
-        return self._with_parts(parts).labelled(self.label)
+        return self.with_parts(parts).labelled(self.label)
 
-    def _with_parts(self, parts: Sequence[Network]) -> Network:
-        """The same node with other parts; only nodes that have parts are asked."""
+    def with_parts(self, parts: Sequence[Network]) -> Network:
+        """The same node, without its label, with other parts; only nodes that have parts are asked."""
         raise NotImplementedError
 
     def beside(self, place: Place | str, addition: Network) -> Network:
@@ -260,6 +280,12 @@ class Element(Network):
     def own_parameters(self) -> tuple[Parameter, ...]:
         return (plain_parameter(self.symbol),)
 
+    def _holding_own(self, values: Mapping[str, float]) -> Network:
+        return replace(self, shared=False, value=values[self.name]) if self.name in values else self
+
+    def _sharing_own(self, names: Collection[str]) -> Network:
+        return replace(self, shared=True) if self.name in names else self
+
     def _notation(self) -> str:
         return str(self.symbol)
 
@@ -285,7 +311,7 @@ class _Group(Network):
     def parts(self) -> tuple[Network, ...]:
         return self.members
 
-    def _with_parts(self, parts: Sequence[Network]) -> Network:
+    def with_parts(self, parts: Sequence[Network]) -> Network:
         return type(self)(_flatten(type(self), parts))
 
 

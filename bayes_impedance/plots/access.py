@@ -21,6 +21,10 @@ def variable(result: Result, name: str) -> np.ndarray | None:
     return None
 
 
+PRIOR_CENTRE_SD = 3.0
+"""Prior standard deviation of a log element (:data:`bayes_impedance.population.natural_scales.LOG_SD`)."""
+
+
 def needed(result: Result, name: str) -> np.ndarray:
     """A variable that every run has.
 
@@ -62,6 +66,17 @@ def subjects(result: Result) -> list[str]:
 def identified(result: Result) -> np.ndarray:
     """Which elements the recordings determine, bool, shape (P,)."""
     return np.asarray(needed(result, "identified"), dtype=bool)
+
+
+def varying(result: Result) -> np.ndarray:
+    """Which elements differ between people, bool, shape (P,); the others are the same for all."""
+    return np.array([not p.shared for p in result.parameters])
+
+
+def prior_sds(result: Result) -> np.ndarray:
+    """Prior standard deviation of each element on the scale on which it is estimated, shape (P,)."""
+    known = variable(result, "prior_centre_sd")
+    return np.full(len(result.elements), PRIOR_CENTRE_SD) if known is None else np.asarray(known, dtype=float)
 
 
 def element_scale(result: Result, element: int) -> Scale:

@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayes_impedance.plots.access import INTERVAL, element_scale, identified, needed, samples
+from bayes_impedance.network.parameters import LOG, SIGNED, Parameter
+from bayes_impedance.plots.access import (
+    INTERVAL,
+    PRIOR_CENTRE_SD,
+    element_scale,
+    identified,
+    needed,
+    prior_sds,
+    samples,
+    varying,
+)
 from bayes_impedance.plots.style import BLUE, INK, RED
 from bayes_impedance.results.result import Result
 from bayes_impedance.units import with_interval
@@ -19,7 +29,7 @@ if TYPE_CHECKING:
 
 Density = Callable[[np.ndarray], np.ndarray]
 
-PRIOR_CENTRE_SD, PRIOR_DISPERSION_SD = 3.0, 1.0
+PRIOR_DISPERSION_SD = 1.0
 """Scales of the default prior (population.parameters.Prior). They are fixed, and results do not contain them."""
 _WIDE = 8.0
 """A posterior whose 90 % interval spans more than this factor is shown on a logarithmic scale. By choice: on a linear
@@ -47,6 +57,13 @@ def corner_central(figure: Figure, result: Result) -> Figure:
         low, middle, high = np.quantile(x, INTERVAL)
         value, interval = with_interval(middle, low, high)
         titles.append(f"{name} = {value} {scale.unit}\n({interval})")
+        parameter = result.parameters[i]
+        if parameter.link != LOG:
+            sd = float(prior_sds(result)[i])
+            labels.append(f"{name}\n({scale.unit})" if scale.unit else name)
+            columns.append(x)
+            priors.append(_of_parameter(parameter, normal_density(float(centre[i]), sd), scale.factor))
+            continue
         log_prior = normal_density(float(centre[i]) + math.log(scale.factor), PRIOR_CENTRE_SD)
         if high > _WIDE * low:
             labels.append(f"log10 {name}\n({scale.unit})")
@@ -72,7 +89,7 @@ def corner_dispersion(figure: Figure, result: Result) -> Figure:
     -------
     Figure
     """
-    seen = np.flatnonzero(identified(result))
+    seen = np.flatnonzero(identified(result) & varying(result))
     factors = np.exp(samples(result, "dispersion_between_persons")[:, seen])
     labels, titles = [], []
     for i, x in zip(seen, factors.T, strict=True):
@@ -91,6 +108,20 @@ def normal_density(mean: float, sd: float) -> Density:
 def half_normal_density(sd: float) -> Density:
     """Density of the absolute value of a normal variable with mean zero."""
     return lambda x: np.asarray(np.where(x >= 0, 2 * normal_density(0.0, sd)(x), 0.0))
+
+
+def _of_parameter(parameter: Parameter, of_u: Density, factor: float) -> Density:
+    """Density of a value, times a factor, of a parameter between bounds or on a signed scale from that of its u."""
+    low = parameter.quantity.low
+
+    def density(x: np.ndarray) -> np.ndarray:
+        value = x / factor
+        if parameter.link == SIGNED:
+            return of_u(value) / factor
+        inside = np.clip(value - low, 1e-9, 1 - 1e-9)
+        return of_u(np.log(inside / (1 - inside))) / (inside * (1 - inside)) / factor
+
+    return density
 
 
 def _of_value(of_logarithm: Density) -> Density:

@@ -7,8 +7,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayes_impedance.plots.access import INTERVAL, element_scale, identified, needed, samples, subjects, variable, who
-from bayes_impedance.plots.joint import PRIOR_CENTRE_SD, PRIOR_DISPERSION_SD, half_normal_density, normal_density
+from bayes_impedance.network.parameters import LOG, LOGIT
+from bayes_impedance.plots.access import (
+    INTERVAL,
+    PRIOR_CENTRE_SD,
+    element_scale,
+    identified,
+    needed,
+    prior_sds,
+    samples,
+    subjects,
+    variable,
+    varying,
+    who,
+)
+from bayes_impedance.plots.joint import PRIOR_DISPERSION_SD, half_normal_density, normal_density
 from bayes_impedance.plots.style import BLUE, ENSEMBLES, GREY, INK, LIGHT, ORANGE, RED, log_axis, log_limits
 from bayes_impedance.results.result import Result
 from bayes_impedance.units import excludes_zero, signed
@@ -42,15 +55,21 @@ def overview(figure: Figure, result: Result) -> Figure:
     ratios = np.array(
         [np.quantile(c, INTERVAL) / np.median(c) if s else (1, 1, 1) for c, s in zip(central.T, seen, strict=True)]
     )
+    for i in np.flatnonzero(seen & np.array([p.link == LOGIT for p in result.parameters])):
+        ratios[i] = 1 + np.quantile(central[:, i], INTERVAL) - np.median(central[:, i])  # of one, not of the exponent
+    near_zero = seen & (ratios[:, 0] * ratios[:, 2] < 0)
+    ratios[near_zero] = 1.0
     percent = 100 * (ratios - 1)
     panels[0].hlines(rows[seen], percent[seen, 0], percent[seen, 2], color=BLUE, lw=2.4)
-    panels[0].plot(np.zeros(seen.sum()), rows[seen], "o", color=BLUE, ms=6)
+    known = seen & ~near_zero
+    panels[0].plot(np.zeros(known.sum()), rows[known], "o", color=BLUE, ms=6)
     panels[0].axvline(0, color=GREY, lw=0.8)
     panels[0].set_xlabel("uncertainty of the central value (%)")
     panels[0].set_yticks(rows, result.elements)
     panels[0].set_ylim(len(rows) - 0.5, -0.5)
-    for i in rows[~seen]:
-        panels[0].text(0.5, i, MISSING, transform=panels[0].get_yaxis_transform(), ha="center", va="center", color=GREY)
+    for i in rows[~seen | near_zero]:
+        told = "may be zero" if near_zero[i] else MISSING
+        panels[0].text(0.5, i, told, transform=panels[0].get_yaxis_transform(), ha="center", va="center", color=GREY)
     if spread:
         _spreads(panels[1], result, rows, seen)
     return figure
@@ -66,6 +85,7 @@ def _spreads(axes: Axes, result: Result, rows: np.ndarray, seen: np.ndarray) -> 
     for name, label, colour, marker, shift in kinds:
         if variable(result, name) is None:
             continue
+        seen = seen & varying(result)
         low, middle, high = np.quantile(samples(result, name)[:, seen], INTERVAL, axis=0)
         axes.hlines(rows[seen] + shift, low, high, color=colour, lw=2.4)
         axes.plot(middle, rows[seen] + shift, marker, color=colour, ms=5.5, label=label)
@@ -103,24 +123,30 @@ def forest(figure: Figure, result: Result) -> Figure:
     -------
     Figure
     """
-    panels = _grid(figure, len(result.elements), 2)
+    shown = np.flatnonzero(varying(result)).tolist() or list(range(len(result.elements)))
+    panels = _grid(figure, len(shown), 2)
     draws, seen, n = samples(result, "person_log_elements"), identified(result), len(subjects(result))
-    for i, (axes, name) in enumerate(zip(panels, result.elements, strict=True)):
+    for i, axes in zip(shown, panels, strict=True):
+        name = result.elements[i]
         scale = element_scale(result, i)
         axes.set_title(scale.label(name))
         axes.set_xticks([])
         if not seen[i]:
             _say_missing(axes)
             continue
-        low, middle, high = np.exp(np.quantile(draws[:, :, i], INTERVAL, axis=0)) * scale.factor
+        own = result.parameters[i]
+        low, middle, high = own.value(np.quantile(draws[:, :, i], INTERVAL, axis=0)) * scale.factor
         order, x = np.argsort(middle), np.arange(n)
         centre = float(np.median(samples(result, "central")[:, i])) * scale.factor
         sd = float(np.median(samples(result, "dispersion_between_persons")[:, i]))
-        axes.axhspan(centre * math.exp(-sd), centre * math.exp(sd), color=BLUE, alpha=0.13, lw=0)
+        u = float(own.u(centre / scale.factor))
+        ends = own.value(np.array([u - sd, u + sd])) * scale.factor
+        axes.axhspan(*ends.tolist(), color=BLUE, alpha=0.13, lw=0)
         axes.axhline(centre, color=RED, lw=1.4)
         axes.vlines(x, low[order], high[order], color=BLUE, lw=1.1, alpha=0.75)
         axes.plot(x, middle[order], "o", color=BLUE, ms=2.8, mew=0)
-        log_axis(axes.yaxis, *log_limits(low, high), ticks=5)
+        if own.link == LOG:
+            log_axis(axes.yaxis, *log_limits(low, high), ticks=5)
         axes.set_xlim(-1, n)
     figure.supxlabel(f"{n} {who(result)}, sorted in each panel", fontsize=10)
     return figure
@@ -138,7 +164,7 @@ def correlation(axes: Axes, result: Result) -> Axes:
     -------
     Axes
     """
-    seen = np.flatnonzero(identified(result))
+    seen = np.flatnonzero(identified(result) & varying(result))
     names = [result.elements[i] for i in seen]
     draws = samples(result, "correlation")[:, seen][:, :, seen]
     low, middle, high = np.quantile(draws, INTERVAL, axis=0)
@@ -202,7 +228,11 @@ def traces(figure: Figure, result: Result) -> Figure:
             if not known:
                 _say_missing(axes, size=8)
                 continue
-            values = np.exp(needed(result, source)[:, :, row]) * (scale.factor if column == 0 else 1.0)
+            if column and result.parameters[row].shared:
+                axes.set_axis_off()
+                continue
+            u = needed(result, source)[:, :, row]
+            values = np.exp(u) if column else result.parameters[row].value(u) * scale.factor
             for ensemble, chain in enumerate(values):
                 colour = ENSEMBLES[ensemble % len(ENSEMBLES)]
                 axes.plot(chain, color=colour, lw=0.6, alpha=0.75, rasterized=True)
@@ -235,10 +265,11 @@ def priors(figure: Figure, result: Result) -> Figure:
     reach = 2.6 * PRIOR_CENTRE_SD
     grid = np.linspace(-reach, reach, 300)
     prior = normal_density(0.0, PRIOR_CENTRE_SD)(grid)
+    sds = prior_sds(result) / PRIOR_CENTRE_SD
     for row, name in enumerate(names):
         _ridge(panels[0], row, np.exp(grid), prior, LIGHT, "prior")
         if seen[row]:
-            density, edges = np.histogram(samples(result, "mu")[:, row] - centre[row], bins=25)
+            density, edges = np.histogram((samples(result, "mu")[:, row] - centre[row]) / sds[row], bins=25)
             _ridge(panels[0], row, np.exp((edges[1:] + edges[:-1]) / 2), density, BLUE, "posterior")
         else:
             panels[0].text(
@@ -252,7 +283,7 @@ def priors(figure: Figure, result: Result) -> Figure:
                 transform=panels[0].get_yaxis_transform(),
             )
     log_axis(panels[0].xaxis, math.exp(-reach), math.exp(reach), ticks=7)
-    panels[0].set_xlabel("central value / prior centre")
+    panels[0].set_xlabel("central value / prior centre" + ("" if np.all(sds == 1) else ", or exp of its distance"))
     panels[0].set_yticks(range(len(names)), names)
     panels[0].set_ylim(len(names) - 0.6, -1.0)
     if spread:
@@ -260,7 +291,7 @@ def priors(figure: Figure, result: Result) -> Figure:
         prior = half_normal_density(PRIOR_DISPERSION_SD)(grid)
         for row in range(len(names)):
             _ridge(panels[1], row, grid, prior, LIGHT, "prior")
-            if seen[row]:
+            if seen[row] and not result.parameters[row].shared:
                 density, edges = np.histogram(samples(result, "dispersion_between_persons")[:, row], bins=25)
                 _ridge(panels[1], row, (edges[1:] + edges[:-1]) / 2, density, BLUE, "posterior")
         panels[1].set_xlabel(f"spread between {who(result)}: factor exp(sd)")

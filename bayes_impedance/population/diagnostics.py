@@ -13,6 +13,9 @@ from bayes_impedance.population.posterior import RARELY, noise_within
 from bayes_impedance.population.sharded_likelihood import KeptDraws
 from bayes_impedance.recordings.files import Recordings
 
+MISSED_LIMIT = 1.0
+"""Largest error of the log likelihood from moving draws with shared parameters. By choice: as for its noise, below."""
+
 VARIANCE_LIMIT = 1.0
 """Above this Monte-Carlo variance of the log likelihood, the posterior is refused: the noise is then as large as the
 differences in log likelihood, about one, that determine the width of an interval."""
@@ -64,6 +67,9 @@ class Diagnostics:
         Persons whose mode failed the gradient test.
     redrawn : int
         How often the reference population was moved.
+    missed : float
+        Largest error of the log likelihood, at test points, from moving the draws with the parameters that are the same
+        for everybody; zero if there are none.
     rivals : tuple of float
         Differences in log evidence between the chosen mode of the population and the other modes found.
     """
@@ -81,6 +87,7 @@ class Diagnostics:
     effective_draws_rarely: float
     unconverged: tuple[str, ...]
     redrawn: int
+    missed: float
     rivals: tuple[float, ...]
 
     @property
@@ -110,6 +117,12 @@ class Diagnostics:
                 f"the likelihood of {poor} subject(s) rests on {self.effective_draws.min():.1f} draws or so: "
                 "the recordings leave elements undetermined along more than one direction, or a subject is far from "
                 "the others; use a smaller network, a wider band, or leave the subject out"
+            )
+        if not self.missed <= MISSED_LIMIT:
+            found.append(
+                f"the likelihood is uncertain where parameters that are the same for everybody (*) change (error "
+                f"{self.missed:.2g}, limit {MISSED_LIMIT:g}): people's elements are undetermined or have "
+                "two solutions; use a smaller network or a wider band, or hold the parameter at a known value"
             )
         if self.unconverged:
             some = ", ".join(self.unconverged[:5])
@@ -175,5 +188,6 @@ def assess(
         effective_draws_rarely=rarely,
         unconverged=tuple(s.name for s, well in zip(recordings.subjects, point.converged, strict=True) if not well),
         redrawn=redrawn,
+        missed=0.0 if marginal is None else marginal.missed(),
         rivals=point.rivals,
     )

@@ -18,20 +18,7 @@ from bayes_impedance.person.likelihood import Likelihood, repetition_equations
 from bayes_impedance.person.mode import Mode, find_mode
 from bayes_impedance.person.noise import contrasts
 from bayes_impedance.population.importance_likelihood import Contrasts
-
-
-@dataclass(frozen=True)
-class Begun:
-    """Starting point of the search for a person's mode.
-
-    Attributes
-    ----------
-    theta : ndarray, shape (P,)
-    deviations : ndarray, shape (J, P)
-    """
-
-    theta: np.ndarray
-    deviations: np.ndarray
+from bayes_impedance.population.shared import Placed
 
 
 @dataclass(frozen=True)
@@ -63,9 +50,9 @@ class PersonFit:
         return self.mode.theta
 
 
-def begin(likelihood: Likelihood, theta: np.ndarray) -> Begun:
+def begin(likelihood: Likelihood, theta: np.ndarray) -> Placed:
     """Starting point of a person who has not been fitted yet; the deviations are those of the likelihood."""
-    return Begun(theta, likelihood.deviations)
+    return Placed(theta, likelihood.deviations)
 
 
 def expect(
@@ -73,7 +60,7 @@ def expect(
     precision: np.ndarray,
     rho: np.ndarray,
     likelihood: Likelihood,
-    before: Begun | PersonFit,
+    before: Placed | PersonFit,
     mean: np.ndarray,
     starts: np.ndarray,
 ) -> PersonFit:
@@ -87,7 +74,7 @@ def expect(
     rho : ndarray, shape (P,)
         The population's dispersion between repetitions.
     likelihood : Likelihood
-    before : Begun or PersonFit
+    before : Placed or PersonFit
         First starting point, and the initial deviations.
     mean : ndarray, shape (P,)
         Population mean for this person's covariates.

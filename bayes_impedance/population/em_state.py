@@ -15,7 +15,6 @@ import numpy as np
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.population.e_step import (
-    Begun,
     PersonFit,
     Sums,
     begin,
@@ -50,8 +49,8 @@ _SHORTER = 6
 of the step, below which the iteration goes on without it."""
 
 
-def _begun_at(_: Likelihood, theta: np.ndarray, deviations: np.ndarray) -> Begun:
-    return Begun(theta, deviations)
+def _begun_at(_: Likelihood, theta: np.ndarray, deviations: np.ndarray) -> Placed:
+    return Placed(theta, deviations)
 
 
 def _place(fit: PersonFit) -> tuple[np.ndarray, np.ndarray]:

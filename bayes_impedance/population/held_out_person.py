@@ -14,10 +14,11 @@ import numpy as np
 from bayes_impedance.person.importance_draws import widening
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.marginal_likelihood import LEAST_RHO
-from bayes_impedance.population.e_step import Begun, PersonFit, expect
+from bayes_impedance.population.e_step import PersonFit, expect
 from bayes_impedance.population.fit import PopulationFit
 from bayes_impedance.population.posterior import FEWEST_DRAWS, RARELY
 from bayes_impedance.population.sharded_likelihood import part_of
+from bayes_impedance.population.shared import Placed
 from bayes_impedance.population.starting_fits import noise_of
 from bayes_impedance.recordings.files import Subject
 
@@ -88,7 +89,7 @@ def _mode(
     points = np.random.default_rng(seed).normal(size=(_STARTS, mean.size))
     starts = mean + points @ np.linalg.cholesky(covariance).T
     precision, least = np.linalg.inv(covariance), np.maximum(rho, LEAST_RHO)
-    before: Begun | PersonFit = Begun(mean, likelihood.deviations)
+    before: Placed | PersonFit = Placed(mean, likelihood.deviations)
     for k in range(_MOST_ROUNDS):
         own = starts if k in (0, 2) else starts[:0]
         found = expect(fit.kernel, precision, rho, likelihood, before, mean, own)

@@ -342,5 +342,6 @@ class ImportanceLikelihood:
         own = np.broadcast_to(quadratic[:, None], (*linear.shape[:2], quadratic.shape[1]))
         rest = np.concatenate([np.ones((len(moving), 1)), moving], axis=1)
         rest = np.broadcast_to(rest[:, None], (*linear.shape[:2], rest.shape[1]))
-        coefficients = np.concatenate([own, linear, rest], axis=2).astype(np.float32)
+        with np.errstate(over="ignore", invalid="ignore"):  # as above: a vanishing dispersion is refused later
+            coefficients = np.concatenate([own, linear, rest], axis=2).astype(np.float32)
         return (coefficients[:, 0] if coefficients.shape[1] == 1 else coefficients), constants

@@ -168,9 +168,9 @@ class KeptDraws:
         """Each person's effective number of draws under W sets, shape (W, N)."""
         return np.concatenate(self._kept.ask(_effective, parameters), axis=1)
 
-    def missed(self) -> np.ndarray:
-        """What moving the draws with shared parameters misses of the log likelihood, at test points, (T,)."""
-        return np.asarray(np.sum(self._kept.ask(_missed), axis=0))
+    def missed(self) -> float:
+        """What moving the draws with shared parameters misses of the log likelihood, at most, at test points."""
+        return float(np.abs(np.sum(self._kept.ask(_missed), axis=0)).max(initial=0.0))
 
     def pareto_k(self, parameters: PopulationParameters) -> np.ndarray:
         """Pareto k of each person's weights under the first set, shape (N,)."""

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from bayes_impedance.mcmc.ensemble import QUICK, SamplerSettings
-from bayes_impedance.network.elements import kind_of
 from bayes_impedance.network.notation import Network, parse
+from bayes_impedance.network.parameters import quantity_of
 from bayes_impedance.plots.access import (
     frequency,
     is_electrical,
@@ -104,7 +104,11 @@ def element_rows(result: Result) -> list[ElementRow]:
     rows = []
     for name in result.elements:
         entry = result.summary["elements"][name]
-        noun, story = _ELECTRICAL[name[0]] if is_electrical(result) else (kind_of(name).name, kind_of(name).story)
+        quantity = quantity_of(name)
+        plain = quantity.name, quantity.story
+        noun, story = _ELECTRICAL.get(name[0], plain) if is_electrical(result) else plain
+        if entry.get("pooling") == "shared":
+            noun, story = f"{noun}, the same for all", f"{story} It is the same for everybody: the rig's."
         central, unit = entry["central"], typeset(entry["unit"])
         value, interval = (_WITHHELD, "") if entry["identified"] else (NOT_DETERMINED, "")
         if entry["identified"] and central["median"] is not None:
@@ -112,7 +116,9 @@ def element_rows(result: Result) -> list[ElementRow]:
             value, interval = with_interval(*(scale.factor * central[k] for k in ("median", "q05", "q95")))
             unit = scale.unit
         persons, repetitions = (
-            _spread(entry[f"dispersion_between_{level}"]) if entry["identified"] else (_ABSENT, "")
+            _spread(entry[f"dispersion_between_{level}"])
+            if entry["identified"] and entry.get("pooling") != "shared"
+            else (_ABSENT, "")
             for level in ("persons", "repetitions")
         )
         title = f"{places[name]} {noun}" if places[name] else noun
@@ -145,9 +151,7 @@ def _spread(entry: dict[str, float | None]) -> tuple[str, str]:
 
 def _groups_of(network: Network) -> dict[str, str]:
     """Label of the smallest labelled group around each element, or an empty text."""
-    return {
-        path_node.elements[0]: _innermost(network, path) for path, path_node in network.walk() if not path_node.parts
-    }
+    return {p.name: _innermost(network, path) for path, node in network.walk() for p in node.own_parameters}
 
 
 def _innermost(network: Network, path: tuple[int, ...]) -> str:

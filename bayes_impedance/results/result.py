@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +18,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayes_impedance.errors import InputError
-from bayes_impedance.network.elements import kind_of
+from bayes_impedance.network.notation import parse
+from bayes_impedance.network.parameters import Parameter, unit_of_parameter, values_of
 from bayes_impedance.population.fit import PopulationFit
 from bayes_impedance.results.adequacy import Adequacy
 from bayes_impedance.results.predictive import PROBABILITIES, Predictive
@@ -72,7 +74,13 @@ class Result:
 
     def element_unit(self, element: str) -> str:
         """Unit of an element's value."""
-        return kind_of(element).unit(self.attributes["unit"])
+        return unit_of_parameter(element, self.attributes["unit"])
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The network's parameters, in the order of :attr:`elements`."""
+        own = {p.name: p for p in parse(self.attributes["network"]).parameters}
+        return tuple(own[name] for name in self.elements)
 
     def elements_table(self) -> pd.DataFrame:
         """The population's elements: :func:`bayes_impedance.results.tables.elements_table`."""
@@ -121,6 +129,7 @@ DIMS: dict[str, list[str]] = {
     "repetitions": ["subject"],
     "identified": ["element"],
     "prior_centre": ["element"],
+    "prior_centre_sd": ["element"],
 }
 """Axes of every variable besides chain and draw; ``part`` is magnitude, then phase in degrees."""
 
@@ -190,7 +199,7 @@ def _groups(fit: PopulationFit, predictive: Predictive) -> dict[str, dict[str, n
 
     posterior = {
         "mu": by_chain(p.mu * seen),
-        "central": by_chain(np.exp(p.mu) * seen),
+        "central": by_chain(values_of(fit.kernel.parameters, p.mu) * seen),
         "person_log_elements": fit.person_draws * seen,
     }
     if not fit.one_person:
@@ -240,6 +249,7 @@ def _groups(fit: PopulationFit, predictive: Predictive) -> dict[str, dict[str, n
             "repetitions": np.array([len(s.repetitions) for s in fit.recordings.subjects]),
             "identified": fit.identified.astype(np.int8),
             "prior_centre": fit.prior.centre,
+            "prior_centre_sd": fit.prior.centre_sds.copy(),
         },
     }
 

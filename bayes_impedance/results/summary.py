@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from bayes_impedance.network.elements import kind_of
+from bayes_impedance.network.parameters import unit_of_parameter
 from bayes_impedance.network.redundancy import inseparable
 from bayes_impedance.population.fit import PopulationFit, too_few_for_correlations
 from bayes_impedance.results.adequacy import Adequacy
@@ -69,26 +69,29 @@ def summary_of(
     p, d = fit.parameters, fit.diagnostics
     problems = [*adequacy.gross, *d.problems]
     elements = {}
-    for i, name in enumerate(fit.kernel.elements):
+    for i, (name, parameter) in enumerate(zip(fit.kernel.elements, fit.kernel.parameters, strict=True)):
         known = bool(fit.identified[i]) and not problems
+        varies = known and not fit.one_person and not parameter.shared
         elements[name] = {
-            "unit": kind_of(name).unit(fit.recordings.unit),
+            "unit": unit_of_parameter(name, fit.recordings.unit),
+            "kind": parameter.quantity.name,
+            "pooling": "shared" if parameter.shared else "varying",
+            "scale": parameter.link,
             "identified": bool(fit.identified[i]),
             "marked": name in adequacy.bent,
-            "central": _interval(np.exp(p.mu[:, i]), known),
-            "dispersion_between_persons": _interval(p.between_persons[:, i], known and not fit.one_person),
-            "dispersion_between_repetitions": _interval(
-                p.between_repetitions[:, i], known and fit.repeated and not fit.one_person
-            ),
+            "central": _interval(parameter.value(p.mu[:, i]), known),
+            "dispersion_between_persons": _interval(p.between_persons[:, i], varies),
+            "dispersion_between_repetitions": _interval(p.between_repetitions[:, i], varies and fit.repeated),
         }
     for combination in fit.combinations:
         for name in combination.elements:
-            elements[name] = _not_separable(kind_of(name).unit(fit.recordings.unit), combination.name)
+            elements[name] = _not_separable(unit_of_parameter(name, fit.recordings.unit), combination.name)
     correlation = []
+    shared = [parameter.shared for parameter in fit.kernel.parameters]
     if fit.settings.covariance == "full" and not fit.one_person and not problems:
         for i, a in enumerate(fit.kernel.elements):
             for j in range(i):
-                if fit.identified[i] and fit.identified[j]:
+                if fit.identified[i] and fit.identified[j] and not (shared[i] or shared[j]):
                     low, middle, high = np.quantile(p.correlation[:, i, j], (0.05, 0.5, 0.95))
                     correlation.append([fit.kernel.elements[j], a, float(middle), float(low), float(high)])
     errors: dict[str, Any] = {name: curve.summary() for name, curve in predictive.errors.items()}

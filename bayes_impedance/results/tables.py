@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayes_impedance.network.parameters import values_of
+
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -70,7 +72,7 @@ def persons_table(result: Result) -> pd.DataFrame:
     import pandas as pd
 
     own = np.asarray(result.groups["posterior"]["person_log_elements"], dtype=float)
-    medians = np.exp(np.median(own.reshape(-1, *own.shape[2:]), axis=0))
+    medians = values_of(result.parameters, np.median(own.reshape(-1, *own.shape[2:]), axis=0))
     if result.problems:
         medians[:] = np.nan
     frame = pd.DataFrame(

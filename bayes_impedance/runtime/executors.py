@@ -286,7 +286,7 @@ def over_rows(function: Callable[..., Result], *columns: Sequence[Any] | np.ndar
 class _OneThread:
     """A task that uses one thread for linear algebra, because more threads round differently.
 
-    Workers of ``dask worker --no-nanny`` would use all processors; a nanny starts its worker with one thread each.
+    Workers that Dask starts without a nanny would use all processors; a nanny starts its worker with one thread each.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 
 import numpy as np
@@ -13,7 +13,7 @@ from bayes_impedance.diagnosis.catalogue.coefficient import Scales
 from bayes_impedance.diagnosis.catalogue.effect import Effect, operation_constants
 from bayes_impedance.network.elements import band_scale, kind_of
 from bayes_impedance.network.kernel import Kernel
-from bayes_impedance.network.notation import Element, Network, Parallel, Place, parse
+from bayes_impedance.network.notation import Element, Network, Parallel, Place, Wrapped, parse
 from bayes_impedance.network.operations import Operation
 from bayes_impedance.recordings.files import Recordings
 
@@ -30,7 +30,8 @@ TYPICAL_DISPERSION = 0.35
 SHAPE_DISPERSION = 0.2
 """The same for shapes (exponents, time constants), which differ less than coefficients do. By choice."""
 
-_INNER = "inner_place_"
+TEMPORARY_LABEL = "inner_place_"
+"""Beginning of the labels by which places are found again after branches were inserted."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -276,8 +277,9 @@ class _Reordered(Kernel):
     def __init__(self, network: Network, operations: Sequence[Operation], first: Sequence[str]) -> None:
         super().__init__(network, operations)
         order = [*first, *(e for e in self.elements if e not in first)]
-        position = np.array([order.index(e) for e in self.elements], dtype=np.int64)
         program = self.program
+        held = np.arange(len(order), len(order) + program.held.size)  # they come after all, and stay there
+        position = np.concatenate([[order.index(e) for e in self.elements], held]).astype(np.int64)
         parameter = np.where(program.node_parameter >= 0, position[program.node_parameter], -1)
         self.program = program._replace(term_element=position[program.term_element], node_parameter=parameter)
         self.elements = tuple(order)
@@ -295,7 +297,7 @@ def _with_labels(network: Network) -> Network:
     for k, place in enumerate(network.places()):
         node = network.at(place)
         if not isinstance(node, Element) and node.label is None:
-            network = network.replaced(place, node.labelled(f"{_INNER}{k}"))
+            network = network.replaced(place, node.labelled(f"{TEMPORARY_LABEL}{k}"))
     return network
 
 
@@ -314,13 +316,15 @@ def _find(network: Network, name: str) -> Place:
 
 def _without_labels(network: Network) -> Network:
     """The network without the temporary labels."""
-    if isinstance(network, Element):
-        return network
+    kept = None if network.label is None or network.label.startswith(TEMPORARY_LABEL) else network.label
+    if not network.parts:
+        return network.labelled(kept)
+    if isinstance(network, Wrapped):
+        return replace(network, part=_without_labels(network.part)).labelled(kept)
     parts = [_without_labels(part) for part in network.parts]
     join = operator.or_ if isinstance(network, Parallel) else operator.sub
-    label = network.label
     joined: Network = reduce(join, parts)
-    return joined if label is None or label.startswith(_INNER) else joined.labelled(label)
+    return joined if kept is None else joined.labelled(kept)
 
 
 def _renamed(branch: Network, network: Network) -> Network:

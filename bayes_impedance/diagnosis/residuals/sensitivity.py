@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayes_impedance.diagnosis.fit.model import Model, inner_places
-from bayes_impedance.network.elements import kind_of
-from bayes_impedance.network.notation import Element, Network, Parallel
+from bayes_impedance.network.notation import Element, Network, Parallel, PowerLaw, Wrapped
 from bayes_impedance.network.operations import N_PARAMETERS
+from bayes_impedance.network.program import changed_by
 from bayes_impedance.network.transform import transform_many
 
 INSIDE = "port, inside the rig"
@@ -59,11 +59,16 @@ def local_impedances(model: Model, u: np.ndarray, omega: np.ndarray) -> dict[str
     values = {name: u[:, i, None] for i, name in enumerate(kernel.elements)}
     inside_rig: list[Local] = []
     before: dict[tuple[int, ...], list[np.ndarray]] = {}
+    wrapping: dict[tuple[int, ...], np.ndarray] = {}
     after: dict[tuple[int, ...], np.ndarray] = {}
 
     def up(node: Network, path: tuple[int, ...]) -> np.ndarray:
-        if isinstance(node, Element):
-            z = kind_of(node.name).impedance(1j * omega, np.exp(values[node.name]))
+        if isinstance(node, Element | PowerLaw):
+            known = {p.name: p.value(values[p.name]) for p in node.own_parameters if not p.held}
+            z = np.broadcast_to(node.impedance(1j * omega, known), (len(u), omega.size))
+        elif isinstance(node, Wrapped):
+            wrapper = {p.name: values[p.name][:, 0] for p in node.own_parameters if not p.held}
+            z, wrapping[path] = changed_by(node, wrapper, omega, up(node.part, (*path, 0)))
         else:
             parts = [up(part, (*path, i)) for i, part in enumerate(node.parts)]
             z = np.sum(parts, axis=0) if isinstance(node, Parallel) else 1 / np.sum([1 / p for p in parts], axis=0)
@@ -96,6 +101,9 @@ def local_impedances(model: Model, u: np.ndarray, omega: np.ndarray) -> dict[str
         inside = adjoint
         for slope in reversed(before[path]):
             inside = inside * slope
+        if isinstance(node, Wrapped):
+            down(node.part, (*path, 0), inside * wrapping[path])
+            return
         bare = after[path]
         if before[path]:
             parts = [after[(*path, i)] for i in range(len(node.parts))]

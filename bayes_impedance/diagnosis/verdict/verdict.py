@@ -8,6 +8,7 @@ from importlib.metadata import version
 
 import numpy as np
 
+from bayes_impedance.diagnosis.extended_network import extended_network, no_networks
 from bayes_impedance.diagnosis.fit.baseline import Fitted
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
 from bayes_impedance.diagnosis.fit.refit import Refit
@@ -211,15 +212,38 @@ def make_verdict(recordings: Recordings, fitted: Fitted, evidence: Evidence, see
         title=recordings.title,
         unit=recordings.unit,
         reliable=bool(found.base.settled) and not gross,
-        remarks=(*gross, *partial, *fitted.remarks, *evidence.remarks, *_limits_of_few(recordings)),
+        remarks=(
+            *gross,
+            *partial,
+            *fitted.remarks,
+            *evidence.remarks,
+            *_left_out(evidence),
+            *_limits_of_few(recordings),
+        ),
         version=version("bayes_impedance"),
         joint=joint_of(found) if len(effects) > 1 else None,
         parameters_differ=None
         if differences is None
         else tuple(d for d in differences if d.p_value < _SIGNIFICANT_DIFFERENCE),
         shortcomings=(*gross, *partial),
+        extended_network=_extended(evidence),
     )
     return replace(verdict, summary=sentence(verdict, len(recordings.subjects)))
+
+
+def _extended(evidence: Evidence) -> str | None:
+    """Notation of the network with everything that was added; None if nothing was, or it is no network."""
+    if not evidence.changed or not evidence.final.model.additions:
+        return None
+    return str(extended_network(evidence.final.model))
+
+
+def _left_out(evidence: Evidence) -> tuple[str, ...]:
+    """What a fit of the extended network does not contain, in a sentence."""
+    ids = no_networks(evidence.final.model) if evidence.changed else ()
+    if not ids:
+        return ()
+    return (f"{', '.join(ids)} cannot be written as a network: 'run --with' fits what else was found.",)
 
 
 def _shortcomings(recordings: Recordings, final: Refit) -> tuple[list[str], list[str]]:

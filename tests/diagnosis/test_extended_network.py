@@ -1,0 +1,107 @@
+"""The network with what was found: some values of its new parameters give the curve of the model that was fitted."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from fingertip_effects import SCALES
+from scipy.optimize import least_squares
+
+from bayes_impedance.diagnosis.catalogue.effect import Effect, registered, shape_grid
+from bayes_impedance.diagnosis.extended_network import extended_network, no_networks
+from bayes_impedance.diagnosis.fit.model import Addition, build
+from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.network.notation import parse
+from bayes_impedance.network.parameters import LOG
+
+NETWORK = parse("skin:(n3|r3)-tissue:(m2|r1|n1|(m1-(n2|r2)))")
+CENTRE = {"n3": 9e-5, "r3": 30.0, "m2": 9e-4, "r1": 1.5, "n1": 1.2e-3, "m1": 1.7e-2, "n2": 5e-3, "r2": 3.2}
+F = np.geomspace(5, 2000, 40)
+NO_NETWORK = {"sweep"}
+"""Operations that have no form in the language of networks."""
+
+
+def effects() -> list[Effect]:
+    return [effect for effect in registered() if effect.operation and effect.sites(NETWORK)]
+
+
+def shapes_of(effect: Effect) -> dict[str, float]:
+    grid = list(shape_grid(effect, SCALES))
+    return grid[len(grid) // 2] if grid else {}
+
+
+def model_of(effect: Effect, place: str, pooling: str, others: tuple[Addition, ...] = ()):
+    additions = (*others, Addition(effect=effect, place=place, pooling=pooling))
+    return build(NETWORK, additions, SCALES, [shapes_of(a.effect) for a in additions])
+
+
+def curve_of(model, size: float) -> tuple[np.ndarray, np.ndarray]:
+    """Impedance with every coefficient of this size, and of the network alone."""
+    u = np.array([np.log(CENTRE[e]) for e in NETWORK.elements] + [p.start for p in model.parameters])
+    for k, p in enumerate(model.parameters, model.n_elements):
+        if p.is_coefficient:
+            u[k] = size
+    return model.kernel.impedance(u, F), u[: model.n_elements]
+
+
+def closest(network, own: np.ndarray, z: np.ndarray) -> float:
+    """Smallest relative difference of the network's curve from z, over its parameters besides the known ones."""
+    kernel = Kernel(network)
+    known = {e: u for e, u in zip(NETWORK.elements, own, strict=True) if e in kernel.elements}
+    held = kernel.holding(known)
+    size = {"m": 1e-3, "n": 1e-3, "r": 1.0, "p": 1.0, "k": 1e3, "d": 0.03, "f": 100.0, "e": 0.1, "t": 1e-3, "g": 1.0}
+    starts = np.array([np.log(size[p.letter]) if p.link == LOG else 0.0 for p in held.parameters])
+
+    def rest(u: np.ndarray) -> np.ndarray:
+        difference = held.impedance(u, F) / z - 1
+        return np.nan_to_num(np.concatenate([difference.real, difference.imag]), nan=1e3, posinf=1e3, neginf=-1e3)
+
+    rng, best = np.random.default_rng(1), np.inf
+    for scale in (0.0, *[2.0] * 60):
+        start = starts + scale * rng.normal(size=starts.size)
+        for p, k in zip(held.parameters, range(starts.size), strict=True):
+            if p.link == "signed":
+                start[k] *= 1e-4
+        best = min(best, float(np.abs(rest(least_squares(rest, start, x_scale="jac", method="trf").x)).max()))
+        if best < 1e-6:
+            break
+    return best
+
+
+@pytest.mark.parametrize("pooling", ["shared", "varying"])
+@pytest.mark.parametrize("effect", effects(), ids=lambda e: f"{e.id}-{e.form}")
+def test_every_effect_is_a_network(effect: Effect, pooling: str) -> None:
+    sites = effect.sites(NETWORK)
+    for place in {sites[0].name, sites[-1].name}:
+        model = model_of(effect, place, pooling)
+        network = extended_network(model)
+        if effect.operation in NO_NETWORK:
+            assert network == NETWORK
+            assert no_networks(model) == (effect.id,)
+            continue
+        assert no_networks(model) == ()
+        assert parse(str(network)) == network
+        assert not any("place_" in (node.label or "") for _, node in network.walk())
+        new = [p for p in network.parameters if p.name not in NETWORK.elements]
+        assert new
+        if pooling == "shared":
+            assert all(p.shared for p in new)
+        else:
+            assert not new[0].shared
+        z, own = curve_of(model, 0.3)
+        assert closest(network, own, z) < 1e-6
+
+
+def test_several_effects_at_one_place_and_inside_of_others() -> None:
+    by_form = {e.form: e for e in registered()}
+    skin = Addition(effect=by_form["beside_power"], place="skin", pooling="varying")
+    spring = Addition(effect=by_form["relaxation"], place="n1", pooling="varying")
+    delay = Addition(effect=by_form["delay"], place="port", pooling="shared")
+    low = next(e for e in registered() if e.operation == "lowpass")
+    model = model_of(low, "port", "shared", (skin, spring, delay))
+    network = extended_network(model)
+    assert str(network).count("[") == 2
+    assert "skin:" in str(network)
+    assert "p1^a1*" in str(network)
+    z, own = curve_of(model, 0.1)
+    assert closest(network, own, z) < 1e-6

@@ -1,0 +1,395 @@
+"""Parameters that are the same for everybody: equations and moved draws against exact or independent computations.
+
+The persons are made by hand, with a known noise, so that nothing but `shared.py` and `shared_draws.py` and what they
+are fed is involved; the last tests look at whole fits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from scipy.optimize import root
+
+from bayes_impedance.mcmc.ensemble import SamplerSettings
+from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.network.notation import parse
+from bayes_impedance.person.importance_draws import Draws, Reference, draw
+from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood, log_likelihood
+from bayes_impedance.person.marginal_likelihood import Ridge, find_ridge
+from bayes_impedance.population.e_step import PersonFit, expect
+from bayes_impedance.population.fit import FitSettings, PopulationFit, fit_population
+from bayes_impedance.population.importance_likelihood import ImportanceLikelihood
+from bayes_impedance.population.parameters import PopulationParameters
+from bayes_impedance.population.shared import Placed, Pooling, SharedEquations, shared_equations
+from bayes_impedance.population.shared_draws import Sharing, moved
+from bayes_impedance.recordings.files import Recordings, Subject
+
+VALUES = {"m1": 2e-3, "r1": 2.0, "n1": 1e-3, "d1": 2e-4, "m9": 1e-3}
+ONE, TWO = "delay[d1*](r1|n1)", "delay[d1*](m9*|(r1-n1))"
+FREQUENCY = np.geomspace(5, 500, 30)
+
+
+@dataclass(frozen=True)
+class World:
+    """Persons whose population is known: the mean (V,), dispersions (V,) and shared parameters (S,)."""
+
+    pooling: Pooling
+    phi: np.ndarray
+    mean: np.ndarray
+    tau: np.ndarray
+    rho: np.ndarray
+    likelihoods: tuple[Likelihood, ...]
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Of the means over a person's repetitions."""
+        return np.diag(self.tau**2 + self.rho**2 / len(self.likelihoods[0].z))
+
+
+def world(network: str, repetitions: int, persons: int, noise: float = 0.05, seed: int = 0) -> World:
+    """Persons, and repetitions of different noise; without noise each person is the population's mean."""
+    kernel = Kernel(parse(network), scales={"d1": 1e-3})
+    pooling, rng = Pooling.of(kernel), np.random.default_rng(seed)
+    u = np.array([p.u(VALUES[p.name]) for p in kernel.parameters])
+    u[[e == "d1" for e in kernel.elements]] /= 1e-3
+    mean, phi = u[pooling.varying], u[pooling.shared]
+    tau, rho = np.full(mean.size, 0.2), np.full(mean.size, 0.08 * (repetitions > 1))
+    likelihoods = []
+    for _ in range(persons):
+        own = mean + (noise > 0) * tau * rng.normal(size=mean.size)
+        own = own + (noise > 0) * rho * rng.normal(size=(repetitions, mean.size))
+        z = kernel.impedance(pooling.whole(own, phi), FREQUENCY)
+        relative = max(noise, 0.05) * np.linspace(1, 0.6, repetitions)[:, None]
+        errors = rng.normal(size=z.shape) + 1j * rng.normal(size=z.shape)
+        noisy = z * (1 + (noise > 0) * relative * errors)
+        likelihoods.append(Likelihood.make(FREQUENCY, noisy, relative * np.abs(z), np.zeros_like(own)))
+    return World(pooling, phi, mean, tau, rho, tuple(likelihoods))
+
+
+def fitted(w: World, phi: np.ndarray, likelihood: Likelihood) -> PersonFit:
+    """A person's mode and that of the deviations."""
+    fit: Placed | PersonFit = Placed(w.mean, likelihood.deviations)
+    for _ in range(60):
+        before = fit
+        fit = expect(
+            w.pooling.at(phi), np.linalg.inv(w.covariance), w.rho, likelihood, fit, w.mean, np.zeros((0, w.mean.size))
+        )
+        if np.abs(fit.deviations - before.deviations).max() < 1e-10:
+            break
+    assert isinstance(fit, PersonFit)
+    return fit
+
+
+def equations(w: World, phi: np.ndarray, likelihood: Likelihood, fit: PersonFit) -> SharedEquations:
+    """A person's equations at the mode."""
+    return shared_equations(w.pooling, phi, np.linalg.inv(w.covariance), w.rho, likelihood, fit.mode, fit.deviations)
+
+
+# --- the equations of the shared parameters ---------------------------------------------------------------------------
+
+
+def residuals(w: World, phi: np.ndarray, likelihood: Likelihood, theta: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """Of every repetition, shape (J, F)."""
+    exact = w.pooling.kernel.impedance(w.pooling.whole(theta + own, phi), FREQUENCY)
+    return np.asarray(exact - (likelihood.z[:, 0] + 1j * likelihood.z[:, 1]))
+
+
+def deviations_from(contrast: np.ndarray, repetitions: int) -> np.ndarray:
+    """Deviations (J, V) of one or two repetitions."""
+    return np.array([contrast, -contrast]) if repetitions == 2 else np.zeros((1, contrast.size))
+
+
+def negative_log_posterior(w: World, x: np.ndarray, phi: np.ndarray, mean: np.ndarray, likelihood: Likelihood) -> float:
+    """Of theta and, with two repetitions, half their difference: both are in x."""
+    v, j = w.mean.size, len(likelihood.z)
+    theta, own = x[:v], deviations_from(x[v:], j) if j == 2 else np.zeros((1, v))
+    chi = np.sum(likelihood.weight * np.abs(residuals(w, phi, likelihood, theta, own)) ** 2)
+    value = (SCALE_SHAPE + likelihood.count) * np.log(SCALE_SHAPE + 0.5 * chi)
+    value += 0.5 * (theta - mean) @ np.linalg.solve(w.covariance, theta - mean)
+    return float(value + (0.5 * np.sum((own / w.rho) ** 2) if j == 2 else 0.0))
+
+
+def profile(
+    w: World, phi: np.ndarray, mean: np.ndarray, likelihood: Likelihood, start: np.ndarray
+) -> tuple[float, np.ndarray]:
+    """Least negative log posterior at shared parameters and a population's mean, and where it is."""
+    v, j = w.mean.size, len(likelihood.z)
+
+    def gradient(x: np.ndarray) -> np.ndarray:
+        theta, own = x[:v], deviations_from(x[v:], j) if j == 2 else np.zeros((1, v))
+        rest = residuals(w, phi, likelihood, theta, own)
+        tangent = w.pooling.kernel.derivative(w.pooling.whole(theta + own, phi), FREQUENCY)[1][:, w.pooling.varying]
+        chi = np.sum(likelihood.weight * np.abs(rest) ** 2)
+        scale = (SCALE_SHAPE + likelihood.count) / (SCALE_SHAPE + 0.5 * chi)
+        each = scale * np.einsum("jf,jpf->jp", likelihood.weight * rest, tangent.conj()).real
+        upward = each.sum(axis=0) + np.linalg.solve(w.covariance, theta - mean)
+        return np.concatenate([upward, each[0] - each[1] + 2 * x[v:] / w.rho**2]) if j == 2 else upward
+
+    found = root(gradient, start, tol=1e-13)
+    assert np.abs(found.x - root(gradient, start + 1e-3, tol=1e-13).x).max() < 1e-9
+    return negative_log_posterior(w, found.x, phi, mean, likelihood), found.x
+
+
+@pytest.mark.parametrize("repetitions", [1, 2])
+@pytest.mark.parametrize("network", [ONE, TWO])
+def test_equations_are_derivatives_of_the_profile(network: str, repetitions: int) -> None:
+    """Without noise the Gauss-Newton curvature is exact, and so are the responses: modes are searched anew nearby."""
+    w = world(network, repetitions, 1, noise=0.0)
+    likelihood = w.likelihoods[0]
+    own = equations(w, w.phi, likelihood, fitted(w, w.phi, likelihood))
+    s, v, h = w.phi.size, w.mean.size, 3e-4
+    at = np.concatenate([w.phi, w.mean])
+    start = np.concatenate([w.mean, np.zeros(v * (repetitions - 1))])
+
+    def there(change: np.ndarray) -> tuple[float, np.ndarray]:
+        return profile(w, at[:s] + change[:s], at[s:] + change[s:], likelihood, start)
+
+    steps = h * np.eye(s + v)
+    middle = there(np.zeros(s + v))[0]
+    curvature = np.empty((s + v, s + v))
+    for p in range(s + v):
+        ahead, behind = there(steps[p]), there(-steps[p])
+        slope = (ahead[1] - behind[1]) / (2 * h)
+        np.testing.assert_allclose(own.response[:, p], slope[:v], rtol=0, atol=2e-4)
+        if repetitions == 2:
+            np.testing.assert_allclose(own.drift[0, :, p], slope[v:], rtol=0, atol=2e-4)
+            np.testing.assert_allclose(own.drift[1], -own.drift[0], rtol=0, atol=1e-12)
+        for q in range(p + 1):
+            both, opposite = there(steps[p] + steps[q])[0], there(steps[p] - steps[q])[0]
+            back, other = there(-steps[p] - steps[q])[0], there(steps[q] - steps[p])[0]
+            mixed = (both + back - opposite - other) / (4 * h**2)
+            if p == q:
+                mixed = (ahead[0] + behind[0] - 2 * middle) / h**2
+            curvature[p, q] = curvature[q, p] = mixed
+    scale = np.sqrt(np.diag(curvature))
+    np.testing.assert_allclose(own.curvature / np.outer(scale, scale), curvature / np.outer(scale, scale), atol=2e-3)
+    # Parameters of the person absorb much of a shared one's effect, and more repetitions matter: nothing is trivial.
+    assert np.abs(own.response[:, :s]).max() > 0.01
+
+
+@pytest.mark.parametrize("repetitions", [1, 2])
+@pytest.mark.parametrize("network", [ONE, TWO])
+def test_gradient_is_that_of_the_profile_with_noise_too(network: str, repetitions: int) -> None:
+    """At the mode only the shared parameters' own derivative is left."""
+    w = world(network, repetitions, 3, noise=0.05, seed=3)
+    h = 1e-4
+    for likelihood in w.likelihoods:
+        fit = fitted(w, w.phi, likelihood)
+        own = equations(w, w.phi, likelihood, fit)
+        start = np.concatenate([fit.theta, fit.deviations[0] if repetitions == 2 else []])
+        sd = 1 / np.sqrt(np.diag(own.curvature))
+        for p in range(w.phi.size):
+            step = h * np.eye(w.phi.size)[p]
+            values = [profile(w, w.phi + sign * step, w.mean, likelihood, start)[0] for sign in (1, -1)]
+            slope = (values[0] - values[1]) / (2 * h)
+            assert -own.gradient[p] * sd[p] == pytest.approx(slope * sd[p], abs=2e-3)
+
+
+# --- moved draws ------------------------------------------------------------------------------------------------------
+
+
+def drawn(
+    w: World, phi: np.ndarray, likelihood: Likelihood, fit: PersonFit, n: int, seed: int
+) -> tuple[Draws, Ridge, Reference, Likelihood]:
+    """Importance draws of one person at shared parameters (S,)."""
+    kernel, here = w.pooling.at(phi), likelihood.moved(fit.deviations)
+    ridge = find_ridge(kernel, here, fit.theta, fit.mode.scale, w.rho)
+    reference = Reference(w.mean, 1.3 * w.covariance)
+    return draw(kernel, here, fit.mode, ridge, reference, n, np.random.SeedSequence(seed)), ridge, reference, here
+
+
+@dataclass(frozen=True)
+class MovedWorld:
+    """A world's moved draws: what a fit would keep."""
+
+    sharing: Sharing
+    marginal: ImportanceLikelihood
+    constants: np.ndarray
+    draws: int
+
+
+def moved_world(w: World, n: int) -> MovedWorld:
+    """Draws of everybody at the true shared parameters, to be moved as far as the recordings of all leave open."""
+    fits = [fitted(w, w.phi, own) for own in w.likelihoods]
+    told = [equations(w, w.phi, own, fit) for own, fit in zip(w.likelihoods, fits, strict=True)]
+    weak = 1e-6 * np.eye(w.phi.size + w.mean.size)
+    covariance = np.linalg.inv(np.sum([e.curvature for e in told], axis=0) + weak)[: w.phi.size, : w.phi.size]
+    sharing = Sharing.around(w.pooling, w.phi, covariance)
+    draws, how = [], []
+    for i, (own, fit, e) in enumerate(zip(w.likelihoods, fits, told, strict=True)):
+        mine, ridge, reference, here = drawn(w, w.phi, own, fit, n, i)
+        mine, along = moved(sharing, e, here, ridge, reference, mine)
+        draws.append(mine)
+        how.append(along)
+    persons, repetitions = len(draws), len(w.likelihoods[0].z)
+    marginal = ImportanceLikelihood(
+        draws,
+        np.tile(w.mean, (persons, 1)),
+        1.3 * w.covariance,
+        np.full(persons, repetitions),
+        np.zeros((persons, 0)),
+        (),
+        sharing,
+        how,
+    )
+    return MovedWorld(sharing, marginal, np.array([d.log_ratio.max() for d in draws]), n)
+
+
+def populations(w: World, sharing: Sharing, t: np.ndarray, seed: int = 5) -> PopulationParameters:
+    """Shared parameters at t (W, S), each with a population of its own near the true one."""
+    rng, size = np.random.default_rng(seed), (len(t), w.mean.size)
+    return PopulationParameters(
+        w.mean + 0.05 * rng.normal(size=size),
+        w.tau * np.exp(0.1 * rng.normal(size=size)),
+        np.tile(np.eye(w.mean.size), (len(t), 1, 1)),
+        np.tile(w.rho, (len(t), 1)),
+        np.zeros((*size, 0)),
+        sharing.origin + t @ sharing.factor.T,
+    )
+
+
+def directions(size: int) -> np.ndarray:
+    """Values of t up to two standard deviations away."""
+    far = np.array([-2.0, -1.3, -0.6, 0.0, 0.45, 1.1, 2.0])[:, None]
+    if size == 1:
+        return far
+    return np.vstack([far * [1, 0], far * [0, 1], far * [0.6, 0.8], far * [0.6, -0.8]])
+
+
+@pytest.mark.parametrize("repetitions", [1, 2])
+@pytest.mark.parametrize("network", [ONE, TWO])
+def test_moved_draws_equal_fresh_draws(network: str, repetitions: int) -> None:
+    """Everybody's log likelihood wherever the shared parameters are, from draws that were made there."""
+    w = world(network, repetitions, 8, seed=1)
+    kept = moved_world(w, 1024)
+    some = populations(w, kept.sharing, directions(w.phi.size))
+    terms, effective = kept.marginal.terms(some, effective=True)
+    terms = terms + kept.constants
+    fresh, error = np.empty_like(terms), 1 / effective - 1 / kept.draws
+    for row, phi in enumerate(some.shared):
+        for i, likelihood in enumerate(w.likelihoods):
+            draws, *_ = drawn(w, phi, likelihood, fitted(w, phi, likelihood), 4096, 100 + i)
+            own = ImportanceLikelihood(
+                [draws], w.mean[None], 1.3 * w.covariance, np.array([repetitions]), np.zeros((1, 0)), ()
+            )
+            value, count = own.terms(replace(some[slice(row, row + 1)], shared=None), effective=True)
+            fresh[row, i] = value[0, 0] + draws.log_ratio.max()
+            error[row, i] += 1 / count[0, 0] - 1 / 4096
+    rounding = 1e-3  # of single precision, and of Laplace's method expanded elsewhere
+    assert np.abs(terms - fresh).max() < 5 * np.sqrt(error.max()) + rounding
+    assert np.all(np.abs((terms - fresh).sum(axis=1)) < 4 * np.sqrt(error.sum(axis=1)) + rounding * len(w.likelihoods))
+    # The errors are far below the differences that matter, of persons and of all of them together.
+    assert np.sqrt(error.max()) < 0.1 * np.ptp(fresh, axis=0).max()
+    assert np.sqrt(error.sum(axis=1).max()) < 0.2 < 0.1 * np.ptp(fresh.sum(axis=1))
+
+
+def test_moved_draws_equal_the_integral() -> None:
+    """With two parameters that vary and one repetition the integral is done on a grid: no Monte-Carlo on that side."""
+    w = world(ONE, 1, 3, seed=2)
+    kept = moved_world(w, 8192)
+    some = populations(w, kept.sharing, directions(1))
+    terms, effective = kept.marginal.terms(some, effective=True)
+    for row, phi in enumerate(some.shared):
+        kernel = w.pooling.at(phi)
+        for i, likelihood in enumerate(w.likelihoods):
+            fit = fitted(w, phi, likelihood)
+            factor = np.linalg.cholesky(np.linalg.inv(fit.mode.precision))
+            x = np.linspace(-9, 9, 181)
+            u = np.stack(np.meshgrid(x, x, indexing="ij"), axis=-1).reshape(-1, 2)
+            theta = fit.theta + u @ factor.T
+            values = log_likelihood(kernel, likelihood, theta)
+            offset = (theta - some.mu[row]) / some.between_persons[row]
+            values = values - 0.5 * np.sum(offset**2, axis=1) - np.sum(np.log(some.between_persons[row]))
+            cell = np.log(x[1] - x[0]) * 2 + np.log(np.diag(factor)).sum()
+            exact = np.logaddexp.reduce(values) + cell
+            error = np.sqrt(1 / effective[row, i] - 1 / kept.draws)
+            assert terms[row, i] + kept.constants[i] == pytest.approx(exact, abs=4 * error + 1e-3)
+            assert error < 0.02
+
+
+# --- whole fits -------------------------------------------------------------------------------------------------------
+
+SHORT = FitSettings(
+    covariance="diagonal",
+    sampler=SamplerSettings(ensembles=2, burn_in=(40, 40), chunk=60, longest=1500, effective=800.0, rhat=1.02),
+)
+
+
+def recordings(network: str, noise: tuple[float, ...], repetitions: int = 1, seed: int = 4) -> Recordings:
+    """One person for each noise, relative to the impedance and known."""
+    kernel, rng = Kernel(parse(network)), np.random.default_rng(seed)
+    mean = np.array([p.u(VALUES[p.name]) for p in kernel.parameters])
+    differs = np.array([not p.shared for p in kernel.parameters])
+    subjects = []
+    for i, relative in enumerate(noise):
+        own = mean + differs * 0.2 * rng.normal(size=mean.size)
+        z = kernel.impedance(own + differs * 0.05 * rng.normal(size=(repetitions, mean.size)), FREQUENCY)
+        sd = relative * np.abs(z)
+        noisy = z + sd * (rng.normal(size=z.shape) + 1j * rng.normal(size=z.shape))
+        names = tuple(str(j + 1) for j in range(repetitions))
+        subjects.append(Subject(name=f"P{i + 1}", repetitions=names, frequency_hz=FREQUENCY, z=noisy, noise_sd=sd))
+    return Recordings(subjects=tuple(subjects), title="by hand", unit="N s/m", network=None, source=None, licence=None)
+
+
+def without(fit: PopulationFit, name: str) -> np.ndarray:
+    """Draws of everybody's other parameters, shape (n, N, P)."""
+    draws = fit.person_draws[..., [e != name for e in fit.kernel.elements]]
+    return draws.reshape(-1, *draws.shape[2:])
+
+
+def errors(draws: np.ndarray, effective: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Standard errors of the means and of the standard deviations of (n, N, P), both (N, P): chains and weights."""
+    batches = draws[: len(draws) // 20 * 20].reshape(20, -1, *draws.shape[1:])
+    sd = draws.std(axis=0)
+    of_weights = sd / np.sqrt(effective)[:, None]
+    mean = np.hypot(batches.mean(axis=1).std(axis=0, ddof=1) / np.sqrt(20), of_weights)
+    square = (batches - draws.mean(axis=0)) ** 2
+    of_sd = square.mean(axis=1).std(axis=0, ddof=1) / np.sqrt(20) / (2 * sd)
+    return mean, np.hypot(of_sd, of_weights / np.sqrt(2))
+
+
+def test_held_at_the_true_value_gives_the_same_persons() -> None:
+    """Two people recorded 500 times more precisely fix the delay; for the others it is as good as known."""
+    noise = (1e-4, 1e-4, *[0.05] * 8)
+    data = recordings("delay[d1*](m1|r1|n1)", noise)
+    free = fit_population(data, "delay[d1*](m1|r1|n1)", settings=SHORT, seed=1, workers=1)
+    held = fit_population(data, f"delay[d1={VALUES['d1']}](m1|r1|n1)", settings=SHORT, seed=2, workers=1)
+    assert not free.diagnostics.problems
+    assert not held.diagnostics.problems
+    delay = free.person_draws[..., free.kernel.elements.index("d1")]
+    assert np.all(np.ptp(delay, axis=2) == 0)
+    assert abs(delay.mean() - VALUES["d1"]) < 4 * delay.std()
+    assert delay.std() < 1e-3 * VALUES["d1"]
+    ours, theirs = without(free, "d1")[:, 2:], without(held, "d1")[:, 2:]
+    mine, other = (errors(x, f.diagnostics.effective_draws[2:]) for x, f in ((ours, free), (theirs, held)))
+    z = (ours.mean(axis=0) - theirs.mean(axis=0)) / np.hypot(mine[0], other[0])
+    of_spread = (ours.std(axis=0) - theirs.std(axis=0)) / np.hypot(mine[1], other[1])
+    for scores in (z, of_spread):
+        assert np.abs(scores).max() < 4.5
+        assert np.sqrt(np.mean(scores**2)) < 1.5
+    # Monte-Carlo errors are small: another value of the delay would show.
+    assert np.all(np.hypot(mine[0], other[0]) < 0.12 * theirs.std(axis=0))
+    wrong = fit_population(data, "delay[d1=0.0004](m1|r1|n1)", settings=SHORT, seed=3, workers=1)
+    away = np.abs(without(wrong, "d1")[:, 2:].mean(axis=0) - theirs.mean(axis=0)) / theirs.std(axis=0)
+    assert away.max() > 1
+
+
+def test_same_seed_gives_the_same_bytes_whatever_the_workers() -> None:
+    """Threads share the work in another order only."""
+    data = recordings("delay[d1*](r1|n1)", (0.03,) * 6, repetitions=2)
+    settings = replace(SHORT, draws=64, sampler=replace(SHORT.sampler, longest=60))
+    one, again, other = (
+        fit_population(data, "delay[d1*](r1|n1)", settings=settings, seed=seed, workers=workers)
+        for seed, workers in ((1, 1), (1, 3), (2, 1))
+    )
+
+    def told(fit: PopulationFit) -> list[bytes]:
+        some = fit.parameters
+        assert some.shared is not None
+        arrays = (some.mu, some.between_persons, some.between_repetitions, some.shared, fit.person_draws)
+        return [a.tobytes() for a in (*arrays, fit.person_log_likelihood, fit.log_probability)]
+
+    assert told(one) == told(again)
+    assert all(a != b for a, b in zip(told(one), told(other), strict=True))
