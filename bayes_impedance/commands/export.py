@@ -208,7 +208,7 @@ def _possible(everybody: Users, what: Sequence[str]) -> tuple[Equivalent | None,
     if left & {"transfer", "spice", "stability"}:
         try:
             made = equivalent(everybody)
-            notes.append(made.note)
+            notes.append(made.note if left & {"transfer", "spice"} else "")
         except NotRealisableError as error:
             left -= {"spice", "stability"}
             notes.append(f"{error}: impedances are exported as tables over frequency, but neither SPICE nor stability")

@@ -1,12 +1,14 @@
 """Design inputs: virtual users, circuits and stability limits from a population, for the design of haptic devices.
 
 The input is a result; the output is users, circuits, stability limits and files. Open :mod:`.users` first (virtual
-users, and the posterior draws of the population), then :mod:`.representatives` (a few representative users),
-``circuits`` (a user as a circuit), ``loop`` (a device held by a user), :mod:`.answer` (a summary in one sentence) and
-:mod:`.files` (the output files).
+users, and the posterior draws of the population; :mod:`.body` takes the rig out of the network), then
+:mod:`.representatives` (a few representative users), ``circuits`` (a user as a circuit), ``loop`` (a device held by a
+user), :mod:`.answer` (a summary in one sentence) and :mod:`.files` (the output files).
 """
 
 from bayes_impedance.design.answer import DesignAnswer, design_answer
+from bayes_impedance.design.body import Body, body_of
+from bayes_impedance.design.circuits.equivalent import Equivalent, NotRealisableError, equivalent
 from bayes_impedance.design.circuits.ladders import Built, built, power_law
 from bayes_impedance.design.circuits.state_space import Realisation, realise
 from bayes_impedance.design.circuits.transfer_functions import read_control, to_control, transfer_function
@@ -20,10 +22,13 @@ from bayes_impedance.design.users import UserPopulation, Users, percentile_curve
 
 __all__ = [
     "PHANTOM",
+    "Body",
     "Built",
     "DesignAnswer",
     "Device",
+    "Equivalent",
     "Limit",
+    "NotRealisableError",
     "Realisation",
     "Representatives",
     "SampledLoop",
@@ -33,8 +38,10 @@ __all__ = [
     "TwoPort",
     "UserPopulation",
     "Users",
+    "body_of",
     "built",
     "design_answer",
+    "equivalent",
     "largest_stiffness",
     "limit_of",
     "percentile_curves",

@@ -84,6 +84,10 @@ class Construct:
     story: str
     source: str = ""
 
+    def __reduce__(self) -> tuple[Callable[[str], Construct], tuple[str]]:
+        """By its word: worker processes have the same table, and its functions cannot be sent to them."""
+        return construct_of, (self.word,)
+
     def link(self, position: int, shared: bool) -> str:
         """Scale on which a parameter is estimated."""
         return SIGNED if self.signed and shared and position == 0 else LOG
@@ -231,3 +235,8 @@ CONSTRUCTS: dict[str, Construct] = {
     )
 }
 """Every wrapper by its word."""
+
+
+def construct_of(word: str) -> Construct:
+    """The wrapper with this word."""
+    return CONSTRUCTS[word]

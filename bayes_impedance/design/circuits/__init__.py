@@ -2,6 +2,7 @@
 
 The input is users (elements of a network); the output is realisations and files for other programs, checked for
 passivity.
-Open :mod:`.state_space` first, then :mod:`.transfer_functions`, :mod:`.spice`, :mod:`.ladders` and
-:mod:`.passivity_check`.
+Open :mod:`.equivalent` first (any users as masses, compliances and dampers, with the ladders of :mod:`.fractional`),
+then :mod:`.state_space`, :mod:`.transfer_functions`, :mod:`.spice`, :mod:`.ladders` (for operations of the diagnosis)
+and :mod:`.passivity_check`.
 """

@@ -89,7 +89,7 @@ class Equivalent:
         return (
             f"{', '.join(self.replaced)} {'is' if len(self.replaced) == 1 else 'are'} approximated by ladders of "
             f"masses, compliances and dampers, within {_percent(self.error)} of every user's impedance from {low:g} to "
-            f"{high:g} Hz and not outside"
+            f"{high:g} Hz; outside this band they are no statement about the body"
         )
 
 
