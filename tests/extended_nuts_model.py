@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -94,31 +94,23 @@ class Case:
 
 
 _SPRINGPOT = {"m1": 5e-3, "r1": 1.0, "p1": 3.0, "a1": 0.3}
+_DELAYED = {"n3": 1e-4, "r3": 30.0, "m2": 1e-3, "r1": 2.0, "n1": 1e-3, "d1": 2e-4}
+_DELAY, _SHARED_EXPONENT = "delay[d1*]((n3|r3)-(m2|r1|n1))", "m1|r1|p1^a1*@70"
 
 CASES = {
     "springpot": Case(network="m1|r1|p1^a1@70", impedance=springpot, values=_SPRINGPOT, repetitions=2, correlated=True),
-    "shared exponent": Case(network="m1|r1|p1^a1*@70", impedance=springpot, values=_SPRINGPOT, shared=("a1",)),
+    "shared exponent": Case(network=_SHARED_EXPONENT, impedance=springpot, values=_SPRINGPOT, shared=("a1",)),
     "shared exponent, repeated": Case(
-        network="m1|r1|p1^a1*@70",
+        network=_SHARED_EXPONENT,
         impedance=springpot,
         values=_SPRINGPOT,
         shared=("a1",),
         repetitions=2,
         correlated=True,
     ),
-    "delay": Case(
-        network="delay[d1*]((n3|r3)-(m2|r1|n1))",
-        impedance=delayed,
-        values={"n3": 1e-4, "r3": 30.0, "m2": 1e-3, "r1": 2.0, "n1": 1e-3, "d1": 2e-4},
-        shared=("d1",),
-    ),
+    "delay": Case(network=_DELAY, impedance=delayed, values=_DELAYED, shared=("d1",)),
     "delay, repeated": Case(
-        network="delay[d1*]((n3|r3)-(m2|r1|n1))",
-        impedance=delayed,
-        values={"n3": 1e-4, "r3": 30.0, "m2": 1e-3, "r1": 2.0, "n1": 1e-3, "d1": 2e-4},
-        shared=("d1",),
-        repetitions=2,
-        correlated=True,
+        network=_DELAY, impedance=delayed, values=_DELAYED, shared=("d1",), repetitions=2, correlated=True
     ),
 }
 
@@ -184,7 +176,6 @@ class Data:
     information: jax.Array  # (N, J, V, V)
     mixed: jax.Array  # (N, J, V, S)
     pull: jax.Array  # (N, J, V): information times the point where the linearised likelihood is highest
-    repeated: bool = field(default=False)
 
 
 def expand(case: Case, fit: PopulationFit) -> Data:
@@ -227,7 +218,6 @@ def expand(case: Case, fit: PopulationFit) -> Data:
         information=information,
         mixed=jnp.einsum("ijkp,ijks->ijps", jacobian, of_shared),
         pull=pull,
-        repeated=case.repetitions > 1,
     )
 
 
@@ -250,6 +240,7 @@ def _log_diagonal(factor: jax.Array) -> jax.Array:
 def model(data: Data) -> None:
     """The joint posterior."""
     n, j, p = data.pull.shape
+    repeated = j > 1
     mu = numpyro.sample("mu", dist.Normal(*data.prior).to_event(1))
     tau = numpyro.sample("tau", dist.HalfNormal(1.0).expand([p]).to_event(1))
     correlation = jnp.eye(p)
@@ -268,7 +259,7 @@ def model(data: Data) -> None:
     b = (data.pull - data.mixed @ (phi - data.around)) / s2[:, None, None]
     spread = tau[:, None] * correlation
     marginal_h, marginal_b = h[:, 0], b[:, 0]
-    if data.repeated:
+    if repeated:
         rho = numpyro.sample("rho", dist.HalfNormal(1.0).expand([p]).to_event(1))
         eta = numpyro.sample("eta", dist.Normal().expand([n, j, p]).to_event(3))
         k = jnp.linalg.cholesky(jnp.eye(p) + rho[:, None] * h * rho)
@@ -281,7 +272,7 @@ def model(data: Data) -> None:
     theta = mu + x @ spread.T
     own = theta[:, None]
     change = -0.5 * jnp.sum(x**2) - _log_diagonal(q) + 0.5 * jnp.sum(u**2)
-    if data.repeated:
+    if repeated:
         e = _up(k, w - jnp.einsum("ijqp,ip->ijq", v, theta) + eta)
         own = own + rho * e
         change += -0.5 * jnp.sum(e**2) - _log_diagonal(k) + 0.5 * jnp.sum(eta**2)
