@@ -19,7 +19,7 @@ from bayes_impedance.person.importance_draws import widening
 from bayes_impedance.population.em import Estimate, moved_to
 from bayes_impedance.population.parameters import Coordinates, PopulationParameters, Prior
 from bayes_impedance.population.sharded_likelihood import KeptDraws
-from bayes_impedance.population.shared_draws import Sharing
+from bayes_impedance.population.shared_draws import Sharing, reach_of
 from bayes_impedance.runtime.progress import Progress
 
 VARIANCE_WANTED = 0.25
@@ -42,13 +42,12 @@ _PILOT = SamplerSettings(ensembles=2, burn_in=(60, 60), chunk=60, longest=60)
 required."""
 _LARGEST_COORDINATE = 8.0
 """Limit on the coordinates. Most are standard normal under the prior, with a probability of 1e-15 beyond eight."""
-
-
 _SPREAD_ALLOWED = 1.2
 """Largest spread of the shared parameters about the origin of the draws, relative to the one for which the draws were
 moved. By choice: with 1.2 their reach is 2.5 standard deviations, and 1.2 % of a normal distribution is beyond it."""
-
-
+_WELL_WITHIN = 0.5
+"""Part of the reach within which the posterior's curvature at its mode is believed. By choice: the steps by which it is
+found are about a standard deviation long, and must not leave the reach."""
 _CENTRINGS, _MOST_GROWTH = 5, 4.0
 """Most times that the origin of the shared parameters is moved to the posterior's mode, and most by which their
 variance grows each time. By choice: the mode is known within the reach only, so far ones are reached in steps."""
@@ -272,10 +271,12 @@ class Posterior:
         """Move the shared parameters of the draws, and everybody's mode along, to the normal approximation."""
         free = list(self.coordinates.shared_free)
         mean, moment = self._shared_approximation()
-        origin = self.point.shared.copy()
+        before, origin = self.point.shared[free], self.point.shared.copy()
         origin[free] = mean
         self.point = moved_to(self.point, origin, means, covariance)
         ours = np.linalg.cholesky(self.shared_covariance[np.ix_(free, free)])
+        if np.linalg.norm(np.linalg.solve(ours, mean - before)) > _WELL_WITHIN * reach_of(self.point.shared.size):
+            return  # so near the edge, beyond which the density is not known, its curvature there is none
         relative = np.linalg.solve(ours, np.linalg.solve(ours, moment).T)
         values, vectors = np.linalg.eigh(0.5 * (relative + relative.T))
         factor = ours @ vectors * np.sqrt(np.clip(values, 1 / _MOST_GROWTH, _MOST_GROWTH))
