@@ -30,25 +30,16 @@ networks.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from string import Formatter
 
 from bayes_impedance.diagnosis.fit.model import TEMPORARY_LABEL, Addition, Model
-from bayes_impedance.network.extensions import PowerLaw, wrapped
-from bayes_impedance.network.notation import Element, Network, Place
-from bayes_impedance.network.operations import Operation
+from bayes_impedance.network.notation import Network, Place, parse
+from bayes_impedance.network.operations import TRAITS, Operation
 from bayes_impedance.network.parameters import Symbol
 
 _MARK = "effect_place_"
-_NO_NETWORK = ("sweep",)
-"""Operations that no network computes: a change of an element while the frequency is swept."""
-_WRAPPERS = {
-    "delay": ("delay", "d"),
-    "highpass": ("highpass", "f"),
-    "lowpass": ("lowpass", "t"),
-    "hysteresis": ("hysteretic", "e"),
-    "line": ("line_free", "m"),
-    "reflex": ("reflex", "kdf"),
-}
-"""Word and letters of the wrapper that an operation is."""
+_ELEMENT_OF_UNIT = {"k": "n"}
+"""Letter of the element beside a place whose impedance has a unit: a stiffness is a spring."""
 
 
 def extended_network(model: Model) -> Network:
@@ -74,7 +65,7 @@ def extended_network(model: Model) -> Network:
         if _is_temporary(marks[path]):
             changed = tree.at(place).labelled(None)
         for operation in kernel.operations:
-            if operation.path == path and operation.name not in _NO_NETWORK:
+            if operation.path == path and TRAITS[operation.name].written:
                 changed = _changed(changed, operation, additions[operation], names)
         tree = tree.replaced(place, changed)
     return _without_marks(tree.sharing({p.name for p in model.parameters if p.shared}))
@@ -82,7 +73,7 @@ def extended_network(model: Model) -> Network:
 
 def no_networks(model: Model) -> tuple[str, ...]:
     """Ids of the additions of a model that have no form in the language of networks."""
-    return tuple(sorted({a.effect.id for a in model.additions if a.effect.operation in _NO_NETWORK}))
+    return tuple(sorted({a.effect.id for a in model.additions if not TRAITS[a.effect.operation].written}))
 
 
 def _additions_of(model: Model) -> list[Addition]:
@@ -92,43 +83,19 @@ def _additions_of(model: Model) -> list[Addition]:
 
 
 def _changed(node: Network, operation: Operation, addition: Addition, names: _Names) -> Network:
-    everything = addition.pooling == "shared"
-    shapes = addition.pooling != "free"
-    own = node
-
-    def symbol(letter: str, shape: bool = False) -> Symbol:
-        return Symbol(names.new(letter), shared=everything or (shape and shapes))
-
-    def element(letter: str) -> Element:
-        s = symbol(letter)
-        return Element(s.name, None, s.shared)
-
-    def power_law() -> PowerLaw:
-        return PowerLaw(symbol("p"), symbol("a", shape=True))
-
-    name = operation.name
-    if name == "add":
-        letter = addition.effect.coefficients[0].unit
-        if everything:
-            return wrapped("offset", [symbol(letter)], own)
-        return own | element("n" if letter == "k" else letter)
-    if name in _WRAPPERS:
-        word, letters = _WRAPPERS[name]
-        return wrapped(word, [symbol(letter, shape=i > 0) for i, letter in enumerate(letters)], own)
-    if name == "power":
-        return power_law()
-    if name == "beside_power":
-        return own | power_law()
-    if name == "relaxation":
-        return own | (element("r") - element("n"))
-    if name == "resonator":
-        return own | (element("m") - (element("n") | element("r")))
-    if name == "bypass":
-        return own | element("r") | element("n")
-    if name == "series_compliance":
-        return own - element("n")
-    assert name == "series_layer"  # the last of them: a test builds every operation
-    return own - (element("r") | element("n"))
+    """A place with the operation, written as the table of operations has it."""
+    everything, shapes = addition.pooling == "shared", addition.pooling != "free"
+    traits = TRAITS[operation.name]
+    written = (everything and traits.written_shared) or traits.written
+    unit = addition.effect.coefficients[0].unit
+    letters = {"element": _ELEMENT_OF_UNIT.get(unit, unit), "unit": unit}
+    fields = [field for _, field, _, _ in Formatter().parse(written) if field and field != "z"]
+    symbols = {}
+    for k, field in enumerate(fields):
+        letter = letters.get(field, field)
+        shape = k > 0 and letter not in "mnr"
+        symbols[field] = Symbol(names.new(letter), shared=everything or (shape and shapes))
+    return parse(written.format(z=node, **symbols))
 
 
 class _Names:

@@ -42,19 +42,18 @@ The table :data:`TRAITS` holds everything else that the package needs to know ab
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+
+from bayes_impedance.network.operation_traits import Derived, Setting, Traits
 
 N_PARAMETERS = 3
 """Largest number of parameters, and of constants, of any operation in the table above."""
 
 LOGARITHMIC = 1.0
 """Value of c2 that marks a coefficient positive by construction, as defined above."""
-
-PLACES = ("port", "groups", "springs", "dampers", "elements")
-"""Kinds of place in a network; ``groups`` are groups of elements inside, without the port."""
 
 LINE_LEVELS = (0.3, 1.0, 3.0, 10.0)
 """Scanned masses of a line, relative to the mass whose impedance equals the place's at the upper end of the band.
@@ -76,108 +75,8 @@ By choice: an absent part is estimated as zero plus noise, and noise of a tenth 
 """
 
 
-@dataclass(frozen=True, kw_only=True)
-class Setting:
-    """Units and typical sizes for which the constants of an operation are chosen.
-
-    Attributes
-    ----------
-    units : tuple of str
-        Of the operation's parameters: ``m``, ``n``, ``r``, ``k``, ``c`` for the unit of a mass, a compliance, a
-        damper, a stiffness and a power law; ``s``, ``Hz`` or nothing.
-    scales : tuple of float
-        Typical sizes of the parameters in the operation's unit.
-    low, middle, high : float
-        Angular frequencies of the band in rad/s.
-    compliance : float
-        Compliance of the element at the place; NaN if there is none, or it is not needed.
-    """
-
-    units: tuple[str, ...]
-    scales: tuple[float, ...]
-    low: float
-    middle: float
-    high: float
-    compliance: float = float("nan")
-
-
-Derived = tuple[str, str, np.ndarray]
-"""Name, unit (as in :class:`Setting`) and draws of a quantity that follows from the parameters."""
-
-
 def _middle_of_band(setting: Setting) -> tuple[float, float]:
     return setting.middle, 0.0
-
-
-def _coefficient_not_negative(u: np.ndarray) -> bool:
-    return not u[0] <= 0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Traits:
-    """Properties of an operation, except its formula.
-
-    Attributes
-    ----------
-    code : int
-        Number of the operation in the compiled functions; 0 is no operation.
-    parameters : tuple of str
-        Names of the parameters; the coefficient first. An effect may give them more specific names.
-    units : tuple of tuple of str
-        Units that each parameter may have, as in :class:`Setting`.
-    links : tuple of str
-        How each value in the operation's unit follows from the unbounded u: ``linear`` (x = scale u), ``log``
-        (exp u) or ``logit`` (1/(1 + exp(-u))).
-    connection : str
-        ``beside`` if it adds an impedance to the place, ``series`` if it adds a mobility, ``replaces`` if it changes
-        the place's impedance in another way.
-    places : tuple of str
-        Kinds of place at which the operation is meaningful: of :data:`PLACES`.
-    one_port : bool
-        Whether it describes tissue at one place: a passive one-port beside the place or replacing it.
-    sums_to_any : bool
-        Whether a sum of such terms can be any passive one-port (Foster, Prony).
-    passive : bool
-        Whether a passive place remains passive with every coefficient of allowed sign.
-    built_as : str
-        Realisation in a circuit: ``elements`` (exactly), ``ladder`` (of elements, to a stated accuracy), ``filter`` (of
-        a measurement channel, as sources) or nothing if there is no circuit.
-    constants : function or None
-        The constants c1 and c2 in a :class:`Setting`; None if it has none.
-    allows : function
-        Whether the linear parameters' means over subjects, shape (L,), have signs allowed for an unsigned effect.
-    reported : function or None
-        The coefficient as it is reported, shape (S,), from draws of all parameters in the operation's unit; None if
-        it is reported unchanged.
-    derived : function or None
-        Further reported quantities, from draws of all parameters.
-    scanned : function or None
-        Scanned shapes, from the ends of the band in rad/s; None if they are grids of the parameters.
-    direction : function or None
-        First-order change of a place's impedance per unit of the coefficient, for a scanned shape and angular
-        frequencies, shape (F,); None if it is the operation's own derivative at zero.
-    secant : function or None
-        Coefficients, shape (M,), at which the direction is the secant from zero, for a scanned shape, angular
-        frequencies (F,) and impedances (M, F); None for the tangent at zero.
-    """
-
-    code: int
-    parameters: tuple[str, ...]
-    units: tuple[tuple[str, ...], ...]
-    links: tuple[str, ...] = ("linear",)
-    connection: str = "replaces"
-    places: tuple[str, ...] = PLACES
-    one_port: bool = False
-    sums_to_any: bool = False
-    passive: bool = True
-    built_as: str = ""
-    constants: Callable[[Setting], tuple[float, float]] | None = None
-    allows: Callable[[np.ndarray], bool] = _coefficient_not_negative
-    reported: Callable[[Sequence[np.ndarray], Setting], np.ndarray] | None = None
-    derived: Callable[[Sequence[np.ndarray], Setting], list[Derived]] | None = None
-    scanned: Callable[[float, float], Iterable[dict[str, float]]] | None = None
-    direction: Callable[[Mapping[str, float], np.ndarray], np.ndarray] | None = None
-    secant: Callable[[Mapping[str, float], np.ndarray, np.ndarray], np.ndarray] | None = None
 
 
 def _power_of_s(setting: Setting) -> tuple[float, float]:
@@ -221,6 +120,8 @@ def _bypass_ratios(low: float, high: float) -> list[dict[str, float]]:
 TRAITS: dict[str, Traits] = {
     "add": Traits(
         code=1,
+        written="({z})|{element}",
+        written_shared="offset[{unit}]({z})",
         one_port=True,
         parameters=("coefficient",),
         units=(("m", "r", "k"),),
@@ -228,13 +129,22 @@ TRAITS: dict[str, Traits] = {
         built_as="elements",
         constants=_power_of_s,
     ),
-    "delay": Traits(code=2, parameters=("delay",), units=(("s",),), passive=False),
-    "highpass": Traits(code=3, parameters=("corner",), units=(("Hz",),), passive=False, built_as="filter"),
+    "delay": Traits(code=2, written="delay[{d}]({z})", parameters=("delay",), units=(("s",),), passive=False),
+    "highpass": Traits(
+        code=3, written="highpass[{f}]({z})", parameters=("corner",), units=(("Hz",),), passive=False, built_as="filter"
+    ),
     "lowpass": Traits(
-        code=4, parameters=("time_constant",), units=(("s",),), passive=False, built_as="filter", derived=_corner
+        code=4,
+        written="lowpass[{t}]({z})",
+        parameters=("time_constant",),
+        units=(("s",),),
+        passive=False,
+        built_as="filter",
+        derived=_corner,
     ),
     "power": Traits(
         code=5,
+        written="{p}^{a}",
         one_port=True,
         parameters=("exponent",),
         units=(("",),),
@@ -243,9 +153,17 @@ TRAITS: dict[str, Traits] = {
         constants=_middle_of_band,
         derived=_power_law_of_spring,
     ),
-    "hysteresis": Traits(code=6, parameters=("loss_factor",), units=(("",),), places=("springs",), one_port=True),
+    "hysteresis": Traits(
+        code=6,
+        written="hysteretic[{e}]({z})",
+        parameters=("loss_factor",),
+        units=(("",),),
+        places=("springs",),
+        one_port=True,
+    ),
     "line": Traits(
         code=7,
+        written="line_free[{m}]({z})",
         one_port=True,
         parameters=("mass",),
         units=(("m",),),
@@ -256,6 +174,7 @@ TRAITS: dict[str, Traits] = {
     ),
     "beside_power": Traits(
         code=8,
+        written="({z})|{p}^{a}",
         one_port=True,
         parameters=("coefficient", "exponent"),
         units=(("c",), ("",)),
@@ -267,6 +186,7 @@ TRAITS: dict[str, Traits] = {
     ),
     "relaxation": Traits(
         code=9,
+        written="({z})|({r}-{n})",
         one_port=True,
         sums_to_any=True,
         parameters=("damping", "time_constant"),
@@ -278,6 +198,7 @@ TRAITS: dict[str, Traits] = {
     ),
     "resonator": Traits(
         code=10,
+        written="({z})|({m}-({n}|{r}))",
         one_port=True,
         sums_to_any=True,
         parameters=("mass", "frequency", "damping_ratio"),
@@ -289,6 +210,7 @@ TRAITS: dict[str, Traits] = {
     ),
     "reflex": Traits(
         code=11,
+        written="reflex[{k}, {d}, {f}]({z})",
         parameters=("stiffness", "latency", "corner"),
         units=(("k",), ("s",), ("Hz",)),
         links=("linear", "log", "log"),
@@ -297,6 +219,7 @@ TRAITS: dict[str, Traits] = {
     ),
     "bypass": Traits(
         code=12,
+        written="({z})|{r}|{n}",
         one_port=True,
         parameters=("damping", "stiffness"),
         units=(("r",), ("k",)),
@@ -310,10 +233,16 @@ TRAITS: dict[str, Traits] = {
         direction=lambda shape, omega: 1 + shape["ratio"] / (1j * omega),
     ),
     "series_compliance": Traits(
-        code=13, parameters=("compliance",), units=(("n",),), connection="series", built_as="elements"
+        code=13,
+        written="({z})-{n}",
+        parameters=("compliance",),
+        units=(("n",),),
+        connection="series",
+        built_as="elements",
     ),
     "series_layer": Traits(
         code=14,
+        written="({z})-({r}|{n})",
         parameters=("compliance", "time_constant"),
         units=(("n",), ("s",)),
         links=("linear", "log"),

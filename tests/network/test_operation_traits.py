@@ -16,7 +16,8 @@ from operation_cases import (
 )
 
 import bayes_impedance
-from bayes_impedance.network.operations import N_PARAMETERS, NAMES, PLACES, TRAITS, Setting
+from bayes_impedance.network.operation_traits import PLACES, Setting
+from bayes_impedance.network.operations import N_PARAMETERS, NAMES, TRAITS
 
 PACKAGE = Path(bayes_impedance.__file__).parent
 

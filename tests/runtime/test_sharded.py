@@ -177,7 +177,7 @@ def test_sums_over_parts_are_those_over_all_persons() -> None:
         root = rng.normal(size=(own, size, 2 * size))
         information = np.moveaxis(root @ np.swapaxes(root, 1, 2), 0, -1)
         contrasts.append(Contrasts(np.ascontiguousarray(information), rng.normal(size=(size, own))))
-    plan = sharded_likelihood._Plan(Kernel(parse("m1|r1")), np.zeros(2), np.eye(2), k, False)
+    plan = sharded_likelihood._Plan(Kernel(parse("m1|r1")), np.zeros(2), np.eye(2), k, False, None)
     parts = []
     for rows in parts_of(n):
         inside = np.zeros(n, dtype=bool)
@@ -187,7 +187,11 @@ def test_sums_over_parts_are_those_over_all_persons() -> None:
             for j, c in zip((2, 3), contrasts, strict=True)
             for some in [inside[repetitions == j]]
         ]
-        parts.append(sharded_likelihood._part(plan, draws[rows], repetitions[rows], own, means[rows], covariates[rows]))
+        parts.append(
+            sharded_likelihood._part(
+                plan, [(d, None) for d in draws[rows]], repetitions[rows], own, means[rows], covariates[rows]
+            )
+        )
     assert len(parts) > 2
     sets = PopulationParameters(
         rng.normal(size=(5, 2)),

@@ -33,7 +33,8 @@ from bayes_impedance.diagnosis.catalogue.coefficient import Coefficient, Scales
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.elements import kind_of
 from bayes_impedance.network.notation import Element, Network, Parallel, Place, Series, parse
-from bayes_impedance.network.operations import N_PARAMETERS, NAMES, PLACES, TRAITS, Setting, Traits
+from bayes_impedance.network.operation_traits import PLACES, Setting, Traits
+from bayes_impedance.network.operations import N_PARAMETERS, NAMES, TRAITS
 from bayes_impedance.network.transform import transform_many
 from bayes_impedance.runtime.user_table import choice_in, shown, text_in
 
