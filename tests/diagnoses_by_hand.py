@@ -251,6 +251,7 @@ def make_diagnosis(
             OnePort(p, f, ratio * (i + 1), np.full(size, 0.02 * (i + 1)), 0.96 / (i + 1)) for i, p in enumerate(places)
         ),
         differences=(),
+        fit=None,
         seconds={"screen": 1.2, "confirm": 33.0},
     )
 
@@ -313,6 +314,7 @@ def holes(diagnosis: Diagnosis) -> Diagnosis:
                 p_value=np.nan,
             ),
         ),
+        fit=None,
         seconds={},
     )
 

@@ -36,8 +36,11 @@ class Case:
     simulated: bool = False
     drift: float = 0.0
     covariate: bool = False
+    given: Recordings | None = None
 
     def recordings(self) -> Recordings:
+        if self.given is not None:
+            return self.given
         given = simulate_recordings(self.population, self.people, self.repetitions, FREQUENCY, 4).recordings
         rng, subjects = np.random.default_rng(2), []
         for subject in given.subjects:

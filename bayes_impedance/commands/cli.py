@@ -239,13 +239,13 @@ _JOBS = {
 
 def _fit_options(options: argparse.Namespace) -> Any:
     from bayes_impedance.commands.jobs import FitOptions
-    from bayes_impedance.commands.proposed_network import proposed_network
+    from bayes_impedance.commands.proposed_network import before_in, proposed_network
 
-    network, proposed = options.network, getattr(options, "proposed", None)
+    network, proposed, before = options.network, getattr(options, "proposed", None), None
     if proposed is not None:
         if network is not None:
             raise InputError("--network and --with exclude each other: each names the network to fit; leave one out")
-        network = proposed_network(proposed)
+        network, before = proposed_network(proposed), before_in(proposed)
         tell(f"network: {network}")
     return FitOptions(
         network=network,
@@ -257,6 +257,7 @@ def _fit_options(options: argparse.Namespace) -> Any:
         workers=options.workers,
         scheduler=options.scheduler,
         overwrite=options.overwrite,
+        before=before,
     )
 
 

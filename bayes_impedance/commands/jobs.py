@@ -8,15 +8,17 @@ from there if it is started again with the same arguments, and gives the same nu
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bayes_impedance.commands.finished_fit import examined_result, write_extended, write_pages
 from bayes_impedance.commands.result_folders import (
     CHECKPOINT_FOLDER,
     DIAGNOSIS_CHECKPOINT_FOLDER,
     DIAGNOSIS_FILE,
+    EXTENDED_FOLDER,
     FIT_FILES,
     PICTURE_FOLDER,
     REPORT_FILE,
@@ -75,6 +77,8 @@ class FitOptions:
         Address of a Dask scheduler whose workers run the computations of single persons; does not change the result.
     overwrite : bool
         Replace files with the names of the results that this package did not write.
+    before : mapping or None
+        Network and errors before a diagnosis added what was missing, for the report.
     """
 
     network: str | None = None
@@ -86,6 +90,7 @@ class FitOptions:
     workers: int | None = None
     scheduler: str | None = None
     overwrite: bool = False
+    before: Mapping[str, Any] | None = None
 
     @property
     def threads(self) -> int:
@@ -150,7 +155,7 @@ def run_dataset(
         findings = _findings(recordings)
         result = _fit(recordings, out, options, clock, progress, pages, findings, helper)
         with interrupted(f"the fit is finished: 'bayes-impedance report {shlex.quote(str(out))}' draws the pictures"):
-            _write_pages(result, out, findings, progress, helper)
+            write_pages(result, out, findings, progress, helper)
     return result
 
 
@@ -188,7 +193,7 @@ def report_result(out: Path, progress: Progress, dataset: Path | None = None, ov
     pages = page_files()
     with output_folder(out, pages, overwrite):
         remove(out, pages)
-        _write_pages(result, out, findings, progress)
+        write_pages(result, out, findings, progress)
     return result
 
 
@@ -273,6 +278,8 @@ def diagnose_dataset(
             write_diagnosis_report(diagnosis, out)
             write_json(out / VERDICT_FILE, to_json(diagnosis.verdict))
             progress("pictures and report", 1, 1)
+            if diagnosis.fit is not None:
+                write_extended(diagnosis, out / EXTENDED_FOLDER, options, executor, progress)
         discard(checkpoint)
     return diagnosis
 
@@ -305,10 +312,8 @@ def _fit(
     helper: Executor | None = None,
 ) -> Result:
     """Fit, predict, save; pages of an earlier fit are removed before the new numbers are written."""
-    from bayes_impedance.diagnosis.examine import examine
     from bayes_impedance.population.fit import fit_population
-    from bayes_impedance.results.predictive import predict
-    from bayes_impedance.results.result import make_result, save_result
+    from bayes_impedance.results.result import save_result
     from bayes_impedance.runtime.checkpoint import discard
     from bayes_impedance.runtime.executors import executor_of
 
@@ -326,21 +331,7 @@ def _fit(
                 checkpoint=checkpoint,
                 executor=executor,
             )
-            with clock.measure("examine"):
-                progress("examining the fit", 0, 1)
-                adequacy = examine(fit, executor=executor)
-                progress("examining the fit", 1, 1)
-        if helper is not None:
-            from bayes_impedance.plots import prepare
-
-            helper.submit(prepare)
-        clock.seconds.update(fit.seconds)
-        with clock.measure("predictive"):
-            progress("predictions", 0, 1)
-            predictive = predict(fit, seed=options.seed)
-            progress("predictions", 1, 1)
-        told = [f.message for f in findings if f.severity == "warning"]
-        result = make_result(fit, predictive, clock.seconds, options.subjects, adequacy, told)
+            result = examined_result(fit, options, clock, executor, progress, findings, helper)
         remove(out, (*stale, *FIT_FILES))
         save_result(result, out)
     discard(checkpoint)
@@ -357,16 +348,3 @@ def _findings(recordings: Recordings) -> tuple[Finding, ...]:
 def selected(recordings: Recordings, options: FitOptions) -> Recordings:
     """The recordings of the subjects named in the options, or of all subjects."""
     return recordings.select(options.subjects) if options.subjects else recordings
-
-
-def _write_pages(
-    result: Result, out: Path, findings: Sequence[Finding], progress: Progress, helper: Executor | None = None
-) -> None:
-    from bayes_impedance.plots import write_pictures
-    from bayes_impedance.report import write_report
-
-    progress("pictures and report", 0, 2)
-    drawn = write_pictures(result, out / PICTURE_FOLDER, helper)
-    progress("pictures and report", 1, 2)
-    write_report(result, out, findings, drawn)
-    progress("pictures and report", 2, 2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from bayes_impedance.errors import InputError
 from bayes_impedance.runtime.input_files import read_json
@@ -36,3 +37,20 @@ def proposed_network(file: Path) -> str:
         names = ", ".join(sorted({str(e.get("id")) for e in effects}))
         raise InputError(f"{path}: what was found ({names}) is no network of its own; fit {networks[0]} without --with")
     return str(networks[1])
+
+
+def before_in(file: Path) -> dict[str, Any] | None:
+    """Network and errors before anything was added, from the same file; None if the verdict has no comparison.
+
+    Raises
+    ------
+    InputError
+        If it is no verdict of this version.
+    """
+    from bayes_impedance.diagnosis.verdict_file import before_of, from_json
+
+    path = file / "verdict.json" if file.is_dir() else file
+    try:
+        return before_of(from_json(read_json(path, _REMEDY)))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from bayes_impedance.recordings.files import Recordings
 
 CHECKPOINT_FOLDER, PICTURE_FOLDER = "checkpoint", "pictures"
+EXTENDED_FOLDER = "extended"
+"""Where a diagnosis writes the result of the network with what it found."""
+
 DIAGNOSIS_CHECKPOINT_FOLDER = "diagnosis_checkpoint"
 REPORT_FILE, DIAGNOSIS_FILE, VERDICT_FILE = "report.html", "diagnosis.html", "verdict.json"
 PICTURE_KINDS = ("svg", "png")

@@ -11,9 +11,10 @@ from pathlib import Path
 from bayes_impedance.diagnosis import catalogue  # noqa: F401  (fills the register of effects)
 from bayes_impedance.diagnosis.catalogue.effect import Effect, registered
 from bayes_impedance.diagnosis.claimed_simulation import Claim, claim_of
+from bayes_impedance.diagnosis.extended_network import ExtendedNetwork, extended_network
+from bayes_impedance.diagnosis.extended_posterior import extended_posterior
 from bayes_impedance.diagnosis.fit.baseline import Fitted, fit_network
 from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
-from bayes_impedance.diagnosis.fit.profile_posterior import from_evidence
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.heterogeneity.compare_populations import compare_populations
 from bayes_impedance.diagnosis.heterogeneity.tests import find_structures
@@ -31,7 +32,9 @@ from bayes_impedance.diagnosis.types import Diagnosis, OnePort, Snapshot
 from bayes_impedance.diagnosis.verdict.model_bands import snapshot
 from bayes_impedance.diagnosis.verdict.ranking import ranking
 from bayes_impedance.diagnosis.verdict.verdict import Evidence, make_verdict
+from bayes_impedance.errors import InputError
 from bayes_impedance.network.notation import Network
+from bayes_impedance.population.fit import FitSettings, PopulationFit, fit_population
 from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.results.curve_errors import on_grid
 from bayes_impedance.runtime.clock import Clock
@@ -41,6 +44,12 @@ from bayes_impedance.runtime.progress import Progress
 _MAINS_ALPHA = 1e-3
 """Corrected level of the search for hum. By choice: stricter than other levels, because affected points are left
 out."""
+
+
+_NO_POSTERIOR = (
+    "The posterior of the network with what was found is not reliable, and the intervals of what was found are those "
+    "of a normal approximation"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +96,8 @@ def diagnose(
     diagonal : bool
         Whether the claimed population has independent elements; by default they may be correlated.
     quick : bool
-        Without held-out frequencies and without proposals of measurements to separate rivals.
+        Without held-out frequencies, without proposals of measurements to separate rivals, and without the population's
+        posterior of the network with what was found: intervals are then those of a normal approximation.
     seed : int
         The same seed and data give the same verdict on one machine.
     workers : int
@@ -149,7 +159,13 @@ def _diagnose(
         look = _look_again(look, first.fitted, base, job, clock)
     with clock.measure("confirm"):
         evidence = _confirm(first, look, claimed, job)
-        verdict = make_verdict(recordings, first.fitted, evidence, job.seed)
+    extended = extended_network(look.final.model, first.fitted.shared) if evidence.changed else None
+    fit = None
+    if extended is not None and not job.quick:
+        with clock.measure("posterior"):
+            evidence, fit = _measured(evidence, extended, first.clean, job)
+    with clock.measure("verdict"):
+        verdict = make_verdict(recordings, first.fitted, evidence, extended, job.seed)
     return Diagnosis(
         title=compared.title,
         unit=compared.unit,
@@ -162,6 +178,7 @@ def _diagnose(
         ranking=ranking(look.found.steps[0]),
         one_ports=look.one_ports,
         differences=evidence.differences or (),
+        fit=fit,
         seconds=clock.seconds,
     )
 
@@ -220,8 +237,6 @@ def _confirm(first: _First, look: _Look, claimed: Claim | None, job: _Job) -> Ev
     seed, clean, fitted, found, final = job.seed, first.clean, first.fitted, look.found, look.final
     changed = final is not found.base
     job.progress("confirming", 0, 3)
-    if found.posterior is not None:  # only of the remaining named effects: it takes many refits
-        found = replace(found, posterior=from_evidence(fitted.refitter, found.final, found.posterior, seed))
     gains = _gains(fitted, found, seed)
     job.progress("confirming", 1, 3)
     structures, remarks = find_structures(final, clean, job.diagonal, seed)
@@ -249,6 +264,31 @@ def _confirm(first: _First, look: _Look, claimed: Claim | None, job: _Job) -> Ev
     )
 
 
+def _measured(
+    evidence: Evidence, extended: ExtendedNetwork, recordings: Recordings, job: _Job
+) -> tuple[Evidence, PopulationFit | None]:
+    """Evidence with parameters from the posterior of the population of the extended network; and that posterior."""
+    settings = FitSettings("diagonal" if job.diagonal else "full")
+    try:
+        fit = fit_population(
+            recordings,
+            extended.network,
+            settings=settings,
+            seed=job.seed,
+            progress=job.progress,
+            executor=job.executor,
+        )
+    except InputError as error:  # a network whose parameters no recordings determine, for example
+        return replace(evidence, remarks=(*evidence.remarks, f"{_NO_POSTERIOR}: {error}")), None
+    if fit.diagnostics.problems:
+        because = f"{_NO_POSTERIOR}: {fit.diagnostics.problems[0]}"
+        return replace(evidence, remarks=(*evidence.remarks, because)), fit
+    named = evidence.found.final.model
+    if not named.additions:  # only physics without a name
+        return evidence, fit
+    return replace(evidence, posterior=extended_posterior(named, extended, fit)), fit
+
+
 def _gains(fitted: Fitted, found: Found, seed: int) -> tuple[tuple[float, float | None] | None, ...]:
     """Gain of each addition on held-out people; None with too few people, or if no step of the search has chosen it."""
     if found.posterior is None:
@@ -268,11 +308,6 @@ def _remarks(found: Found, final: Refit, claimed: Claim | None) -> list[str]:
     remarks = []
     if not final.settled and final is not found.base:
         remarks.append("The fit with what was found did not come to rest; its numbers are rough.")
-    if found.posterior is not None and not found.posterior.settled:
-        remarks.append(
-            "The intervals of what was found in the body did not come to rest: the recordings leave its parameters "
-            "undecided along a ridge, and the intervals reach only as far as it was followed."
-        )
     if claimed is not None and claimed.rest:
         remarks.append(
             "The simulation itself holds structure that the network does not describe; it was taken off the recordings."

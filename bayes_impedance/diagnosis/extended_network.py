@@ -29,7 +29,8 @@ networks.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from string import Formatter
 
 from bayes_impedance.diagnosis.fit.model import TEMPORARY_LABEL, Addition, Model
@@ -38,20 +39,46 @@ from bayes_impedance.network.operations import TRAITS, Operation
 from bayes_impedance.network.parameters import Symbol
 
 _MARK = "effect_place_"
+_OWN = "own_"
+"""Beginning of a field that belongs to what is at the place."""
+
+_ELEMENTS = "mnr"
 _ELEMENT_OF_UNIT = {"k": "n"}
 """Letter of the element beside a place whose impedance has a unit: a stiffness is a spring."""
 
 
-def extended_network(model: Model) -> Network:
+@dataclass(frozen=True)
+class ExtendedNetwork:
+    """A network with effects in it.
+
+    Attributes
+    ----------
+    network : Network
+    symbols : tuple of dict
+        For each addition of the model, names in the network by the letters in which the operation is written
+        (:attr:`bayes_impedance.network.operation_traits.Traits.written`); empty if it is no network.
+    """
+
+    network: Network
+    symbols: tuple[dict[str, str], ...]
+
+
+def extended_network(model: Model, shared: Collection[str] = ()) -> ExtendedNetwork:
     """The network with all additions of a model that are networks; the others are :func:`no_networks`.
 
     Parameters
     ----------
     model : Model
+    shared : collection of str
+        Parameters that the model holds, and that are to be estimated, the same for everybody.
     """
     tree, kernel = model.kernel.network, model.kernel
     additions = dict(zip(kernel.operations, _additions_of(model), strict=True))
     names = _Names(tree)
+    symbols: list[dict[str, str]] = [{} for _ in model.additions]
+    for p in model.parameters:
+        if not model.additions[p.addition].effect.operation:  # a branch has its elements already
+            symbols[p.addition][p.name] = p.name
     paths = sorted({operation.path for operation in kernel.operations}, key=lambda path: -len(path))
     marks = dict[tuple[int, ...], str]()
     for k, path in enumerate(paths):
@@ -66,36 +93,49 @@ def extended_network(model: Model) -> Network:
             changed = tree.at(place).labelled(None)
         for operation in kernel.operations:
             if operation.path == path and TRAITS[operation.name].written:
-                changed = _changed(changed, operation, additions[operation], names)
+                own = _symbols(operation, model.additions[additions[operation]], names)
+                symbols[additions[operation]] = {letter: symbol.name for letter, symbol in own.items()}
+                changed = parse(_written(operation, model.additions[additions[operation]]).format(z=changed, **own))
         tree = tree.replaced(place, changed)
-    return _without_marks(tree.sharing({p.name for p in model.parameters if p.shared}))
+    network = _without_marks(tree.sharing({p.name for p in model.parameters if p.shared} | set(shared)))
+    return ExtendedNetwork(network, tuple(symbols))
 
 
 def no_networks(model: Model) -> tuple[str, ...]:
     """Ids of the additions of a model that have no form in the language of networks."""
-    return tuple(sorted({a.effect.id for a in model.additions if not TRAITS[a.effect.operation].written}))
+    return tuple(
+        sorted({a.effect.id for a in model.additions if a.effect.operation and not TRAITS[a.effect.operation].written})
+    )
 
 
-def _additions_of(model: Model) -> list[Addition]:
-    """The addition to which each operation belongs."""
-    by_name = {p.name: model.additions[p.addition] for p in model.parameters}
+def _additions_of(model: Model) -> list[int]:
+    """The number of the addition to which each operation belongs."""
+    by_name = {p.name: p.addition for p in model.parameters}
     return [by_name[operation.parameters[0]] for operation in model.kernel.operations]
 
 
-def _changed(node: Network, operation: Operation, addition: Addition, names: _Names) -> Network:
-    """A place with the operation, written as the table of operations has it."""
-    everything, shapes = addition.pooling == "shared", addition.pooling != "free"
+def _written(operation: Operation, addition: Addition) -> str:
+    """The changed place, with the letters of the addition's unit."""
     traits = TRAITS[operation.name]
-    written = (everything and traits.written_shared) or traits.written
     unit = addition.effect.coefficients[0].unit
-    letters = {"element": _ELEMENT_OF_UNIT.get(unit, unit), "unit": unit}
-    fields = [field for _, field, _, _ in Formatter().parse(written) if field and field != "z"]
-    symbols = {}
-    for k, field in enumerate(fields):
-        letter = letters.get(field, field)
-        shape = k > 0 and letter not in "mnr"
-        symbols[field] = Symbol(names.new(letter), shared=everything or (shape and shapes))
-    return parse(written.format(z=node, **symbols))
+    written = (addition.pooling == "shared" and traits.written_shared) or traits.written
+    return written.replace("{element}", f"{{{_ELEMENT_OF_UNIT.get(unit, unit)}}}").replace("{unit}", f"{{{unit}}}")
+
+
+def _symbols(operation: Operation, addition: Addition, names: _Names) -> dict[str, Symbol]:
+    """A name for each letter with which the operation is written."""
+    fields = [field for _, field, _, _ in Formatter().parse(_written(operation, addition)) if field and field != "z"]
+    symbols, first = dict[str, Symbol](), True
+    for field in fields:
+        letter = field.removeprefix(_OWN)
+        if letter != field:
+            shared = False
+        elif first or letter in _ELEMENTS:  # a coefficient
+            shared, first = addition.pooling == "shared", False
+        else:
+            shared = addition.pooling != "free"
+        symbols[field] = Symbol(names.new(letter), shared=shared)
+    return symbols
 
 
 class _Names:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayes_impedance.diagnosis.verdict_types import ParameterDifference, Verdict
+from bayes_impedance.population.fit import PopulationFit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,6 +131,8 @@ class Diagnosis:
         Best place first.
     differences : tuple of ParameterDifference
         From a claimed simulation; empty without one.
+    fit : PopulationFit or None
+        Posterior of the population of the network with what was found; None if nothing was, or it was not asked for.
     seconds : dict of str to float
     """
 
@@ -144,4 +147,5 @@ class Diagnosis:
     ranking: tuple[Ranked, ...]
     one_ports: tuple[OnePort, ...]
     differences: tuple[ParameterDifference, ...]
+    fit: PopulationFit | None
     seconds: dict[str, float]

@@ -27,7 +27,7 @@ class Setting:
         Typical sizes of the parameters in the operation's unit.
     low, middle, high : float
         Angular frequencies of the band in rad/s.
-    compliance : float
+    compliance : float or ndarray, shape (S,)
         Compliance of the element at the place; NaN if there is none, or it is not needed.
     """
 
@@ -36,7 +36,7 @@ class Setting:
     low: float
     middle: float
     high: float
-    compliance: float = float("nan")
+    compliance: float | np.ndarray = float("nan")
 
 
 Derived = tuple[str, str, np.ndarray]
@@ -45,6 +45,10 @@ Derived = tuple[str, str, np.ndarray]
 
 def _coefficient_not_negative(u: np.ndarray) -> bool:
     return not u[0] <= 0
+
+
+def _as_written(values: Mapping[str, np.ndarray]) -> list[np.ndarray]:
+    return list(values.values())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,10 +79,13 @@ class Traits:
         Whether a passive place remains passive with every coefficient of allowed sign.
     written : str
         The changed place in the language of networks, with ``{z}`` for the place and ``{r}`` for a parameter with the
-        letter r; nothing if no network computes the operation.
+        letter r (``{own_p}`` if it belongs to what is at the place, and is everybody's own); nothing if no network
+        computes the operation.
     written_shared : str
         The same where the coefficient is the same for everybody and may have either sign; nothing if it is written
         alike.
+    read : function
+        The operation's parameters, each of shape (S,), from values of those in `written`, by letter.
     built_as : str
         Realisation in a circuit: ``elements`` (exactly), ``ladder`` (of elements, to a stated accuracy), ``filter`` (of
         a measurement channel, as sources) or nothing if there is no circuit.
@@ -113,6 +120,7 @@ class Traits:
     built_as: str = ""
     written: str = ""
     written_shared: str = ""
+    read: Callable[[Mapping[str, np.ndarray]], list[np.ndarray]] = _as_written
     constants: Callable[[Setting], tuple[float, float]] | None = None
     allows: Callable[[np.ndarray], bool] = _coefficient_not_negative
     reported: Callable[[Sequence[np.ndarray], Setting], np.ndarray] | None = None

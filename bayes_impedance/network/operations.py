@@ -122,6 +122,7 @@ TRAITS: dict[str, Traits] = {
         code=1,
         written="({z})|{element}",
         written_shared="offset[{unit}]({z})",
+        read=lambda v: [1 / v["n"]] if "n" in v else list(v.values()),
         one_port=True,
         parameters=("coefficient",),
         units=(("m", "r", "k"),),
@@ -144,7 +145,8 @@ TRAITS: dict[str, Traits] = {
     ),
     "power": Traits(
         code=5,
-        written="{p}^{a}",
+        written="{own_p}^{a}",
+        read=lambda v: [v["a"]],
         one_port=True,
         parameters=("exponent",),
         units=(("",),),
@@ -187,6 +189,7 @@ TRAITS: dict[str, Traits] = {
     "relaxation": Traits(
         code=9,
         written="({z})|({r}-{n})",
+        read=lambda v: [v["r"], v["r"] * v["n"]],
         one_port=True,
         sums_to_any=True,
         parameters=("damping", "time_constant"),
@@ -199,6 +202,7 @@ TRAITS: dict[str, Traits] = {
     "resonator": Traits(
         code=10,
         written="({z})|({m}-({n}|{r}))",
+        read=lambda v: [v["m"], (v["m"] * v["n"]) ** -0.5, 0.5 * v["r"] * (v["n"] / v["m"]) ** 0.5],
         one_port=True,
         sums_to_any=True,
         parameters=("mass", "frequency", "damping_ratio"),
@@ -220,6 +224,7 @@ TRAITS: dict[str, Traits] = {
     "bypass": Traits(
         code=12,
         written="({z})|{r}|{n}",
+        read=lambda v: [v["r"], 1 / v["n"]],
         one_port=True,
         parameters=("damping", "stiffness"),
         units=(("r",), ("k",)),
@@ -243,6 +248,7 @@ TRAITS: dict[str, Traits] = {
     "series_layer": Traits(
         code=14,
         written="({z})-({r}|{n})",
+        read=lambda v: [v["n"], v["r"] * v["n"]],
         parameters=("compliance", "time_constant"),
         units=(("n",), ("s",)),
         links=("linear", "log"),

@@ -128,7 +128,7 @@ class Network(ABC):
         return result._holding_own(values)
 
     def sharing(self, names: Collection[str]) -> Network:
-        """The same network with some of its parameters the same for everybody."""
+        """The same network with some of its parameters the same for everybody, and estimated if they were held."""
         result = self
         if self.parts:
             result = self.with_parts([part.sharing(names) for part in self.parts]).labelled(self.label)
@@ -284,7 +284,7 @@ class Element(Network):
         return replace(self, shared=False, value=values[self.name]) if self.name in values else self
 
     def _sharing_own(self, names: Collection[str]) -> Network:
-        return replace(self, shared=True) if self.name in names else self
+        return replace(self, shared=True, value=None) if self.name in names else self
 
     def _notation(self) -> str:
         return str(self.symbol)

@@ -237,6 +237,36 @@ def error_table(result: Result) -> tuple[str, list[tuple[str, str, str]]]:
     return scale.unit, rows
 
 
+def before_and_after(result: Result) -> list[tuple[str, str, str]]:
+    """What the effects that a diagnosis added change: quantity, before, and after; empty without a diagnosis."""
+    before = result.summary.get("before")
+    if before is None:
+        return []
+    errors, n = result.summary["errors"], len(subjects(result))
+    curve, own = errors["population_network"], errors["subjects"]
+    scale = scale_for(curve["delta_magnitude"], result.attributes["unit"])
+    one = "one network for all" if n > 1 else "the network"
+    rows = [
+        (f"Magnitude error of {one} (eq. 5)", "delta_magnitude", curve, scale.factor, f" {scale.unit}"),
+        (f"Phase error of {one} (eq. 5)", "delta_phase_deg", curve, 1.0, "°"),
+        (
+            f"Error of each {who(result, 1)}'s own network (relative)",
+            "subject_rms_relative",
+            {"subject_rms_relative": own["relative_rms_median"]},
+            100.0,
+            " %",
+        ),
+    ]
+    if n > 1:
+        after = {"coverage90": result.summary["coverage"]["90"]}
+        rows.append(("Recordings inside of the predicted 90 % band, average", "coverage90", after, 100.0, " %"))
+    return [
+        (name, f"{significant(before[key] * factor)}{unit}", f"{significant(values[key] * factor)}{unit}")
+        for name, key, values, factor, unit in rows
+        if before[key] is not None
+    ]
+
+
 def outlier_rows(result: Result) -> list[tuple[str, str, str, str, str]]:
     """Subjects that stand out: name, relative error, residual over noise, Pareto k, and why the subject is listed."""
     names = subjects(result)

@@ -141,6 +141,7 @@ def make_result(
     selected: Sequence[str] = (),
     adequacy: Adequacy | None = None,
     findings: Sequence[str] = (),
+    before: Mapping[str, Any] | None = None,
 ) -> Result:
     """Collect a fit and its predictions.
 
@@ -156,6 +157,9 @@ def make_result(
         Misfits of the model (:func:`bayes_impedance.diagnosis.examine.examine`).
     findings : sequence of str
         Anomalies of the recordings, in sentences.
+    before : mapping, optional
+        Of the network to which a diagnosis added what was missing: notation and errors, as
+        :func:`bayes_impedance.diagnosis.verdict_file.before_of` returns them.
     """
     recordings, elements = fit.recordings, list(fit.kernel.elements)
     attributes = {
@@ -186,6 +190,8 @@ def make_result(
         del coords["covariate"]
     result = Result({}, _groups(fit, predictive), coords, attributes)
     result.summary.update(summary_of(fit, predictive, seconds, adequacy or Adequacy(), findings, _versions()))
+    if before is not None:
+        result.summary["before"] = dict(before)
     attributes["summary"] = without_seconds(result.summary)
     return result
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from fingertip_effects import SCALES
@@ -9,10 +11,12 @@ from scipy.optimize import least_squares
 
 from bayes_impedance.diagnosis.catalogue.effect import Effect, registered, shape_grid
 from bayes_impedance.diagnosis.extended_network import extended_network, no_networks
+from bayes_impedance.diagnosis.extended_posterior import extended_posterior
 from bayes_impedance.diagnosis.fit.model import Addition, build
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
 from bayes_impedance.network.parameters import LOG
+from bayes_impedance.population.parameters import PopulationParameters
 
 NETWORK = parse("skin:(n3|r3)-tissue:(m2|r1|n1|(m1-(n2|r2)))")
 CENTRE = {"n3": 9e-5, "r3": 30.0, "m2": 9e-4, "r1": 1.5, "n1": 1.2e-3, "m1": 1.7e-2, "n2": 5e-3, "r2": 3.2}
@@ -44,8 +48,8 @@ def curve_of(model, size: float) -> tuple[np.ndarray, np.ndarray]:
     return model.kernel.impedance(u, F), u[: model.n_elements]
 
 
-def closest(network, own: np.ndarray, z: np.ndarray) -> float:
-    """Smallest relative difference of the network's curve from z, over its parameters besides the known ones."""
+def closest(network, own: np.ndarray, z: np.ndarray) -> tuple[float, dict[str, float]]:
+    """Smallest relative difference of the network's curve from z, over parameters besides the known ones; and all u."""
     kernel = Kernel(network)
     known = {e: u for e, u in zip(NETWORK.elements, own, strict=True) if e in kernel.elements}
     held = kernel.holding(known)
@@ -56,16 +60,29 @@ def closest(network, own: np.ndarray, z: np.ndarray) -> float:
         difference = held.impedance(u, F) / z - 1
         return np.nan_to_num(np.concatenate([difference.real, difference.imag]), nan=1e3, posinf=1e3, neginf=-1e3)
 
-    rng, best = np.random.default_rng(1), np.inf
+    rng, best, u = np.random.default_rng(1), np.inf, starts
     for scale in (0.0, *[2.0] * 60):
         start = starts + scale * rng.normal(size=starts.size)
         for p, k in zip(held.parameters, range(starts.size), strict=True):
             if p.link == "signed":
                 start[k] *= 1e-4
-        best = min(best, float(np.abs(rest(least_squares(rest, start, x_scale="jac", method="trf").x)).max()))
+        there = least_squares(rest, start, x_scale="jac", method="trf", xtol=1e-14, ftol=1e-14, gtol=1e-14).x
+        if np.abs(rest(there)).max() < best:
+            best, u = float(np.abs(rest(there)).max()), there
         if best < 1e-6:
             break
-    return best
+    return best, {**known, **dict(zip(held.elements, u.tolist(), strict=True))}
+
+
+def read_back(model, extended, u: dict[str, float]) -> np.ndarray:
+    """The additions' parameters from the network's, as they are read from a posterior without any spread."""
+    kernel = Kernel(extended.network)
+    mu = np.array([[u[name] for name in kernel.elements]] * 2)
+    parameters = PopulationParameters(mu, 0 * mu, np.stack([np.eye(mu.shape[1])] * 2), 0 * mu, np.zeros((*mu.shape, 0)))
+    fit = SimpleNamespace(kernel=kernel, parameters=parameters, diagnostics=SimpleNamespace(problems=()))
+    posterior = extended_posterior(model, extended, fit)
+    assert not posterior.relative_dispersion.any()
+    return posterior.central[0]
 
 
 @pytest.mark.parametrize("pooling", ["shared", "varying"])
@@ -74,7 +91,8 @@ def test_every_effect_is_a_network(effect: Effect, pooling: str) -> None:
     sites = effect.sites(NETWORK)
     for place in {sites[0].name, sites[-1].name}:
         model = model_of(effect, place, pooling)
-        network = extended_network(model)
+        extended = extended_network(model)
+        network = extended.network
         if effect.operation in NO_NETWORK:
             assert network == NETWORK
             assert no_networks(model) == (effect.id,)
@@ -85,11 +103,15 @@ def test_every_effect_is_a_network(effect: Effect, pooling: str) -> None:
         new = [p for p in network.parameters if p.name not in NETWORK.elements]
         assert new
         if pooling == "shared":
-            assert all(p.shared for p in new)
+            own = "p" if effect.operation == "power" else ""  # its size is that of the spring, which people differ in
+            assert all(p.shared or p.letter == own for p in new)
         else:
-            assert not new[0].shared
+            assert not (new[1] if effect.operation == "power" else new[0]).shared
         z, own = curve_of(model, 0.3)
-        assert closest(network, own, z) < 1e-6
+        difference, u = closest(network, own, z)
+        assert difference < 1e-6
+        expected = [0.3 if p.is_coefficient else p.start for p in model.parameters]
+        np.testing.assert_allclose(read_back(model, extended, u), expected, rtol=1e-3, atol=1e-4)
 
 
 def test_several_effects_at_one_place_and_inside_of_others() -> None:
@@ -99,9 +121,10 @@ def test_several_effects_at_one_place_and_inside_of_others() -> None:
     delay = Addition(effect=by_form["delay"], place="port", pooling="shared")
     low = next(e for e in registered() if e.operation == "lowpass")
     model = model_of(low, "port", "shared", (skin, spring, delay))
-    network = extended_network(model)
+    extended = extended_network(model)
+    network = extended.network
     assert str(network).count("[") == 2
     assert "skin:" in str(network)
     assert "p1^a1*" in str(network)
     z, own = curve_of(model, 0.1)
-    assert closest(network, own, z) < 1e-6
+    assert closest(network, own, z)[0] < 1e-6

@@ -13,7 +13,6 @@ from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.model import build, scales_of
 from bayes_impedance.diagnosis.fit.normal_equations import Population
 from bayes_impedance.diagnosis.fit.refit import Refit
-from bayes_impedance.errors import InputError
 from bayes_impedance.network.notation import Network
 from bayes_impedance.population.em import Estimate, estimate
 from bayes_impedance.population.fit import initial_likelihoods
@@ -21,6 +20,7 @@ from bayes_impedance.population.natural_scales import default_prior
 from bayes_impedance.population.requirements import checked_model
 from bayes_impedance.population.shared import Pooling
 from bayes_impedance.population.starting_fits import first_fits
+from bayes_impedance.population.whole import Whole
 from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.runtime.checkpoint import claim
 from bayes_impedance.runtime.progress import Progress
@@ -53,6 +53,8 @@ class Fitted:
     refitter : Refitter
     determined : ndarray of bool, shape (P,)
     remarks : tuple of str
+    shared : tuple of str
+        Parameters of the network that are the same for everybody: the search holds them at their estimates.
     """
 
     recordings: Recordings
@@ -60,6 +62,7 @@ class Fitted:
     refitter: Refitter
     determined: np.ndarray
     remarks: tuple[str, ...]
+    shared: tuple[str, ...] = ()
 
 
 def fit_network(
@@ -76,22 +79,18 @@ def fit_network(
     """
     kernel = checked_model(recordings, network).kernel
     tree = kernel.network
-    if not tree.plain:
-        raise InputError(
-            f"the network {tree} holds more than masses, springs and dampers that differ between people, which only "
-            "'run' and 'fit' estimate so far: diagnose the network without it"
-        )
     prior = default_prior(kernel, recordings)
     seeds = np.random.SeedSequence(seed).spawn(2)
     one = len(recordings.subjects) == 1
+    pooling = Pooling(kernel) if one else Pooling.of(kernel)
     if checkpoint is not None:
         claim(checkpoint, (s.digest for s in recordings.subjects), version("bayes_impedance"), str(tree), seed)
     first = first_fits(kernel, recordings, prior, seeds[0], executor, progress, checkpoint)
-    likelihoods = initial_likelihoods(recordings, first, len(kernel.elements), executor)
+    likelihoods = initial_likelihoods(recordings, first, pooling.varying.size, executor)
     no_covariates = np.zeros((len(recordings.subjects), 0))
     kept = None if checkpoint is None else checkpoint / "point_estimate.npz"
     point = estimate(
-        Pooling(kernel),
+        pooling,
         likelihoods,
         first,
         prior,
@@ -103,12 +102,23 @@ def fit_network(
         checkpoint=kept,
     )
     refitter = Refitter(point.likelihoods, executor, one)
-    model = build(tree, (), scales_of(recordings), ())
+    held = _shared_values(pooling, point)
+    model = build(tree.holding(held), (), scales_of(recordings), ())
     u = np.concatenate([m.theta + d.deviations for m, d in zip(point.modes, point.likelihoods, strict=True)])
     fit = refitter.fit(model, u, Population(point.mu, point.covariance, point.between_repetitions), 80)
     fit = _gathered(refitter, refitter.settle(fit, seed))
     fit = refitter.settle(fit, seed)
-    return Fitted(recordings, fit, refitter, point.determined, _trust(fit, point))
+    return Fitted(recordings, fit, refitter, point.determined, _trust(fit, point), tuple(held))
+
+
+def _shared_values(pooling: Pooling, point: Estimate) -> dict[str, float]:
+    """Estimates of the parameters that are the same for everybody, in their units."""
+    if not pooling.names:
+        return {}
+    whole = Whole(pooling)
+    u = pooling.whole(point.mu, point.shared) * whole.unit
+    by_name = dict(zip(whole.kernel.parameters, u.tolist(), strict=True))
+    return {p.name: float(p.value(np.array(value))) for p, value in by_name.items() if p.name in pooling.names}
 
 
 def _gathered(refitter: Refitter, fit: Refit) -> Refit:

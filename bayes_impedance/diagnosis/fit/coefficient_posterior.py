@@ -48,13 +48,16 @@ class CoefficientPosterior:
     covariance : ndarray, shape (A, A)
         Of the central values, with the dispersions at their posterior means.
     settled : bool
-        Whether the draws have converged: more refits would not change them.
+        Whether the draws have converged.
+    elements : ndarray, shape (P, S) or None
+        Log elements of the network in the median person; None where they are not drawn with the additions.
     """
 
     central: np.ndarray
     relative_dispersion: np.ndarray
     covariance: np.ndarray
     settled: bool = True
+    elements: np.ndarray | None = None
 
 
 def coefficient_posterior(fit: Refit, seed: int, n_draws: int = _DRAWS) -> CoefficientPosterior:
@@ -150,8 +153,8 @@ def reported(model: Model, addition: int, posterior: CoefficientPosterior, eleme
     model : Model
     addition : int
     posterior : CoefficientPosterior
-    elements : ndarray, shape (P,)
-        Central log elements of the network.
+    elements : ndarray, shape (P,) or (P, S)
+        Central log elements of the network, or draws of them.
     """
     item = model.additions[addition]
     effect, scales = item.effect, model.scales
@@ -176,7 +179,7 @@ def reported(model: Model, addition: int, posterior: CoefficientPosterior, eleme
         values.append(value)
         spreads.append(dispersion)
     names, traits = model.network.elements, effect.traits
-    compliance = float(np.exp(elements[names.index(item.place)])) if item.place in names else float("nan")
+    compliance = np.exp(elements[names.index(item.place)]) if item.place in names else float("nan")
     setting = effect.setting(scales, compliance)
     for k, coefficient in enumerate(effect.coefficients):
         value = traits.reported(values, setting) if k == 0 and traits.reported is not None else values[k]

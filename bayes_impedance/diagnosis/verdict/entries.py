@@ -17,6 +17,7 @@ from bayes_impedance.diagnosis.fit.coefficient_posterior import (
     verdict_on_side,
 )
 from bayes_impedance.diagnosis.fit.extend import dispersion_of_shared
+from bayes_impedance.diagnosis.fit.model import Model
 from bayes_impedance.diagnosis.fit.spike_slab import Members, members
 from bayes_impedance.diagnosis.heterogeneity.correlations import CorrelationTest
 from bayes_impedance.diagnosis.heterogeneity.subgroups import Subgroup
@@ -77,7 +78,10 @@ def effect_entry(
     who = members(found.final, addition) if effect.pooling == "some" else None
     if who is not None:  # the coefficient among those who have it
         posterior = _of_members(posterior, model.columns(addition)[0] - model.n_elements, who)
-    rows = reported(model, addition, posterior, np.asarray(found.final.u[:, : model.n_elements].mean(axis=0)))
+    elements = posterior.elements
+    if elements is None:
+        elements = found.final.u[:, : model.n_elements].mean(axis=0)
+    rows = reported(model, addition, posterior, elements)
     column = model.columns(addition)[0] - model.n_elements
     dispersion = posterior.relative_dispersion[:, column]
     interval = None
@@ -305,12 +309,11 @@ def _of_population(
     )
 
 
-def joint_of(found: Found) -> Joint:
-    """Correlations of all parameters in the joint posterior of several effects."""
-    assert found.posterior is not None
-    model = found.final.model
+def joint_of(model: Model, posterior: CoefficientPosterior | None) -> Joint:
+    """Correlations of all parameters in the joint posterior of several named effects, all additions of `model`."""
+    assert posterior is not None  # there are several effects
     ids = [addition.effect.id for addition in model.additions]
     said = [f"{i} at {a.place}" if ids.count(i) > 1 else i for i, a in zip(ids, model.additions, strict=True)]
     names = tuple(f"{said[p.addition]} {p.name.split('.')[-2] if '.' in p.name else p.name}" for p in model.parameters)
-    correlation = np.round(np.atleast_2d(np.corrcoef(found.posterior.central.T)), 3)
+    correlation = np.round(np.atleast_2d(np.corrcoef(posterior.central.T)), 3)
     return Joint(names, tuple(tuple(row) for row in correlation.tolist()))

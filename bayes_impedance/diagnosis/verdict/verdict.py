@@ -8,8 +8,9 @@ from importlib.metadata import version
 
 import numpy as np
 
-from bayes_impedance.diagnosis.extended_network import extended_network, no_networks
+from bayes_impedance.diagnosis.extended_network import ExtendedNetwork, no_networks
 from bayes_impedance.diagnosis.fit.baseline import Fitted
+from bayes_impedance.diagnosis.fit.coefficient_posterior import CoefficientPosterior
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.folds import FOLDS
@@ -152,6 +153,9 @@ class Evidence:
     remarks : tuple of str
     quick : bool
         Quote the catalogue's separating measurements instead of computing them.
+    posterior : CoefficientPosterior or None
+        Of all parameters that were added, from the population's posterior; the normal approximation of the search
+        counts where there is none.
     """
 
     found: Found
@@ -167,6 +171,7 @@ class Evidence:
     differences: tuple[ParameterDifference, ...] | None
     remarks: tuple[str, ...]
     quick: bool
+    posterior: CoefficientPosterior | None = None
 
     @property
     def final(self) -> Refit:
@@ -179,7 +184,9 @@ class Evidence:
         return self.final is not self.found.base
 
 
-def make_verdict(recordings: Recordings, fitted: Fitted, evidence: Evidence, seed: int) -> Verdict:
+def make_verdict(
+    recordings: Recordings, fitted: Fitted, evidence: Evidence, extended: ExtendedNetwork | None, seed: int
+) -> Verdict:
     """Make the verdict on the recordings.
 
     Parameters
@@ -187,6 +194,8 @@ def make_verdict(recordings: Recordings, fitted: Fitted, evidence: Evidence, see
     recordings : Recordings
     fitted : Fitted
     evidence : Evidence
+    extended : ExtendedNetwork or None
+        The network with what was found, if there is anything.
     seed : int
     """
     found, before, after = evidence.found, evidence.before, evidence.after
@@ -201,7 +210,7 @@ def make_verdict(recordings: Recordings, fitted: Fitted, evidence: Evidence, see
         located=_located(evidence.location),
         physics=physics,
         improvement=_improvement(evidence, physics),
-        network=(str(network), after.network if after is not None else str(before.network)),
+        network=(str(network.sharing(fitted.shared)), after.network if after is not None else str(before.network)),
         detectable=limits,
         not_identifiable=("gain", *hidden),
         elements_not_identified=tuple(
@@ -221,21 +230,14 @@ def make_verdict(recordings: Recordings, fitted: Fitted, evidence: Evidence, see
             *_limits_of_few(recordings),
         ),
         version=version("bayes_impedance"),
-        joint=joint_of(found) if len(effects) > 1 else None,
+        joint=joint_of(found.final.model, _posterior(evidence)) if len(effects) > 1 else None,
         parameters_differ=None
         if differences is None
         else tuple(d for d in differences if d.p_value < _SIGNIFICANT_DIFFERENCE),
         shortcomings=(*gross, *partial),
-        extended_network=_extended(evidence),
+        extended_network=None if extended is None else str(extended.network),
     )
     return replace(verdict, summary=sentence(verdict, len(recordings.subjects)))
-
-
-def _extended(evidence: Evidence) -> str | None:
-    """Notation of the network with everything that was added; None if nothing was, or it is no network."""
-    if not evidence.changed or not evidence.final.model.additions:
-        return None
-    return str(extended_network(evidence.final.model))
 
 
 def _left_out(evidence: Evidence) -> tuple[str, ...]:
@@ -257,15 +259,20 @@ def _shortcomings(recordings: Recordings, final: Refit) -> tuple[list[str], list
     return gross, badly_described(recordings.names, scale)
 
 
+def _posterior(evidence: Evidence) -> CoefficientPosterior | None:
+    return evidence.found.posterior if evidence.posterior is None else evidence.posterior
+
+
 def _physics(recordings: Recordings, evidence: Evidence) -> tuple[Physics, ...]:
     """All entries: effects of the catalogue, structures of the population, hum, and last unnamed physics."""
     found, names = evidence.found, recordings.names
     entries = []
-    if found.posterior is not None:
+    posterior = _posterior(evidence)
+    if posterior is not None:
         few = len(names) < FEW_PEOPLE
         first = len(found.base.model.additions)
         for i, gain in enumerate(evidence.gains, first):
-            entries.append(effect_entry(found, i, found.posterior, gain, names, few, evidence.quick))
+            entries.append(effect_entry(found, i, posterior, gain, names, few, evidence.quick))
     elements = found.base.model.network.elements
     entries += [structure_entry(structure, elements, names) for structure in evidence.structures]
     if evidence.hum is not None:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from experiments import TOY, Experiment, Serial, entry, recovered, toy
 
+from bayes_impedance.diagnosis.extended_network import extended_network
 from bayes_impedance.diagnosis.fit.baseline import Fitted
 from bayes_impedance.diagnosis.fit.coefficient_posterior import coefficient_posterior
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals
@@ -132,7 +133,7 @@ def verdict_with(*bands_hz: tuple[float, float], **changes: Any) -> Verdict:
     )
     recordings = recordings_of(e)
     fitted = Fitted(recordings, look.base, e.refitter, np.array([True, False]), ("the fit's",))
-    return make_verdict(recordings, fitted, replace(evidence, **changes), seed=5)
+    return make_verdict(recordings, fitted, replace(evidence, **changes), extended_network(look.final.model), seed=5)
 
 
 def test_bands_that_touch_become_one() -> None:
@@ -289,7 +290,6 @@ def test_the_amplitude_of_hum_is_that_of_a_complex_number() -> None:
 def test_joint_correlations_are_those_of_the_draws() -> None:
     fit = with_delay()
     posterior = coefficient_posterior(fit, 1)
-    with_posterior = replace(found(), final=fit, posterior=posterior)
-    made = joint_of(with_posterior)
+    made = joint_of(fit.model, posterior)
     assert made.parameters == ("rig.delay delay",)
     assert made.correlation == ((1.0,),)

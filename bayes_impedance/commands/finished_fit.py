@@ -1,0 +1,86 @@
+"""From a finished fit to the files of its result: examined, with predictions, pictures and report."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bayes_impedance.commands.result_folders import FIT_FILES, PICTURE_FOLDER, page_files, remove
+from bayes_impedance.runtime.clock import Clock
+from bayes_impedance.runtime.output_folder import output_folder
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
+    from bayes_impedance.commands.jobs import FitOptions
+    from bayes_impedance.diagnosis import Diagnosis
+    from bayes_impedance.population.fit import PopulationFit
+    from bayes_impedance.quality.checks import Finding
+    from bayes_impedance.results.result import Result
+    from bayes_impedance.runtime.progress import Progress
+
+
+def examined_result(
+    fit: PopulationFit,
+    options: FitOptions,
+    clock: Clock,
+    executor: Executor,
+    progress: Progress,
+    findings: Sequence[Finding],
+    helper: Executor | None = None,
+) -> Result:
+    """The fit examined, with its predictions; `findings` are those of the recordings."""
+    from bayes_impedance.diagnosis.examine import examine
+    from bayes_impedance.results.predictive import predict
+    from bayes_impedance.results.result import make_result
+
+    with clock.measure("examine"):
+        progress("examining the fit", 0, 1)
+        adequacy = examine(fit, executor=executor)
+        progress("examining the fit", 1, 1)
+    if helper is not None:
+        from bayes_impedance.plots import prepare
+
+        helper.submit(prepare)
+    clock.seconds.update(fit.seconds)
+    with clock.measure("predictive"):
+        progress("predictions", 0, 1)
+        predictive = predict(fit, seed=options.seed)
+        progress("predictions", 1, 1)
+    told = [f.message for f in findings if f.severity == "warning"]
+    return make_result(fit, predictive, clock.seconds, options.subjects, adequacy, told, options.before)
+
+
+def write_extended(
+    diagnosis: Diagnosis, out: Path, options: FitOptions, executor: Executor, progress: Progress
+) -> Result:
+    """The population of the network with what was found as an ordinary result: files, pictures and report."""
+    from bayes_impedance.diagnosis.verdict_file import before_of
+    from bayes_impedance.results.result import save_result
+
+    fit = diagnosis.fit
+    assert fit is not None  # there is an extended network
+    options = replace(options, before=before_of(diagnosis.verdict))
+    pages = page_files()
+    with output_folder(out, [*FIT_FILES, *pages], options.overwrite):
+        result = examined_result(fit, options, Clock(), executor, progress, ())
+        remove(out, (*pages, *FIT_FILES))
+        save_result(result, out)
+        write_pages(result, out, (), progress)
+    return result
+
+
+def write_pages(
+    result: Result, out: Path, findings: Sequence[Finding], progress: Progress, helper: Executor | None = None
+) -> None:
+    """Pictures and report; `helper` is another process, which draws some of the pictures."""
+    from bayes_impedance.plots import write_pictures
+    from bayes_impedance.report import write_report
+
+    progress("pictures and report", 0, 2)
+    drawn = write_pictures(result, out / PICTURE_FOLDER, helper)
+    progress("pictures and report", 1, 2)
+    write_report(result, out, findings, drawn)
+    progress("pictures and report", 2, 2)
