@@ -78,8 +78,8 @@ def fit_network(
     tree = kernel.network
     if not tree.plain:
         raise InputError(
-            f"the network {tree} holds more than masses, springs and dampers that differ between people, which only "
-            "'run' and 'fit' estimate so far: diagnose the network without it"
+            f"the network {tree} has power laws, wrappers, or shared or held parameters, which only 'run' and 'fit' "
+            "can estimate so far: diagnose a network of masses, compliances and dampers that differ between people"
         )
     prior = default_prior(kernel, recordings)
     seeds = np.random.SeedSequence(seed).spawn(2)
@@ -136,7 +136,7 @@ def _gathered(refitter: Refitter, fit: Refit) -> Refit:
 def _trust(fit: Refit, point: Estimate) -> tuple[str, ...]:
     remarks = []
     if not fit.settled:
-        remarks.append("The fit of the network did not come to rest; an unconverged fit looks like missing physics.")
+        remarks.append("The fit of the network did not converge; an unconverged fit looks like missing physics.")
     if point.rivals and min(point.rivals) < 6:
-        remarks.append("Another solution for the whole population is nearly as good; the network may be ambiguous.")
+        remarks.append("Another solution for the whole population fits nearly as well; the network may be ambiguous.")
     return tuple(remarks)
