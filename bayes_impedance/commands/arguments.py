@@ -221,7 +221,7 @@ def _worker_arguments(parser: argparse.ArgumentParser) -> None:
         "--workers",
         type=_whole(MOST_WORKERS),
         metavar="N",
-        help="number of local processes that fit people (default: none, but two threads)",
+        help="number of local processes that fit people (default: two threads of this process)",
     )
     parser.add_argument(
         "--scheduler",

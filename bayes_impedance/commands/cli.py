@@ -205,11 +205,12 @@ def _check(options: argparse.Namespace) -> int:
     description, _, findings = check_dataset(options.dataset)
     for key, value in description.items():
         shown = " to ".join(f"{v:.4g}" for v in dict.fromkeys(value)) if _is_range(value) else value
-        tell(f"{key.replace('_', ' '):14} {shown}")
+        label = key.replace("_hz", ", Hz").replace("_", " ")
+        tell(f"{label:14} {(', '.join(map(str, value)) or 'none') if isinstance(shown, list) else shown}")
     for finding in findings:
         tell(f"{finding.severity}: {finding.message}")
     if not findings:
-        tell("nothing odd was found")
+        tell("no problem was found")
     return DONE
 
 

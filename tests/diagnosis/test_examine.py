@@ -92,7 +92,7 @@ def test_one_person_who_does_not_belong_is_named(change: str) -> None:
 
 def test_two_groups_are_not_one_population() -> None:
     found = examined("two groups")
-    assert any("of two groups" in sentence for sentence in found.misfit)
+    assert any("form two groups" in sentence for sentence in found.misfit)
     assert set(found.bent) == set(CENTRAL)
 
 

@@ -322,7 +322,7 @@ def proposed(kind: str, elpd: float) -> Proposal:
 def test_the_sentence_names_the_best_measurement_that_is_worth_it():
     present = proposed("none", 4.2)
     assert best_sentence([present, proposed("position", 9.0), proposed("contactor_mass", 163.0)]) == (
-        "measurement contactor_mass: expected to raise the difference from 4.2 to 160 (natural logarithms)"
+        "measurement contactor_mass: expected to raise the difference of the log likelihoods from 4.2 to 160"
     )
     nothing = "none of the measurements considered"
     assert best_sentence([present, proposed("wider_high", 4.9)]) == nothing
