@@ -215,7 +215,7 @@ def one_ports(diagnosis: Diagnosis) -> Figure | None:
         row[0].set_ylim(*_inner_limits(port.ratio, port.sd))
         # Without a mismatch there is no share of it to explain.
         known = diagnosis.verdict.mismatch and np.isfinite(port.share)
-        share = f": explains {100 * port.share:.0f} % of the mismatch" if known else ""
+        share = f": explains {100 * port.share:.0f} %" if known else ""
         row[0].set_title(f"at {_drawable(port.place, 60)}{share}", parse_math=False)
         row[0].set_ylabel("missing / present")
     panels[0, 1].set_title("imaginary part", loc="right", color=GREY)
@@ -260,7 +260,7 @@ def improvement(diagnosis: Diagnosis) -> Figure | None:
         _own_errors(panels[1, 0], diagnosis, before, after)
         panels[1, 1].axhline(90, color=GREY, lw=1.0, ls=(0, (4, 3)))
         panels[1, 1].set_ylim(0, 103)
-        panels[1, 1].set_ylabel("recordings in the 90 % band (%)")
+        panels[1, 1].set_ylabel("in the 90 % band (%)")
         over_frequency.append(panels[1, 1])
     for axes in over_frequency:
         frequency_axis(axes, before.frequency_hz)

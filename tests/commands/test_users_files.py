@@ -136,7 +136,7 @@ def test_a_diagnosis_stands_beside_a_fit_and_is_resumed_to_the_same_verdict(tiny
             raise KeyboardInterrupt
 
     options = jobs.FitOptions(network="m1|r1|n1", quick=True)
-    with pytest.raises(KeyboardInterrupt, match="takes up the network's fit"):
+    with pytest.raises(KeyboardInterrupt, match="continues the fit of the network"):
         jobs.diagnose_dataset(tiny / "data", again, options, None, False, stop)
     assert {"first_fits.npz", "point_estimate.npz"} <= {p.name for p in (again / "diagnosis_checkpoint").iterdir()}
     stages: list[str] = []

@@ -67,12 +67,12 @@ def test_what_is_held_is_the_rig_s_too() -> None:
 
 @pytest.mark.parametrize("text", ["m9*", "delay[d9*](m9*|n9=1e-6)", "m9*|n9*-r9*"])
 def test_a_rig_without_a_body_is_one_error(text: str) -> None:
-    with pytest.raises(InputError, match=r"nothing of .* is the body's"):
+    with pytest.raises(InputError, match=r"nothing of .* belongs to the body"):
         body_of(parse(text))
 
 
 def test_a_wrapper_of_the_body_around_the_rig_is_an_error() -> None:
-    with pytest.raises(InputError, match=r"reflex\[k1, d1, f1\]\(...\) is the body's, but all that it wraps"):
+    with pytest.raises(InputError, match=r"reflex\[k1, d1, f1\]\(...\) belongs to the body, but all that it wraps"):
         body_of(parse("m1|reflex[k1, d1, f1](n9*)"))
 
 

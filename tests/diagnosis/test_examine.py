@@ -67,7 +67,7 @@ def test_good_populations_are_not_marked() -> None:
 def test_another_quantity_is_a_gross_misfit(change: str) -> None:
     found = examined(change)
     assert len(found.gross) == 1
-    assert "each subject's own best network is" in found.gross[0]
+    assert "each subject's own best fit deviates by" in found.gross[0]
 
 
 @pytest.mark.parametrize(

@@ -195,7 +195,7 @@ def test_people_are_in_the_order_of_the_folders_names(dataset: Path, monkeypatch
         names.append(read_recordings(table).names)
     assert names == [("12", "A", "A-1")] * 2
     (table / "subject=").mkdir()
-    with pytest.raises(InputError, match="there is no file in the folder"):
+    with pytest.raises(InputError, match="the folder contains no files"):
         read_recordings(table)
 
 

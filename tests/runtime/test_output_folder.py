@@ -100,7 +100,7 @@ def test_a_second_process_is_told_who_holds_the_folder_and_takes_it_over_after_a
     with subprocess.Popen([sys.executable, "-c", HOLD, str(tmp_path)], stdout=subprocess.PIPE, text=True) as first:
         assert first.stdout is not None
         assert first.stdout.readline() == "held\n"
-        with pytest.raises(BusyError, match=rf"process {first.pid} on {socket.gethostname()} writes there"):
+        with pytest.raises(BusyError, match=rf"process {first.pid} on {socket.gethostname()} is writing there"):
             make(tmp_path)
         first.kill()
     assert (tmp_path / LOCK).exists()  # stale
