@@ -158,7 +158,7 @@ def test_files_of_others_in_a_later_folder_are_seen_before_the_first_fit(
     (tmp_path / "2" / "summary.json").write_text("mine", encoding="utf-8")
     command = ["compare", str(place / "data"), "-o", str(tmp_path), "--networks", "m1|r1|n1", "m1|r1"]
     assert main(command) == 2
-    assert "was not made by this package" in capsys.readouterr().err
+    assert "was not written by this package" in capsys.readouterr().err
     assert [p.name for p in tmp_path.iterdir()] == ["2"]
 
 

@@ -36,7 +36,7 @@ def test_simulate_leaves_recordings_that_are_there(
 ) -> None:
     (tmp_path / name).write_text("measured for a year")
     assert main(["simulate", "-o", str(tmp_path), *SIMULATE]) == 2
-    assert "was not made by this package" in capsys.readouterr().err
+    assert "was not written by this package" in capsys.readouterr().err
     assert contents(tmp_path) == {name: b"measured for a year"}
     assert main(["simulate", "-o", str(tmp_path), *SIMULATE, "--overwrite"]) == 0
     assert main(["simulate", "-o", str(tmp_path), *SIMULATE, "--seed", "2"]) == 0  # its own dataset it replaces

@@ -59,7 +59,7 @@ def _with(values: np.ndarray, index: int, value: float) -> np.ndarray:
         ({"age": _with(AGE, 3, 1e300)}, ("age",), ["1e+300 for subject S3", "correct it"]),
         ({"age": _with(AGE, 3, -1e38)}, ("age",), ["-1e+38 for subject S3"]),
         ({"age": AGE, "months": 12 * AGE}, ("age", "months"), ['"age", "months" are linearly dependent']),
-        ({"age": AGE, "young": 80 - AGE, "force": FORCE}, ("force", "age", "young"), ['covariates "age", "young" say']),
+        ({"age": AGE, "young": 80 - AGE, "force": FORCE}, ("force", "age", "young"), ['covariates "age", "young" are']),
         ({"age": AGE, "force": FORCE, "both": AGE + 9 * FORCE}, ("age", "force", "both"), ["are linearly dependent"]),
         ({"age": AGE, "near": AGE + 0.1 * FORCE}, ("age", "near"), ["are linearly dependent"]),
         (
