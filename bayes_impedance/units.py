@@ -121,7 +121,12 @@ def number_with_unit(value: float, unit: str, digits: int = 3) -> str:
     if unit.startswith("per "):
         return f"{rounded(value, digits)} {unit}"
     scale = scale_for(value, unit)
-    return f"{rounded(value * scale.factor, digits)} {scale.unit}"
+    return joined(rounded(value * scale.factor, digits), scale.unit)
+
+
+def joined(number: str, unit: str) -> str:
+    """A number in front of the unit of a :class:`Scale`, which may begin with a power of ten."""
+    return f"{number}{'×' if unit.startswith('10') else ' '}{unit}".strip()
 
 
 def hertz(value: float, digits: int = 3) -> str:

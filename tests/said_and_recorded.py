@@ -10,10 +10,10 @@ from typing import Any
 NUMBER = re.compile(r"(?<![\w.])[−-]?\d+(?:\.\d+)?(?:[eE][+-]?\d+)?(?![\w.]*\w)")
 """A number that is no part of a name such as n3 or P01."""
 
-FITS = ("to within their noise", "what the model expects", "Nothing is missing")
+FITS = ("to within their noise", "as the model predicts", "Nothing is missing")
 """Words of a network that describes the recordings."""
 
-DOES_NOT_FIT = ("does not describe", "leaves out", "it does not", "stray further", "Something was left out")
+DOES_NOT_FIT = ("does not describe", "leaves out", "by more than the model explains", "Physics is missing")
 """Words of one that does not."""
 
 

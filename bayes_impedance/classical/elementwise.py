@@ -116,7 +116,9 @@ def fit_elements(
         If `part` or `weighting` is unknown, or a subject has fewer data values than elements.
     """
     if part not in PARTS or weighting not in ("none", "relative"):
-        raise InputError(f"part '{part}', weighting '{weighting}': choose {', '.join(PARTS)}, and none or relative")
+        raise InputError(
+            f"part is '{part}' and weighting is '{weighting}': choose {', '.join(PARTS)}, and none or relative"
+        )
     kernel = Kernel(network)
     for subject in recordings.subjects:
         if subject.frequency_hz.size * (1 + (part == "complex")) < len(kernel.elements):

@@ -208,7 +208,9 @@ def map_to_network(
         raise InputError("the coefficients are complex: drop their imaginary parts or fit with real coefficients")
     target = transfer(2j * np.pi * frequency)
     if np.mean(target.real < 0) > 0.5:
-        raise InputError("Re z is negative over most of the band: the force was counted the other way; turn the sign")
+        raise InputError(
+            "Re z is negative over most of the band, so the force was counted with the opposite sign; reverse the sign"
+        )
     kernel = Kernel(network)
     if 2 * frequency.size <= len(kernel.elements):
         raise InputError(f"{frequency.size} frequencies are too few for {len(kernel.elements)} elements: give more")

@@ -208,7 +208,7 @@ def compare_methods(
         If the result is of other recordings.
     """
     if [str(s) for s in result.coords["subject"]] != list(recordings.names):
-        raise InputError("the finished fit is of other subjects: fit these recordings, or name the right folder")
+        raise InputError("the finished fit is of other subjects: fit these recordings, or give the folder of their fit")
     network = parse(result.attributes["network"])
     frequency = common_grid(recordings)
     observed = on_grid(recordings, frequency)

@@ -157,7 +157,7 @@ def normality(z: np.ndarray, level: float = 0.05) -> Normality:
     z = np.asarray(z, dtype=complex)
     _check_people(z)
     if not 0 < level < 1:
-        raise InputError(f"The level {level} of the tests of normality is not between 0 and 1: use 0.05, say.")
+        raise InputError(f"The level {level} of the tests of normality is not between 0 and 1: use 0.05, for instance.")
     wrong = np.argwhere((z == 0) | np.isinf(z))
     if wrong.size:
         person, point = wrong[0].tolist()

@@ -130,7 +130,7 @@ def select_order(
             "curves hold infinite values or 0, or frequency_hz is not finite: mark missing data by NaN in curves"
         )
     if folds < 2:
-        raise InputError(f"folds is {folds}: something must be held out and something left, so give 2 or more")
+        raise InputError(f"folds is {folds}: give 2 or more")
     if not candidates:
         raise InputError("orders is empty: give at least one number of poles")
     z = z[np.any(np.isfinite(z), axis=1)]

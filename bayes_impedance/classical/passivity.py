@@ -136,7 +136,7 @@ def check_passivity(model: PoleResidue | TransferFunction, *, unit: str = "") ->
     margin = min([axis.lowest(omega, True, True)[1], *(v.relative for v in violations)])
     reasons = [*axis.remarks]
     reasons += [
-        f"the pole at {pole:.4g} rad/s is in the right half plane: the motion grows by itself"
+        f"the pole at {pole:.4g} rad/s is in the right half-plane: the model is unstable"
         for pole in axis.unstable
         if pole.imag >= 0
     ]
@@ -163,10 +163,10 @@ def _violation_sentence(violation: Violation, unit: str) -> str:
 def _residue_sentence(wrong: AxisPole) -> str:
     place = hertz(abs(wrong.pole) / (2 * np.pi))
     if np.isnan(wrong.residue):
-        return f"the pole on the imaginary axis at {place} is multiple"
+        return f"the pole at {place} on the imaginary axis is multiple"
     residue = wrong.residue.real if wrong.residue.imag == 0 else wrong.residue
     name = "coefficient of s" if np.isinf(wrong.pole) else "residue"
-    return f"the pole on the imaginary axis at {place} has {name} {residue:.4g}, which is not positive"
+    return f"the pole at {place} on the imaginary axis has the {name} {residue:.4g}, which is not positive"
 
 
 def _violations(axis: RealPart, omega: np.ndarray) -> list[Violation]:

@@ -51,9 +51,12 @@ class PoleResidue:
         object.__setattr__(self, "poles", np.asarray(self.poles, dtype=complex))
         object.__setattr__(self, "residues", np.asarray(self.residues, dtype=complex))
         if self.poles.ndim != 1 or self.poles.shape != self.residues.shape:
-            raise ValueError(f"poles have shape {self.poles.shape} and residues {self.residues.shape}")
+            raise ValueError(
+                f"poles have shape {self.poles.shape} and residues {self.residues.shape}: give one residue for each "
+                "pole"
+            )
         if not np.all(np.isfinite([*self.poles, *self.residues, self.constant, self.linear])):
-            raise ValueError("a pole, residue or coefficient is not finite")
+            raise ValueError("a pole, residue or coefficient is not finite: all must be")
         pairs = list(zip(self.poles, self.residues, strict=True))
         largest = max((abs(residue) for residue in self.residues), default=0.0)
         for pole, residue in pairs:
@@ -62,7 +65,7 @@ class PoleResidue:
                 and abs(residue.conjugate() - c) <= _PAIRING * max(abs(residue), 1e-6 * largest)
                 for p, c in pairs
             ):
-                raise ValueError(f"pole {pole:.6g} with residue {residue:.6g} has no conjugate partner")
+                raise ValueError(f"pole {pole:.6g} with residue {residue:.6g} has no conjugate partner: list both")
 
     def __call__(self, s: npt.ArrayLike) -> np.ndarray:
         """Value at complex frequency s (rad/s), same shape as `s`."""
@@ -97,10 +100,14 @@ def partial_fractions(transfer: TransferFunction) -> PoleResidue:
     numerator = np.atleast_1d(np.trim_zeros(np.asarray(transfer.numerator), "f"))
     denominator = np.atleast_1d(np.trim_zeros(np.asarray(transfer.denominator), "f"))
     if np.iscomplexobj(numerator) or np.iscomplexobj(denominator):
-        raise ValueError("the coefficients are complex: a driving-point impedance has real ones")
+        raise ValueError(
+            "the coefficients are complex, but those of a driving-point impedance are real: drop the imaginary parts"
+        )
     numerator, denominator = numerator.astype(float), denominator.astype(float)
     if numerator.size > denominator.size + 1:
-        raise ValueError(f"degree {numerator.size - 1} over {denominator.size - 1}: more than one pole at infinity")
+        raise ValueError(
+            f"degree {numerator.size - 1} over {denominator.size - 1}: an impedance has at most one pole at infinity"
+        )
     scale = _frequency_scale(denominator)
     numerator, denominator = _scaled(numerator, scale), _scaled(denominator, scale)
     # The polynomial part from the leading coefficients; the residues need no remainder, since D is 0 at its roots.
@@ -114,7 +121,10 @@ def partial_fractions(transfer: TransferFunction) -> PoleResidue:
     slope = np.polyval(np.polyder(denominator), poles) if poles.size else np.zeros(0)
     for i, pole in enumerate(poles):
         if np.any(np.abs(np.delete(poles, i) - pole) <= 1e-7 * max(abs(pole), 1e-12)):
-            raise ValueError(f"pole {pole * scale:.6g} rad/s is multiple: it has no simple partial fraction")
+            raise ValueError(
+                f"pole {pole * scale:.6g} rad/s is multiple, so that there are no simple partial fractions: separate "
+                "the poles slightly"
+            )
     residues = _conjugate(np.polyval(numerator, poles) / slope) if poles.size else np.zeros(0)
     return PoleResidue(poles * scale, residues * scale, float(constant), float(linear / scale))
 

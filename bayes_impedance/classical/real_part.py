@@ -261,7 +261,10 @@ class _OfRatio(RealPart):
         if not all(np.all(np.isfinite(p)) for p in both) or not np.any(both[1].real):
             raise InputError("the transfer function's coefficients must be finite, and its denominator not 0")
         if any(np.any(p.imag) for p in both):
-            self.remarks = ("the coefficients are complex: a driving-point impedance has real ones",)
+            self.remarks = (
+                "the coefficients are complex, but those of a driving-point impedance are real: drop the imaginary "
+                "parts",
+            )
         numerator, denominator = (np.trim_zeros(p.real, "f") for p in both)
         while numerator.size and numerator[-1] == 0 == denominator[-1]:
             numerator, denominator = numerator[:-1], denominator[:-1]

@@ -92,7 +92,7 @@ def identify(
     curve, weight = _reduced(frequency_hz, z, weighting, noise_sd)
     if n_poles < int(pole_at_zero) or n_zeros < 0 or n_zeros > n_poles + 1:
         raise InputError(
-            f"{n_zeros} zeros over {n_poles} poles: give at least as many poles as are kept at 0, "
+            f"there are {n_zeros} zeros and {n_poles} poles: give at least as many poles as are fixed at 0, "
             "and at most one zero more than poles"
         )
     n_unknown = n_zeros + 1 + n_poles - int(pole_at_zero)
@@ -123,7 +123,7 @@ def _reduced(
         raise InputError(f"weighting is '{weighting}': choose {' or '.join(WEIGHTINGS)}")
     present = np.isfinite(curves)
     if not np.all(present.any(axis=0)):
-        raise InputError("at some frequency nobody has data: leave that frequency out")
+        raise InputError("there is a frequency without any data: leave it out")
     curves = np.where(present, curves, 1.0)
     if noise_sd is not None:
         w = np.broadcast_to(noise_sd, curves.shape) ** -2.0

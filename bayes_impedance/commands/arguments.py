@@ -45,7 +45,7 @@ def parser_of_commands() -> argparse.ArgumentParser:
     _fit_arguments(run)
     _with(run)
 
-    check = commands.add_parser("check", help="what a dataset holds and what is odd about it")
+    check = commands.add_parser("check", help="what a dataset contains and what looks wrong in it")
     _dataset(check)
 
     fit = commands.add_parser("fit", help="fit only: result.nc and summary.json")
@@ -55,10 +55,11 @@ def parser_of_commands() -> argparse.ArgumentParser:
 
     compare = commands.add_parser(
         "compare",
-        help="the paper's methods in one table; with --networks, networks by how they predict people left out",
+        help="the paper's methods in one table; with --networks, how well each network predicts people left out",
         description="Without --networks: the paper's methods and the population network in one table. With --networks: "
-        "each network is fitted (into OUT/1, OUT/2, ...), everybody is predicted from all others, and networks.json "
-        "and networks.csv say how much worse each network predicts than the best, with a standard error over people.",
+        "each network is fitted (results in OUT/1, OUT/2, ...) and each person is predicted from all others; "
+        "networks.json and networks.csv give the difference of each network from the best one in predictive density, "
+        "with its standard error over people.",
     )
     _dataset(compare)
     _fit_arguments(compare)
@@ -66,11 +67,13 @@ def parser_of_commands() -> argparse.ArgumentParser:
         "--networks",
         nargs="+",
         metavar="NETWORK",
-        help="two or more: a network in quotation marks, a text file with one, the folder of a finished fit of the "
-        "same recordings, or the verdict.json of a diagnosis (the network with what was missing)",
+        help="two or more, each of them a network in quotation marks, a text file with a network, the folder of a "
+        "finished fit of the same recordings, or the verdict.json of a diagnosis (the network with what was missing)",
     )
-    compare.add_argument("--result", type=Path, metavar="FOLDER", help="finished fit of the same recordings to use")
-    compare.add_argument("--full", dest="quick", action="store_false", help="as many draws as 'run'; default: --quick")
+    compare.add_argument("--result", type=Path, metavar="FOLDER", help="use this finished fit of the same recordings")
+    compare.add_argument(
+        "--full", dest="quick", action="store_false", help="as many draws as 'run' (default: fewer, as with --quick)"
+    )
     compare.set_defaults(quick=True)
 
     diagnose = commands.add_parser("diagnose", help="what the network leaves out: verdict.json and a report")
@@ -79,7 +82,7 @@ def parser_of_commands() -> argparse.ArgumentParser:
 
     report = commands.add_parser("report", help="pictures and report of a finished fit")
     report.add_argument("out", type=Path, metavar="OUT", help="folder that 'run' or 'fit' has written")
-    report.add_argument("--dataset", type=Path, help="the recordings, to list what is odd about them")
+    report.add_argument("--dataset", type=Path, help="the recordings, to list the findings of 'check'")
     _overwrite(report)
 
     export = commands.add_parser("export", help="design inputs from a finished fit: users, transfer, SPICE, stability")
@@ -87,11 +90,23 @@ def parser_of_commands() -> argparse.ArgumentParser:
 
     simulate = commands.add_parser("simulate", help="virtual recordings with known truth")
     simulate.add_argument("-o", "--out", type=Path, required=True, help="folder for the new dataset")
-    simulate.add_argument("--population", type=Path, help="summary.json of a fit or truth.json (default: fingertips)")
-    simulate.add_argument("--subjects", type=_whole(MOST_PEOPLE), default=71, metavar="N", help="default: 71")
-    simulate.add_argument("--repetitions", type=_whole(MOST_REPETITIONS), default=3, metavar="J", help="default: 3")
     simulate.add_argument(
-        "--points", type=_whole(MOST_POINTS, at_least=3), default=401, metavar="F", help="frequencies; default: 401"
+        "--population",
+        type=Path,
+        help="summary.json of a fit, or truth.json (default: the population of virtual fingertips)",
+    )
+    simulate.add_argument(
+        "--subjects", type=_whole(MOST_PEOPLE), default=71, metavar="N", help="number of subjects (default: 71)"
+    )
+    simulate.add_argument(
+        "--repetitions", type=_whole(MOST_REPETITIONS), default=3, metavar="J", help="for each subject (default: 3)"
+    )
+    simulate.add_argument(
+        "--points",
+        type=_whole(MOST_POINTS, at_least=3),
+        default=401,
+        metavar="F",
+        help="number of frequencies (default: 401)",
     )
     simulate.add_argument(
         "--band",
@@ -99,12 +114,14 @@ def parser_of_commands() -> argparse.ArgumentParser:
         nargs=2,
         default=(5.0, 5000.0),
         metavar=("LOW", "HIGH"),
-        help="in Hz",
+        help="in Hz (default: 5 5000)",
     )
     simulate.add_argument(
-        "--noise", type=_number(at_least=0, at_most=LARGEST_NOISE), help="relative noise of each part (default: 0.01)"
+        "--noise",
+        type=_number(at_least=0, at_most=LARGEST_NOISE),
+        help="relative standard deviation of the noise of Re z and of Im z (default: 0.01)",
     )
-    simulate.add_argument("--seed", type=_whole(LARGEST_SEED, at_least=0), default=1, help="default: 1")
+    simulate.add_argument("--seed", type=_whole(LARGEST_SEED, at_least=0), default=1, help="random seed (default: 1)")
     _overwrite(simulate)
     return parser
 
@@ -119,25 +136,36 @@ def _with(parser: argparse.ArgumentParser) -> None:
         dest="proposed",
         type=Path,
         metavar="VERDICT",
-        help="verdict.json of a diagnosis: the network with everything that it found missing",
+        help="verdict.json of a diagnosis: fit the network with everything that it found missing",
     )
 
 
 def _fit_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--out", type=Path, default=Path("out"), help="folder for the results (default: out)")
-    parser.add_argument("--network", help='for instance "(n3|r3)-(m2|r1|n1)"; default: the one in dataset.toml')
-    parser.add_argument("--covariance", choices=("full", "diagonal"), default="full", help="between persons")
+    parser.add_argument("--network", help='for instance "(n3|r3)-(m2|r1|n1)" (default: the one in dataset.toml)')
     parser.add_argument(
-        "--covariate", action="append", default=[], metavar="NAME", help="elements follow it; repeatable"
+        "--covariance",
+        choices=("full", "diagonal"),
+        default="full",
+        help="covariance of the elements between persons (default: full)",
     )
-    parser.add_argument("--subject", action="append", default=[], metavar="NAME", help="use only this one; repeatable")
+    parser.add_argument(
+        "--covariate",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="covariate on which the elements may depend; repeatable",
+    )
+    parser.add_argument(
+        "--subject", action="append", default=[], metavar="NAME", help="use only this subject; repeatable"
+    )
     parser.add_argument(
         "--seed",
         type=_whole(LARGEST_SEED, at_least=0),
         default=1,
-        help="default: 1; the same seed gives the same result",
+        help="random seed (default: 1); the same seed gives the same result",
     )
-    parser.add_argument("--quick", action="store_true", help="fewer draws: a first look")
+    parser.add_argument("--quick", action="store_true", help="fewer draws, for a first look")
     parser.add_argument("--resume", action="store_true", help="continue a fit that was interrupted")
     _overwrite(parser)
     _worker_arguments(parser)
@@ -145,29 +173,45 @@ def _fit_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _diagnose_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--out", type=Path, default=Path("out"), help="folder for the results (default: out)")
-    parser.add_argument("--network", help="the network as claimed; default: the one in dataset.toml")
+    parser.add_argument("--network", help="the network to be examined (default: the one in dataset.toml)")
     parser.add_argument(
-        "--simulation", type=Path, metavar="DATASET", help="simulated population that claims to describe the recordings"
+        "--simulation",
+        type=Path,
+        metavar="DATASET",
+        help="simulated population that is claimed to describe the recordings",
     )
     parser.add_argument(
-        "--covariance", choices=("full", "diagonal"), default="full", help="claim about people; default: full"
+        "--covariance",
+        choices=("full", "diagonal"),
+        default="full",
+        help="claimed covariance between persons (default: full)",
     )
-    parser.add_argument("--subject", action="append", default=[], metavar="NAME", help="use only this one; repeatable")
+    parser.add_argument(
+        "--subject", action="append", default=[], metavar="NAME", help="use only this subject; repeatable"
+    )
     parser.add_argument(
         "--seed",
         type=_whole(LARGEST_SEED, at_least=0),
         default=1,
-        help="default: 1; the same seed gives the same verdict",
+        help="random seed (default: 1); the same seed gives the same verdict",
     )
-    parser.add_argument("--quick", action="store_true", help="without held-out frequencies and without proposals")
-    parser.add_argument("--resume", action="store_true", help="take up the network's fit of a diagnosis interrupted")
+    parser.add_argument(
+        "--quick",
+        action="store_true",
+        help="faster: no held-out frequencies, and no computed proposals of separating measurements",
+    )
+    parser.add_argument(
+        "--resume", action="store_true", help="continue a diagnosis that was interrupted, from its fit of the network"
+    )
     _overwrite(parser)
     _worker_arguments(parser)
 
 
 def _overwrite(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--overwrite", action="store_true", help="replace files that this package has not made or that were changed"
+        "--overwrite",
+        action="store_true",
+        help="also replace files that this package did not write, or that were changed since",
     )
 
 
@@ -177,9 +221,13 @@ def _worker_arguments(parser: argparse.ArgumentParser) -> None:
         "--workers",
         type=_whole(MOST_WORKERS),
         metavar="N",
-        help="local processes that fit people (default: two threads of this one)",
+        help="number of local processes that fit people (default: two threads of this process)",
     )
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="Dask scheduler, whose workers fit people (extra: dask)")
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="address of a Dask scheduler whose workers fit people (needs the extra 'dask')",
+    )
 
 
 def _export_arguments(parser: argparse.ArgumentParser) -> None:
@@ -189,44 +237,71 @@ def _export_arguments(parser: argparse.ArgumentParser) -> None:
         "--what",
         action="append",
         choices=("users", "transfer", "spice", "stability"),
-        help="repeatable (default: all of them)",
+        help="files to write; repeatable (default: all)",
     )
     parser.add_argument(
-        "--users", type=_whole(MOST_USERS), default=1000, metavar="N", help="virtual users (default: 1000)"
+        "--users", type=_whole(MOST_USERS), default=1000, metavar="N", help="number of virtual users (default: 1000)"
     )
     parser.add_argument(
-        "--spanning", type=_whole(MOST_USERS), default=8, metavar="N", help="users who span the 95 %% region"
+        "--spanning",
+        type=_whole(MOST_USERS),
+        default=8,
+        metavar="N",
+        help="number of users chosen to span the 95 %% region (default: 8)",
     )
-    parser.add_argument("--one-touch", action="store_true", help="users as in one touch, not as the mean of many")
     parser.add_argument(
-        "--assume", action="append", default=[], metavar="NAME=VALUE", help="of an element not determined; repeatable"
+        "--one-touch",
+        action="store_true",
+        help="draw users as in one touch, with the dispersion between repetitions; default: the mean of many touches",
     )
-    parser.add_argument("--device", type=Path, metavar="TOML", help="device to be held (default: a PHANTOM 1.0)")
+    parser.add_argument(
+        "--assume",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="value of an element that the recordings do not determine; repeatable",
+    )
+    parser.add_argument(
+        "--device", type=Path, metavar="TOML", help="device that the users hold (default: a PHANTOM 1.0)"
+    )
     parser.add_argument(
         "--damping",
         type=_number(at_least=0, at_most=LARGEST_DAMPING),
         default=0.0,
         metavar="B",
-        help="of the virtual wall, N s/m (default: 0)",
+        help="damping of the virtual wall in N s/m (default: 0)",
     )
     parser.add_argument(
-        "--share", type=_number(above=0, below=1), default=0.99, help="of users who must be stable (default: 0.99)"
+        "--share",
+        type=_number(above=0, below=1),
+        default=0.99,
+        help="share of users for whom the loop must be stable (default: 0.99)",
     )
     parser.add_argument(
-        "--grid", type=_whole(MOST_GAINS, at_least=2), default=40, metavar="N", help="gains on each axis (default: 40)"
+        "--grid",
+        type=_whole(MOST_GAINS, at_least=2),
+        default=40,
+        metavar="N",
+        help="gains on each axis of the stability map (default: 40)",
     )
     parser.add_argument(
-        "--unreliable", action="store_true", help="export a fit that must not be used; every file carries the warning"
+        "--unreliable",
+        action="store_true",
+        help="export a fit although it is not reliable; every file carries the warning",
     )
-    parser.add_argument("--no-pictures", dest="pictures", action="store_false", help="tables only")
+    parser.add_argument("--no-pictures", dest="pictures", action="store_false", help="write tables only")
     parser.add_argument(
         "--seed",
         type=_whole(LARGEST_SEED, at_least=0),
         default=1,
-        help="default: 1; the same seed gives the same users",
+        help="random seed (default: 1); the same seed gives the same users",
     )
     parser.add_argument(
-        "--workers", type=_whole(MOST_WORKERS), default=2, metavar="N", help="threads of the map (default: 2)"
+        "--workers",
+        type=_whole(MOST_WORKERS),
+        default=2,
+        metavar="N",
+        help="threads that compute the stability map (default: 2)",
     )
     _overwrite(parser)
 
@@ -239,7 +314,7 @@ def _whole(at_most: int, at_least: int = 1) -> Callable[[str], int]:
         digits = text.strip().removeprefix("+")
         value = int(digits) if digits.isascii() and digits.isdigit() and len(digits) <= 20 else -1
         if not at_least <= value <= at_most:
-            raise argparse.ArgumentTypeError(f"{shown(text)} is no whole number from {at_least} to {at_most}")
+            raise argparse.ArgumentTypeError(f"{shown(text)} is not a whole number from {at_least} to {at_most}")
         return value
 
     return read

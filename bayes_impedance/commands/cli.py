@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         complain(f"interrupted; {' '.join(map(str, stop.args)) or 'nothing was kept: start the command again'}")
         return FAILED
     except MemoryError:
-        complain("error: there is not enough memory for it; give fewer people, points, users or gains")
+        complain("error: there is not enough memory; use fewer subjects, points, users or gains")
         return FAILED
     except OSError as error:
         complain(f"error: {sentence_of(error)}")
@@ -92,12 +92,15 @@ def _compare(options: argparse.Namespace) -> int:
     mapping = comparison.mapping
     exact = "exactly" if any(s.positive for s in mapping.exact) else f"to {100 * mapping.distance:.2g} %"
     tell()
-    tell(f"the network meets the system identification's function {exact} over the band")
+    tell(f"the network reproduces the function of the system identification {exact} over the band")
     shares = {} if comparison.normality is None else comparison.normality.summary()
     tested = {part: shares.get(f"chi_square_{part}", math.nan) for part in ("magnitude", "phase")}
     if all(math.isfinite(share) for share in tested.values()):
         told = ", ".join(f"{part} {100 * share:.0f} %" for part, share in tested.items())
-        tell(f"frequencies at which chi-square at 5 % finds impedances normal: {told} (95 % if all are)")
+        tell(
+            f"share of frequencies at which the chi-square test at 5 % does not reject normality: {told} (expected: 95 "
+            "%)"
+        )
     tell()
     tell(f"table: {options.out / 'comparison.json'}, .csv, .png")
     return FAILED if comparison.problems else DONE
@@ -108,7 +111,9 @@ def _compare_networks(options: argparse.Namespace) -> int:
 
     for name in ("network", "result"):
         if getattr(options, name) is not None:
-            raise InputError(f"--{name} and --networks exclude each other: name it in --networks, beside the others")
+            raise InputError(
+                f"--{name} and --networks exclude each other: give it as one of the networks of --networks"
+            )
     with Bars() as bars:
         comparison = compare_networks(
             options.dataset, options.out, options.networks, _fit_options(options), options.resume, bars
@@ -139,7 +144,7 @@ def _diagnose(options: argparse.Namespace) -> int:
     for remark in verdict.remarks:
         tell(f"note: {remark}")
     if not verdict.reliable:
-        tell(f"NOT RELIABLE: {verdict.shortcomings[0] if verdict.shortcomings else 'the fit did not come to rest'}")
+        tell(f"NOT RELIABLE: {verdict.shortcomings[0] if verdict.shortcomings else 'the fit did not converge'}")
     tell()
     tell(f"{verdict.summary}")
     tell()
@@ -148,8 +153,9 @@ def _diagnose(options: argparse.Namespace) -> int:
         for name, row in entry.parameters.items():
             tell(f"    {name:16} {row.median:.4g} ({row.q05:.4g} to {row.q95:.4g}) {row.unit}")
         for alias in [a for a in entry.aliases if not a.separated][:3]:
-            tell(f"    not told from    {alias.id} at {alias.place}; would separate: {alias.would_separate}")
-    tell()
+            tell(f"    not separated from {alias.id} at {alias.place}; this would: {alias.would_separate}")
+    if verdict.physics:
+        tell()
     tell(f"report: {options.out / 'diagnosis.html'}, verdict: {options.out / 'verdict.json'}")
     return DONE if verdict.reliable else FAILED
 
@@ -199,11 +205,12 @@ def _check(options: argparse.Namespace) -> int:
     description, _, findings = check_dataset(options.dataset)
     for key, value in description.items():
         shown = " to ".join(f"{v:.4g}" for v in dict.fromkeys(value)) if _is_range(value) else value
-        tell(f"{key.replace('_', ' '):14} {shown}")
+        label = key.replace("_hz", ", Hz").replace("_", " ")
+        tell(f"{label:14} {(', '.join(map(str, value)) or 'none') if isinstance(shown, list) else shown}")
     for finding in findings:
         tell(f"{finding.severity}: {finding.message}")
     if not findings:
-        tell("nothing odd was found")
+        tell("no problem was found")
     return DONE
 
 
@@ -244,7 +251,9 @@ def _fit_options(options: argparse.Namespace) -> Any:
     network, proposed, before = options.network, getattr(options, "proposed", None), None
     if proposed is not None:
         if network is not None:
-            raise InputError("--network and --with exclude each other: each names the network to fit; leave one out")
+            raise InputError(
+                "--network and --with exclude each other, because each names the network to fit; leave one out"
+            )
         network, before = proposed_network(proposed), before_in(proposed)
         tell(f"network: {network}")
     return FitOptions(
@@ -291,7 +300,7 @@ def _finish(result: Result, last: str) -> int:
         tell(f"{marked:6}{element['unit']:9}{cells[0]:32}{cells[1]:24}{cells[2]}".rstrip())
     tell()
     if any(element["marked"] for element in summary["elements"].values()):
-        tell("* depends on the misfit by more than its interval")
+        tell("* would change by more than its interval if the missing physics were modelled")
     tell("dispersions are standard deviations of the natural logarithm")
     tell()
     tell(f"{'error of one curve for all (eq. 5)':36}{'|z|, ' + summary['unit']:>16}{'phase, deg':>14}")

@@ -114,9 +114,9 @@ def export_result(
     if unknown:
         raise InputError(f"'{unknown[0]}' cannot be exported: choose {', '.join(PRODUCTS)}")
     if not 0 < options.share < 1:
-        raise InputError(f"share {options.share:g}: give a number between 0 and 1, such as 0.99")
+        raise InputError(f"share is {options.share:g}: give a number between 0 and 1, such as 0.99")
     if not 0 <= options.damping < float("inf"):
-        raise InputError(f"damping {options.damping:g}: virtual damping is zero or more, in N s/m")
+        raise InputError(f"damping is {options.damping:g}: give a virtual damping of zero or more, in N s/m")
     device = PHANTOM if options.device is None else read_device(options.device)
     folder = result.parent if result.name == RESULT_FILE else result
     fit = load_result(folder)
@@ -150,7 +150,10 @@ def _written(
 
     population = population_of(fit, options.assume, options.unreliable)
     if "stability" in options.what and population.unit != "N s/m":
-        raise InputError(f"{result}: the impedance is in {population.unit}; a device needs one in N s/m")
+        raise InputError(
+            f"{result}: the impedance is in {population.unit}, but a device needs one in N s/m; leave stability out of "
+            "--what"
+        )
     frequency = np.asarray(fit.coords["frequency_hz"], dtype=float)
     band = float(frequency[0]), float(frequency[-1])
     grid = np.geomspace(*band, _POINTS)

@@ -235,7 +235,7 @@ def diagnose_dataset(
     claimed = None if simulation is None else read_recordings(simulation).in_memory()
     if claimed is not None and claimed.unit != recordings.unit:
         raise InputError(
-            f"{simulation}: unit is {claimed.unit}, of {dataset} {recordings.unit}; compare like with like"
+            f"{simulation}: the unit is {claimed.unit}, but that of {dataset} is {recordings.unit}; convert one of them"
         )
 
     from bayes_impedance.diagnosis import diagnose
@@ -256,7 +256,7 @@ def diagnose_dataset(
     with output_folder(out, names, options.overwrite):
         if not resume:
             discard(checkpoint)
-        kept = "the same command with --resume takes up the network's fit, as far as it was, and searches anew"
+        kept = "the same command with --resume continues the fit of the network and then searches anew"
         with (
             interrupted(kept),
             discarded_if_useless(checkpoint, resume),

@@ -73,7 +73,10 @@ def compare_networks(
 
     recordings = selected(read_recordings(dataset), options).in_memory()
     if len(recordings.subjects) < FEWEST_PEOPLE:
-        raise InputError(f"{dataset}: networks are compared by how the others predict each person; give two or more")
+        raise InputError(
+            f"{dataset}: networks are compared by how well each person is predicted from the others; give two or more "
+            "people"
+        )
     candidates = [_candidate(text, recordings, options, dataset) for text in given]
     _require_different(candidates)
     folders = [out / str(k) if c.result is None else Path(c.given) for k, c in enumerate(candidates, start=1)]
@@ -282,18 +285,20 @@ def lines_of(comparison: NetworkComparison) -> list[str]:
     if any(row["doubtful"] for row in rows):
         lines.append(f"* {_doubts(rows)}: the sum over people is uncertain")
     if any(row["refitted"] for row in rows):
-        lines.append(f"{sum(row['refitted'] for row in rows)} value(s) are of fits without the person (k above 0.7)")
+        lines.append(
+            f"{sum(row['refitted'] for row in rows)} value(s) come from refits without the person (Pareto k above 0.7)"
+        )
     if not all(row["reliable"] for row in rows):
         lines.append("! not reliable: see above")
     lines.append(
-        "elpd is the log density of everybody's recordings, each predicted from the others; ± is one standard error"
+        "elpd: log predictive density, summed over subjects, each predicted from all others; ±: one standard error"
     )
     same = [e.result.attributes["network"] for e in comparison.as_good]
     best = comparison.best.result.attributes["network"]
     if comparison.best.result.problems:
-        lines.append("no fit is reliable: none is the best")
+        lines.append("no fit is reliable, so none is named the best")
     elif same:
-        lines.append(f"best: {best}; within {UNDECIDED:g} standard errors of it, so not decided: {', '.join(same)}")
+        lines.append(f"best: {best}; not separated from it (within {UNDECIDED:g} standard errors): {', '.join(same)}")
     else:
         lines.append(f"best: {best}")
     return lines

@@ -28,14 +28,18 @@ def proposed_network(file: Path) -> str:
     record = read_json(path, _REMEDY)
     networks = record.get("network")
     if not (isinstance(networks, list) and len(networks) == 2 and all(isinstance(n, str) for n in networks)):
-        raise InputError(f"{path}: is not the verdict of a diagnosis: it has no pair of networks; give another file")
+        raise InputError(
+            f"{path}: is not the verdict of a diagnosis, because it has no pair of networks; give another file"
+        )
     proposed = record.get("extended_network")
     if isinstance(proposed, str):
         return proposed
     effects = [e for e in record.get("physics", []) if isinstance(e, dict) and e.get("parameters")]
     if effects and networks[0] == networks[1]:
         names = ", ".join(sorted({str(e.get("id")) for e in effects}))
-        raise InputError(f"{path}: what was found ({names}) is no network of its own; fit {networks[0]} without --with")
+        raise InputError(
+            f"{path}: what was found ({names}) cannot be written as a network; fit {networks[0]} without --with"
+        )
     return str(networks[1])
 
 

@@ -59,7 +59,9 @@ def simulate_dataset(
 
     low, high = band_hz
     if not 0 < low < high or n_points < 3:
-        raise InputError(f"band {low} to {high} Hz with {n_points} points: give 0 < low < high and at least 3 points")
+        raise InputError(
+            f"the band is {low} to {high} Hz with {n_points} points: give 0 < low < high and at least 3 points"
+        )
     people = FINGERTIP if population is None else _population(population)
     if noise is not None:
         people = replace(people, noise=noise)

@@ -70,9 +70,9 @@ class DesignAnswer:
         return (
             f"{self.map.device.name}: {at} it is stable for {share} up to K = {rounded(limit.stiffness)} N/m "
             f"(90 % interval {rounded(limit.low)} to {rounded(limit.high)}), limited by an oscillation at "
-            f"{limit.each_hz[limit.worst]:.0f} Hz in users with {more} {main}; with the worst of {len(limit.each)}, "
-            f"{worst}, up to {rounded(limit.each[limit.worst])} N/m. The mean user alone would have promised "
-            f"{rounded(limit.mean_user)} N/m, the classical bound {rounded(limit.classical)} N/m."
+            f"{limit.each_hz[limit.worst]:.0f} Hz in users with {more} {main}. For the worst of {len(limit.each)} "
+            f"users, {worst}, the limit is {rounded(limit.each[limit.worst])} N/m. From the mean user alone it would "
+            f"be {rounded(limit.mean_user)} N/m, from the classical passivity bound {rounded(limit.classical)} N/m."
         )
 
     def described(self) -> dict[str, Any]:

@@ -51,8 +51,8 @@ class Body:
         if not self.removed:
             return ""
         return (
-            "users are the body alone, which is what a device meets: taken out as parts of the rig, because they are "
-            f"the same for everybody or held, are {', '.join(self.removed)}"
+            "users are the body without the rig, because a device is loaded by the body only; removed as parts of the "
+            f"rig, because they are the same for everybody or held: {', '.join(self.removed)}"
         )
 
 
@@ -68,8 +68,8 @@ def body_of(network: Network) -> Body:
     left = _stripped(network, removed)
     if left is None:
         raise InputError(
-            f"nothing of {network} is the body's: all its elements are the same for everybody or held, so there are no "
-            "users; fit a network with elements of each person's own"
+            f"nothing of {network} belongs to the body: all its elements are the same for everybody or held, so there "
+            "are no users; fit a network with elements that differ between people"
         )
     place = {name: i for i, name in enumerate(network.elements)}
     return Body(left, np.array([place[name] for name in left.elements], dtype=int), tuple(removed))
@@ -101,8 +101,8 @@ def _unwrapped(node: Wrapped, removed: list[str]) -> Network | None:
         return None if part is None else _named(part, node.label)
     if part is None:
         raise InputError(
-            f"{head} is the body's, but all that it wraps ({node.part}) is the same for everybody or held and so the "
-            "rig's: wrap a part with elements of each person's own"
+            f"{head} belongs to the body, but all that it wraps ({node.part}) is the same for everybody or held, and "
+            "so belongs to the rig: wrap a part with elements that differ between people"
         )
     return node.with_parts([part]).labelled(node.label)
 

@@ -52,7 +52,7 @@ def write_users(
     """
     everybody = chosen.users + users
     if not positive_elements(everybody).all():
-        raise InputError("a user has an element of no size or of infinite size: check the assumed values")
+        raise InputError("an element of some user is zero or infinite: check the values of --assume")
     with_units = {e: f"{e} ({unit})" if unit else e for e, unit in users.units.items()}
     elements = population.network.elements
     free = [e for e in elements if e not in {*population.fixed, *population.shared}]
@@ -117,8 +117,8 @@ def write_transfer(folder: Path, users: Users, chosen: Users, made: Equivalent |
             unsound.append(entry["name"])
     if unsound:
         raise InputError(
-            f"the transfer function of {unsound[0]} is not passive to the digits of a double: its elements are too "
-            "unlike each other; export SPICE, whose elements keep it passive"
+            f"the transfer function of {unsound[0]} is not passive in double precision, because its elements differ by "
+            "too many orders of magnitude; export SPICE, whose elements keep it passive"
         )
     return [
         write_json(folder / "transfer.json", table, indent=1),
@@ -160,7 +160,7 @@ def write_spice(
     made = equivalent(chosen + users) if made is None else made
     everybody = made.users
     if not positive_elements(everybody).all():
-        raise InputError("a user has an element of no size or of infinite size: check the assumed values")
+        raise InputError("an element of some user is zero or infinite: check the values of --assume")
     return [
         write_text(folder / "users.lib", spice.library(everybody)),
         write_text(folder / "monte_carlo.lib", spice.monte_carlo(population, made=made)),

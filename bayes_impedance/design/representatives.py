@@ -86,7 +86,7 @@ def representatives(
     names += [f"span_{i + 1}" for i in range(chosen.size)]
     rules += [
         f"of the drawn users inside the {100 * LEVEL:.0f} % ellipsoid "
-        + ("the one nearest to the centre" if i == 0 else "the one farthest from all before")
+        + ("the one nearest to the centre" if i == 0 else "the one farthest from all chosen before")
         + f" ({users.names[row]})"
         for i, row in enumerate(chosen)
     ]

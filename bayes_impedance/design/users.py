@@ -199,7 +199,7 @@ class UserPopulation:
             If `number` is less than one.
         """
         if number < 1:
-            raise InputError(f"{number} users cannot be drawn: ask for one at least")
+            raise InputError(f"{number} users cannot be drawn: ask for at least one")
         rng = np.random.default_rng(seed)
         rows = np.linspace(0, len(self.mu) - 1, number).astype(int)
         theta = self.mu[rows] + np.einsum("spq,sq->sp", self.factor[rows], rng.normal(size=(number, self.mu.shape[1])))
@@ -267,7 +267,7 @@ def population_of(
     """
     if result.problems and not unreliable:
         raise InputError(
-            f"the fit is not reliable ({result.problems[0]}); design with a fit that is, or say --unreliable: every "
+            f"the fit is not reliable ({result.problems[0]}); use a fit that is, or give --unreliable: every "
             "file then carries the warning"
         )
     posterior = result.groups["posterior"]
@@ -287,8 +287,8 @@ def population_of(
     undetermined = [e for e, v in zip(network.elements, mu[0], strict=True) if not np.isfinite(v) and e not in assume]
     if undetermined:
         raise InputError(
-            f"the recordings do not determine {', '.join(undetermined)}: assume a value (element=value in its unit), "
-            "or fit a network without"
+            f"the recordings do not determine {', '.join(undetermined)}: give a value with --assume (element=value in "
+            "SI units), or fit a network without"
         )
     covariance = tau[:, :, None] * correlation * tau[:, None, :]
     if "slope" in posterior:

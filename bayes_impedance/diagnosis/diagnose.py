@@ -307,10 +307,11 @@ def _remarks(found: Found, final: Refit, claimed: Claim | None) -> list[str]:
     """Caveats that a reader must know before relying on the numbers."""
     remarks = []
     if not final.settled and final is not found.base:
-        remarks.append("The fit with what was found did not come to rest; its numbers are rough.")
+        remarks.append("The fit with the missing effects did not converge; its numbers are approximate.")
     if claimed is not None and claimed.rest:
         remarks.append(
-            "The simulation itself holds structure that the network does not describe; it was taken off the recordings."
+            "The simulation itself holds structure that the network does not describe, which was subtracted from the "
+            "recordings."
         )
     return remarks
 

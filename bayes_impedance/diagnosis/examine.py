@@ -199,10 +199,10 @@ def _missing(fit: PopulationFit, p: float, bent: dict[str, float]) -> str:
         f"residuals are {factor:.2g} times the estimated noise): run 'bayes-impedance diagnose' to see what."
     )
     if len(bent) == int(fit.identified.sum()):
-        return f"{text} All elements depend on it by more than their intervals."
+        return f"{text} The values of all elements would change by more than their intervals if it were modelled."
     if bent:
-        return f"{text} {', '.join(bent)} depend{'s' if len(bent) == 1 else ''} on it by more than the interval."
-    return f"{text} No element depends on it by more than its interval."
+        return f"{text} If it were modelled, {', '.join(bent)} would change by more than the interval."
+    return f"{text} No element would change by more than its interval if it were modelled."
 
 
 def _error(fit: PopulationFit) -> np.ndarray:
@@ -217,8 +217,8 @@ def _error(fit: PopulationFit) -> np.ndarray:
 
 def _two_groups(group: Subgroup) -> str:
     return (
-        f"The subjects seem to be of two groups ({100 * group.share:.0f} % differ from the others by "
-        f"{group.separation:.1f} standard deviations): one central value and one dispersion describe neither."
+        f"The subjects seem to form two groups ({100 * group.share:.0f} % differ from the others by "
+        f"{group.separation:.1f} standard deviations): one central value and one dispersion describe neither of them."
     )
 
 
@@ -245,7 +245,8 @@ def _outliers(fit: PopulationFit) -> list[str]:
         return []
     names = ", ".join(fit.recordings.names[i] for i in far[np.argsort(p[far])][:5])
     return [
-        f"{'Subjects' if far.size > 1 else 'Subject'} {names} lie{'' if far.size > 1 else 's'} far outside of the "
-        f"population of the others (p = {p.min():.1g}): central values and dispersions are pulled towards "
-        f"{'them' if far.size > 1 else 'it'}; check the recording, or leave it out."
+        f"{'Subjects' if far.size > 1 else 'Subject'} {names} lie{'' if far.size > 1 else 's'} far outside the "
+        f"population of the others (p = {p.min():.1g}) and bias{'' if far.size > 1 else 'es'} its central values and "
+        f"dispersions; check the recording{'s' if far.size > 1 else ''}, or leave {'them' if far.size > 1 else 'it'} "
+        "out."
     ]

@@ -124,12 +124,12 @@ def from_json(record: Mapping[str, Any]) -> Verdict:
         If it is no verdict, or of another version of the format.
     """
     if not isinstance(record, Mapping) or record.get("schema") != SCHEMA:
-        raise InputError(f"this is no verdict of schema {SCHEMA}; give a verdict.json of this version")
+        raise InputError(f"this is not a verdict of schema {SCHEMA}; give a verdict.json that this version wrote")
     try:
         return _verdict(record)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         text = f"'{error.args[0]}' is missing" if isinstance(error, KeyError) else str(error)
-        raise InputError(f"this is no verdict of schema {SCHEMA} ({text}); diagnose the recordings again") from None
+        raise InputError(f"this is not a verdict of schema {SCHEMA} ({text}); diagnose the recordings again") from None
 
 
 def _verdict(record: Mapping[str, Any]) -> Verdict:
@@ -176,7 +176,7 @@ def _located(record: Mapping[str, Any]) -> Located:
 def _physics(record: Mapping[str, Any]) -> Physics:
     kind = next((kind for kind, keys in PHYSICS_KEYS.items() if set(keys) == set(record)), None)
     if kind is None:
-        raise ValueError(f"an entry of the physics has the fields {', '.join(record)}, which no kind of entry has")
+        raise ValueError(f"an entry of 'physics' has the fields {', '.join(record)}, which fit no kind of entry")
     own = dict(record)
     own["parameters"] = {name: _parameter(row) for name, row in record["parameters"].items()}
     own["evidence"] = EvidenceOfEffect(**record["evidence"])

@@ -100,7 +100,7 @@ def read_chain(file: Path, backend: Any) -> dict[str, Any] | None:
         return None
     if shape != backend.shape:
         raise InputError(
-            f"{file}: is of another fit ({shape[1]} parameters, not {backend.shape[1]}); name another folder"
+            f"{file}: is the chain of another fit ({shape[1]} parameters, not {backend.shape[1]}); name another folder"
         )
     steps = len(chain["chain"])
     backend.grow(steps, None)

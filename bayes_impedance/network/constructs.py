@@ -28,8 +28,9 @@ written                            T(z)                                         
 **A line** is a layer in which y acts along the way and 1/z between the way and the ground: a mass m spread over
 tissue whose impedance between its two sides is z (shear waves), or a resistance r with capacitors n, a line of
 diffusion. Then ``line_free[r](n)`` is Warburg's open, ``line_fixed[r](n)`` his short, ``line_matched[r](n)`` his
-infinite impedance. For slow motion it is z + y/3 with a free end, y with a fixed one. Without an end it is the product
-of the roots of y and z in the right half-plane, which is passive if they are.
+infinite impedance. For slow motion ``line_free`` is z + y/3, as its far side does not move (v = 0, no current), and
+``line_fixed`` is y, as no force acts on its far side (F = 0, no voltage). Without an end a line is the product of the
+roots of y and z in the right half-plane, which is passive if they are.
 
 Each formula stands here once in numpy, for any complex s: the definition that tests hold the compiled kernel
 against (:mod:`bayes_impedance.network.transform`).
@@ -144,7 +145,7 @@ CONSTRUCTS: dict[str, Construct] = {
             signed=True,
             formula=lambda s, z, x, _: z * np.exp(-s * x[0]),
             text="z exp(-s d)",
-            story="One signal comes later than the other.",
+            story="One channel is delayed with respect to the other.",
         ),
         Construct(
             word="highpass",
@@ -171,7 +172,7 @@ CONSTRUCTS: dict[str, Construct] = {
             passive=True,
             formula=lambda _s, z, x, _: z * x[0],
             text="g z",
-            story="A sensitivity that is not what it was taken for: the elements can absorb it, so hold it.",
+            story="A wrong sensitivity (calibration factor). The elements can absorb it, so hold it at a known value.",
         ),
         Construct(
             word="hysteretic",
@@ -180,7 +181,7 @@ CONSTRUCTS: dict[str, Construct] = {
             passive=True,
             formula=lambda _s, z, x, _: z * (1 + 1j * x[0]),
             text="z (1 + j e)",
-            story="A spring that loses the same share of its energy in each cycle, however slow.",
+            story="A spring that loses the same share of its energy in each cycle, at every frequency.",
             source="Neumark 1962; Bishop 1955 (structural damping)",
         ),
         Construct(
@@ -191,7 +192,7 @@ CONSTRUCTS: dict[str, Construct] = {
             passive=True,
             formula=lambda s, z, x, letters: z + x[0] * s ** _POWER_OF_S[letters[0]],
             text="z + s m, z + r or z + k/s",
-            story="What was subtracted too little, or, below zero, too much.",
+            story="A mass, damper or stiffness that was subtracted incompletely, or, if negative, in excess.",
         ),
         Construct(
             word="line_free",
@@ -200,7 +201,8 @@ CONSTRUCTS: dict[str, Construct] = {
             passive=True,
             formula=_line(lambda root: 1 / np.tanh(root)),
             text="sqrt(y z) coth sqrt(y/z)",
-            story="A layer with its mass (or resistance) spread over it; the far side is free.",
+            story="A layer with distributed mass (or resistance); its far side does not move (in circuits: an open "
+            "end).",
             source="Warburg 1899; Barsoukov and Macdonald 2005, section 2.1.3",
         ),
         Construct(
@@ -210,7 +212,7 @@ CONSTRUCTS: dict[str, Construct] = {
             passive=True,
             formula=_line(np.tanh),
             text="sqrt(y z) tanh sqrt(y/z)",
-            story="The same layer, whose far side lets everything pass (a short circuit).",
+            story="The same layer; no force acts on its far side (in circuits: a short circuit).",
             source="Warburg 1899; Barsoukov and Macdonald 2005, section 2.1.3",
         ),
         Construct(
@@ -220,7 +222,7 @@ CONSTRUCTS: dict[str, Construct] = {
             passive=True,
             formula=_matched_line,
             text="sqrt(y z)",
-            story="The same layer without an end: nothing comes back from the far side.",
+            story="The same layer of infinite thickness: no reflection from the far side.",
             source="Warburg 1899; Barsoukov and Macdonald 2005, section 2.1.3",
         ),
         Construct(
@@ -229,7 +231,7 @@ CONSTRUCTS: dict[str, Construct] = {
             letters=("k", "d", "f"),
             formula=lambda s, z, x, _: z + x[0] * np.exp(-s * x[1]) / (s * (1 + s / (2 * np.pi * x[2]))),
             text="z + k exp(-s d)/(s (1 + s/(2 pi f)))",
-            story="A muscle that answers a stretch late, with a stiffness behind a low-pass.",
+            story="A muscle that responds to a stretch with a delay: a stiffness behind a low-pass filter.",
             source="Mirbagheri, Barbeau and Kearney 2000",
         ),
     )

@@ -81,9 +81,9 @@ class Kind:
         return unit_of(self.letter, impedance_unit)
 
 
-MASS = Kind("m", "mass", +1, +1, "Inertia: what moves along with the port and resists being accelerated.")
-COMPLIANCE = Kind("n", "compliance", -1, -1, "Springiness: how far the tissue gives way per newton (1/stiffness).")
-DAMPER = Kind("r", "damper", +1, 0, "Viscous loss: force in proportion to velocity, energy turned into heat.")
+MASS = Kind("m", "mass", +1, +1, "Inertia: force proportional to acceleration.")
+COMPLIANCE = Kind("n", "compliance", -1, -1, "Elasticity: displacement per force (1/stiffness).")
+DAMPER = Kind("r", "damper", +1, 0, "Viscous loss: force proportional to velocity.")
 
 KINDS: dict[str, Kind] = {kind.letter: kind for kind in (MASS, COMPLIANCE, DAMPER)}
 

@@ -53,7 +53,9 @@ class PowerLaw(Network):
     def __post_init__(self) -> None:
         require_name(self.size.name, "a power law", "a letter p and then digits")
         if self.size.name[:1] != "p":
-            raise InputError(f"'{self.size}^{self.exponent}' is no power law: only p has an exponent, such as p1^a1")
+            raise InputError(
+                f"'{self.size}^{self.exponent}' is not a power law: only p can have an exponent, as in p1^a1"
+            )
         if self.exponent.name:
             require_name(self.exponent.name, "an exponent", "a letter a or b and then digits")
             if self.exponent.name[:1] not in EXPONENTS:

@@ -64,18 +64,18 @@ class Quantity:
 
 
 QUANTITIES: dict[str, Quantity] = {
-    "m": Quantity("mass", "m", "Inertia: what moves along with the port and resists being accelerated."),
-    "n": Quantity("compliance", "n", "Springiness: how far the tissue gives way per newton (1/stiffness)."),
-    "r": Quantity("damper", "r", "Viscous loss: force in proportion to velocity, energy turned into heat."),
+    "m": Quantity("mass", "m", "Inertia: force proportional to acceleration."),
+    "n": Quantity("compliance", "n", "Elasticity: displacement per force (1/stiffness)."),
+    "r": Quantity("damper", "r", "Viscous loss: force proportional to velocity."),
     "k": Quantity("stiffness", "k", "Force per displacement (1/compliance)."),
-    "p": Quantity("power law", "r", "Size of a power law's impedance at its reference frequency."),
-    "a": Quantity("exponent", "", "Where a power law lies between a spring (0) and a damper (1)."),
-    "b": Quantity("exponent", "", "Where a power law lies between a damper (1) and a mass (2).", low=1.0),
-    "d": Quantity("delay", "s", "Time by which a signal, or a force that answers a motion, comes late."),
-    "t": Quantity("time constant", "s", "Time in which a filter follows."),
-    "f": Quantity("corner frequency", "Hz", "Frequency at which a filter begins to act.", factor=2 * np.pi),
-    "g": Quantity("gain", "", "Factor on all of the impedance."),
-    "e": Quantity("loss factor", "", "Energy lost in each cycle, whatever its frequency, relative to that stored."),
+    "p": Quantity("power law", "r", "Magnitude of a power law's impedance at its reference frequency."),
+    "a": Quantity("exponent", "", "Exponent of a power law between a spring (0) and a damper (1)."),
+    "b": Quantity("exponent", "", "Exponent of a power law between a damper (1) and a mass (2).", low=1.0),
+    "d": Quantity("delay", "s", "Delay of a signal, or of a force that responds to motion."),
+    "t": Quantity("time constant", "s", "Time constant of a first-order low-pass filter."),
+    "f": Quantity("corner frequency", "Hz", "Corner (-3 dB) frequency of a first-order filter.", factor=2 * np.pi),
+    "g": Quantity("gain", "", "Factor on the whole impedance."),
+    "e": Quantity("loss factor", "", "Tangent of the loss angle, the same at every frequency."),
 }
 """Every quantity by its letter."""
 

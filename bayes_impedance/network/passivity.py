@@ -29,7 +29,7 @@ def doubts_of_passivity(network: Network) -> tuple[str, ...]:
     Examples
     --------
     >>> doubts_of_passivity(parse("m1|delay[d1](n1)"))
-    ('delay[d1](...) turns the phase as far as one likes',)
+    ('delay[d1](...) shifts the phase without bound',)
     """
     return tuple(doubt for _, node in network.walk() if isinstance(node, Wrapped) and (doubt := _doubt(node)))
 
@@ -42,19 +42,27 @@ def _doubt(node: Wrapped) -> str:
     if node.construct.signed and value == 0:
         return ""
     if word == "hysteretic":
-        return "" if _relaxes(node.part) else f"{written} adds to the phase of something that has inertia"
+        return (
+            ""
+            if _relaxes(node.part)
+            else f"{written} is applied to a part with inertia, whose phase it shifts beyond 90 degrees"
+        )
     if word == "offset":
         if first.link != SIGNED or (value is not None and value > 0):
             return ""
-        return f"{written} takes something off" if value is not None else f"{written} may take something off"
+        return (
+            f"{written} subtracts from the impedance"
+            if value is not None
+            else f"{written} may subtract from the impedance"
+        )
     return "" if node.construct.passive else f"{written} {_ACTIVE[word]}"
 
 
 _ACTIVE = {
-    "delay": "turns the phase as far as one likes",
-    "highpass": "turns the phase by up to a right angle",
-    "lowpass": "turns the phase by up to a right angle",
-    "reflex": "answers late, and so pushes when it should give way",
+    "delay": "shifts the phase without bound",
+    "highpass": "shifts the phase by up to 90 degrees",
+    "lowpass": "shifts the phase by up to 90 degrees",
+    "reflex": "responds with a delay, so that it can add energy",
 }
 
 

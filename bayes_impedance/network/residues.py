@@ -170,7 +170,7 @@ def slopes_at_points(network: Network) -> list[list[int]]:
             if len(rows) == 2 * (len(names) + _MORE_POINTS):
                 return rows
     raise InputError(
-        f"network {network}: too many lines without an end inside one another to tell what is identifiable"
+        f"network {network}: too many nested infinite lines (line_matched) to decide which elements are identifiable"
     )
 
 

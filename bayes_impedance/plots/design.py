@@ -80,7 +80,7 @@ def stability(answer: DesignAnswer) -> Figure:
     levels = [0.0, 0.01, 0.25, 0.5, 0.75, 0.95, 0.99, 1.0]
     colours = ["#ffffff", "#f3d9cf", "#e8b79f", "#f0e2b0", "#cfe3f0", "#a6cbe3", "#5b9fca"]
     filled = top.contourf(m.damping, m.stiffness, m.probability.T, levels=levels, colors=colours)
-    bar = figure.colorbar(filled, ax=top, label="share of users with a stable loop")
+    bar = figure.colorbar(filled, ax=top, label="share of users for whom the loop is stable")
     bar.set_ticks(levels)
     bar.set_ticklabels([f"{100 * level:g} %" for level in levels])
     for rows, style, label in (
@@ -98,9 +98,9 @@ def stability(answer: DesignAnswer) -> Figure:
     log_axis(top.yaxis, float(m.stiffness[0]), float(m.stiffness[-1]))
     if m.classical.max() > m.stiffness[0]:
         good = m.classical > 0
-        top.plot(m.damping[good], m.classical[good], color=INK, lw=1.2, ls=":", label="b > KT/2 + |B|")
+        top.plot(m.damping[good], m.classical[good], color=INK, lw=1.2, ls=":", label="passivity: b > KT/2 + |B|")
     else:
-        top.plot([], [], color="none", label=f"b > KT/2 + |B| is below the picture: K < {limit.classical:.3g} N/m")
+        top.plot([], [], color="none", label=f"passivity, b > KT/2 + |B|: off the scale, K < {limit.classical:.3g} N/m")
     # The grid is quadratic, because at low damping the users influence stability most.
     top.set_xscale("function", functions=(lambda x: np.sqrt(np.maximum(x, 0.0)), np.square))
     top.set_xlim(m.damping[0], m.damping[-1])
@@ -169,7 +169,7 @@ def worst_user(answer: DesignAnswer, population: UserPopulation) -> Figure:
     places = np.arange(len(why.elements))
     bottom.barh(places, share, color=[RED if x < 0 else GREEN for x in share], height=0.65)
     for place, x, change in zip(places, share, why.change, strict=True):
-        text = f"{round(x) + 0:+d} %   (element {np.exp(change):.2f} times the centre's)"
+        text = f"{round(x) + 0:+d} %   (element {np.exp(change):.2f} times that of the centre)"
         bottom.annotate(
             text, (max(x, 0.0), place), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8.5
         )
@@ -178,8 +178,8 @@ def worst_user(answer: DesignAnswer, population: UserPopulation) -> Figure:
     bottom.axvline(0, color=INK, lw=0.8)
     bottom.set_xlim(min(share.min() * 1.1, -1.0), max(share.max(), 0.0) + 0.9 * abs(share).max())
     bottom.grid(axis="y", visible=False)
-    bottom.set_xlabel("change of the limit that the element makes (%)")
-    bottom.set_title(f"why: the limit is {np.exp(why.difference):.2f} times the centre's")
+    bottom.set_xlabel("change of the limit due to the element (%)")
+    bottom.set_title(f"causes: the limit is {np.exp(why.difference):.2f} times that of the centre")
     return figure
 
 
@@ -197,15 +197,15 @@ def felt(answer: DesignAnswer) -> Figure | None:
     top.plot(frequency, rows[1], color=BLUE, label="transmitted (median and 90 % of users)")
     log_axis(top.yaxis, *log_limits(np.abs(found.desired), rows))
     top.set_ylabel("impedance (N s/m)")
-    top.set_title(f"K = {rounded(found.stiffness)} N/m, B = {found.damping:g} N s/m: what is felt")
+    top.set_title(f"transmitted impedance at K = {rounded(found.stiffness)} N/m, B = {found.damping:g} N s/m")
     top.legend()
     error = 100 * np.quantile(found.velocity_error, (0.05, 0.25, 0.5, 0.75, 0.95), axis=0)
     bottom.fill_between(frequency, error[0], error[4], color=OUTER, lw=0, label="90 % of users")
     bottom.fill_between(frequency, error[1], error[3], color=INNER, lw=0, label="50 % of users")
     bottom.plot(frequency, error[2], color=BLUE, label="median")
     log_axis(bottom.yaxis, *log_limits(error))
-    bottom.set_ylabel("error of velocity (%)")
-    bottom.set_title("how much the user's motion differs from that in front of the desired wall")
+    bottom.set_ylabel("velocity error (%)")
+    bottom.set_title("difference of the user's motion from that against the desired wall")
     bottom.legend(loc="lower right")
     frequency_axis(top, frequency, label=False)
     frequency_axis(bottom, frequency)

@@ -94,7 +94,7 @@ def corner_dispersion(figure: Figure, result: Result) -> Figure:
     labels, titles = [], []
     for i, x in zip(seen, factors.T, strict=True):
         low, middle, high = np.quantile(x, INTERVAL)
-        labels.append(f"spread\nof {result.elements[i]} (×)")
+        labels.append(f"geometric sd\nof {result.elements[i]}")
         titles.append(f"{result.elements[i]}: ×{middle:.2f}\n({low:.2f} to {high:.2f})")
     prior = _of_value(half_normal_density(PRIOR_DISPERSION_SD))
     return _corner(figure, factors, labels, titles, [prior] * seen.size)

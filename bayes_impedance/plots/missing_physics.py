@@ -105,7 +105,7 @@ def residual_map(diagnosis: Diagnosis) -> Figure | None:
         else:
             axes.set_ylabel(f"{part}: {n} {people(diagnosis)}")
     bar = figure.colorbar(mesh, ax=panels, extend="both", aspect=32, pad=0.015)
-    bar.set_label("residual / its standard deviation")
+    bar.set_label("residual / standard deviation")
     bar.outline.set_visible(False)
     return figure
 
@@ -174,7 +174,7 @@ def pooled_residual(diagnosis: Diagnosis) -> Figure:
     f = diagnosis.before.frequency_hz
     for i, (axes, part) in enumerate(zip(panels, _PARTS, strict=True)):
         _shade_bands(axes, diagnosis, f)
-        axes.axhspan(-2, 2, color=GREY, alpha=0.18, lw=0, label="chance: 95 % if nothing is missing")
+        axes.axhspan(-2, 2, color=GREY, alpha=0.18, lw=0, label="95 % range by chance if nothing is missing")
         axes.axhline(0, color=GREY, lw=0.8)
         for snapshot, colour in zip(_snapshots(diagnosis), _COLOURS if diagnosis.after else (BLUE,), strict=True):
             label = "residual" if diagnosis.after is None else snapshot.label
@@ -260,7 +260,7 @@ def improvement(diagnosis: Diagnosis) -> Figure | None:
         _own_errors(panels[1, 0], diagnosis, before, after)
         panels[1, 1].axhline(90, color=GREY, lw=1.0, ls=(0, (4, 3)))
         panels[1, 1].set_ylim(0, 103)
-        panels[1, 1].set_ylabel("inside the 90 % band (%)")
+        panels[1, 1].set_ylabel("in the 90 % band (%)")
         over_frequency.append(panels[1, 1])
     for axes in over_frequency:
         frequency_axis(axes, before.frequency_hz)
@@ -355,7 +355,7 @@ def _mismatch_bands(diagnosis: Diagnosis, f: np.ndarray) -> list[tuple[float, fl
 
 def _shade_bands(axes: Axes, diagnosis: Diagnosis, f: np.ndarray) -> None:
     for i, (low, high) in enumerate(_mismatch_bands(diagnosis, f)):
-        axes.axvspan(low, high, color=_BAND, alpha=0.5, lw=0, label=None if i else "where it is seen")
+        axes.axvspan(low, high, color=_BAND, alpha=0.5, lw=0, label=None if i else "mismatch")
 
 
 def _mark_bands_above(axes: Axes, diagnosis: Diagnosis, f: np.ndarray) -> None:
@@ -388,5 +388,5 @@ def _own_errors(axes: Axes, diagnosis: Diagnosis, before: Snapshot, after: Snaps
         axes.plot(x, values, "o", ms=3.0, color=colour, mew=0)
     axes.set_xticks([])
     axes.set_xlabel(f"{people(diagnosis)}, sorted")
-    axes.set_ylabel("own error (%)")
+    axes.set_ylabel("individual error (%)")
     axes.set_ylim(bottom=0)

@@ -91,7 +91,7 @@ def _spreads(axes: Axes, result: Result, rows: np.ndarray, seen: np.ndarray) -> 
         axes.plot(middle, rows[seen] + shift, marker, color=colour, ms=5.5, label=label)
         top = max(top, float(np.max(high, initial=0.0)))
     factor_axis(axes, top)
-    axes.set_xlabel("spread: factor exp(sd)")
+    axes.set_xlabel("dispersion: geometric sd")
     axes.get_figure().legend(*axes.get_legend_handles_labels(), loc="outside upper right", ncols=2)  # type: ignore[union-attr]
 
 
@@ -213,9 +213,9 @@ def traces(figure: Figure, result: Result) -> Figure:
     """
     columns = [("mu", "central value")]
     if variable(result, "dispersion_between_persons") is not None:
-        columns.append(("dispersion_between_persons", f"spread between {who(result)}"))
+        columns.append(("dispersion_between_persons", f"dispersion between {who(result)}"))
     if variable(result, "dispersion_between_repetitions") is not None:
-        columns.append(("dispersion_between_repetitions", "spread between repetitions"))
+        columns.append(("dispersion_between_repetitions", "dispersion between repetitions"))
     names, seen = result.elements, identified(result)
     panels = np.array(figure.subplots(len(names), len(columns), sharex=True, squeeze=False))
     for row, (name, known) in enumerate(zip(names, seen, strict=True)):
@@ -283,7 +283,7 @@ def priors(figure: Figure, result: Result) -> Figure:
                 transform=panels[0].get_yaxis_transform(),
             )
     log_axis(panels[0].xaxis, math.exp(-reach), math.exp(reach), ticks=7)
-    panels[0].set_xlabel("central value / prior centre" + ("" if np.all(sds == 1) else ", or exp of its distance"))
+    panels[0].set_xlabel("central value / prior centre" + ("" if np.all(sds == 1) else " (or exp of the difference)"))
     panels[0].set_yticks(range(len(names)), names)
     panels[0].set_ylim(len(names) - 0.6, -1.0)
     if spread:
@@ -294,7 +294,7 @@ def priors(figure: Figure, result: Result) -> Figure:
             if seen[row] and not result.parameters[row].shared:
                 density, edges = np.histogram(samples(result, "dispersion_between_persons")[:, row], bins=25)
                 _ridge(panels[1], row, (edges[1:] + edges[:-1]) / 2, density, BLUE, "posterior")
-        panels[1].set_xlabel(f"spread between {who(result)}: factor exp(sd)")
+        panels[1].set_xlabel(f"dispersion between {who(result)}: geometric sd")
         factor_axis(panels[1], float(grid[-1]))
         panels[1].set_xlim(0, grid[-1])
     handles = dict(zip(*reversed(panels[0].get_legend_handles_labels()), strict=True))

@@ -204,10 +204,10 @@ def noise(figure: Figure, result: Result) -> Figure:
     left.set_ylabel("residual / noise")
     left.axhline(1.0, color=GREY, lw=1.0)
     if np.max(needed(result, "noise_scale")) > 0.8 * MISFIT_SCALE:
-        left.axhline(MISFIT_SCALE, color=RED, lw=1.0, ls="--", label="above: the network misses something")
+        left.axhline(MISFIT_SCALE, color=RED, lw=1.0, ls="--", label="above: not described by the network")
         left.legend(loc="lower right")
     ranked(right, 100 * needed(result, "person_relative_rms"), f"{who(result)}, sorted")
-    right.set_ylabel("error of the own network (%)")
+    right.set_ylabel("error of the individual fit (%)")
     return figure
 
 

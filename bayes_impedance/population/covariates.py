@@ -60,8 +60,8 @@ def standardised_covariates(recordings: Recordings, names: tuple[str, ...]) -> n
         columns.append(_standardised(values, what, recordings.names))
     if names and len(subjects) < len(names) + 2:
         raise InputError(
-            f"{len(names)} covariates are too many for {len(subjects)} people: with fewer than {len(names) + 2}, "
-            "nothing is left to tell how people differ besides; leave some out"
+            f"{len(names)} covariates are too many for {len(subjects)} people: fewer than {len(names) + 2} "
+            "people leave nothing to estimate the remaining dispersion from; leave some covariates out"
         )
     design = np.array(columns).T if columns else np.zeros((len(subjects), 0))
     _require_independent(design, names)
@@ -80,8 +80,8 @@ def _standardised(values: np.ndarray, what: str, people: tuple[str, ...]) -> np.
     usual = np.abs(others).max()
     if usual > 0 and np.ptp(others / usual) > resolution and np.ptp(others / size) <= resolution:
         raise InputError(
-            f"{what} is {values[largest]:g} for subject {people[largest]}, beside which the others' values cannot be "
-            "told apart: correct it in subjects.csv"
+            f"{what} is {values[largest]:g} for subject {people[largest]}, so large that the values of the "
+            "others cannot be distinguished: correct it in subjects.csv"
         )
     centred = values / size - np.mean(values / size)
     return np.asarray(centred / centred.std())
@@ -98,6 +98,6 @@ def _require_independent(design: np.ndarray, names: tuple[str, ...]) -> None:
     weights = np.abs(rows[-1])
     involved = [shown(n) for n, w in zip(names, weights, strict=True) if w >= SHARE_OF_DEPENDENCY * weights.max()]
     raise InputError(
-        f"covariates {', '.join(involved)} say the same of these {design.shape[0]} people (one follows from the "
-        "others), so that no fit can tell them apart: leave one out"
+        f"covariates {', '.join(involved)} are linearly dependent for these {design.shape[0]} people (one follows "
+        "from the others), so that their slopes cannot be separated: leave one out"
     )

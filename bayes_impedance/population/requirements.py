@@ -86,7 +86,7 @@ def network_of(recordings: Recordings, network: Network | str | None) -> Network
         raise InputError(f"dataset.toml of {recordings.title}: {error}" if network is None else str(error)) from None
     if len(tree.elements) > MOST_ELEMENTS:
         raise InputError(
-            f"the network has {len(tree.elements)} elements, of which no recordings determine more than "
+            f"the network has {len(tree.elements)} elements, but no recordings determine more than "
             f"{MOST_ELEMENTS}: use a smaller network"
         )
     return tree
@@ -114,7 +114,7 @@ def require_usable(recordings: Recordings, kernel: Kernel) -> None:
             j, i = (int(k) for k in np.argwhere(wrong)[0])
             raise InputError(
                 f"subject {subject.name}, repetition {subject.repetitions[j]}: z is {subject.z[j, i]:g} at "
-                f"{subject.frequency_hz[i]:g} Hz, which no load can be: leave the point out"
+                f"{subject.frequency_hz[i]:g} Hz, which is not a possible impedance: leave the point out"
             )
     average = np.array([np.mean(np.log(np.hypot(s.z.real, s.z.imag))) for s in recordings.subjects])
     away = average - np.median(average)
@@ -122,5 +122,5 @@ def require_usable(recordings: Recordings, kernel: Kernel) -> None:
     if abs(away[worst]) > np.log(FURTHEST_PERSON):
         raise InputError(
             f"subject {recordings.subjects[worst].name}: |z| is {np.exp(away[worst]):.3g} times that of the median "
-            "subject, which no two people are apart: check its unit, or leave the subject out"
+            "subject, far more than people differ: check its unit, or leave the subject out"
         )

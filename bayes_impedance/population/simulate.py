@@ -98,7 +98,9 @@ class VirtualPopulation:
             i, j = elements.index(a), elements.index(b)
             matrix[i, j] = matrix[j, i] = value
         if np.linalg.eigvalsh(matrix)[0] <= 0:
-            raise InputError("the correlations contradict each other: no population has them all; make them smaller")
+            raise InputError(
+                "the correlations are inconsistent (their matrix is not positive definite): make them smaller"
+            )
         return matrix
 
 
@@ -156,9 +158,7 @@ def simulate_recordings(
         )
     ascending = frequency_hz.size and np.all(np.diff(frequency_hz) > 0)
     if not ascending or not LOWEST_HZ <= frequency_hz[0] <= frequency_hz[-1] <= HIGHEST_HZ:
-        raise InputError(
-            f"frequencies must ascend between {LOWEST_HZ:g} and {HIGHEST_HZ:g} Hz; a band this narrow or wide does not"
-        )
+        raise InputError(f"the frequencies must ascend between {LOWEST_HZ:g} and {HIGHEST_HZ:g} Hz; give another band")
     kernel = Kernel(parse(population.network))
     central = population.vector(population.central)
     rng = np.random.default_rng(seed)
@@ -337,7 +337,9 @@ def population_from(described: Mapping[str, Any], where: str) -> VirtualPopulati
     table = UserTable(described, where, _TRUTH_KEYS, tolerant=isinstance(described, Mapping) and "schema" in described)
     elements = table["elements"]
     if not isinstance(elements, Mapping) or not elements:
-        raise InputError(f"{where}: describes no population (elements is {shown(elements)}, but must be a table)")
+        raise InputError(
+            f"{where}: does not describe a population (elements is {shown(elements)}, but must be a table)"
+        )
     rows = {
         str(name): UserTable(row, f"{where}: element {shown(str(name))}", _ELEMENT_KEYS, tolerant="schema" in described)
         for name, row in elements.items()
@@ -346,7 +348,7 @@ def population_from(described: Mapping[str, Any], where: str) -> VirtualPopulati
     central = {name: _middle(row, "central") for name, row in rows.items()}
     unknown = [name for name, value in central.items() if value is None]
     if unknown:
-        raise InputError(f"{where}: element '{unknown[0]}' has no value there; fit recordings that determine it")
+        raise InputError(f"{where}: element '{unknown[0]}' has no value; fit recordings that determine it")
     noise = UserTable(table.get("noise", {}), f"{where}: noise", ("relative_sd", "corner_hz"))
     population = VirtualPopulation(
         network=table.text("network"),

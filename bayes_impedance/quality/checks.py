@@ -173,8 +173,8 @@ def _mark_finding(mark: Mark) -> Finding:
         repetition=repetition if one else None,
         frequency_hz=(low, high),
         message=f'{mark.part} is exactly {value} at {many}, far from the curve around (the first: subject "{subject}", '
-        f'repetition "{repetition}", {frequency:.4g} Hz); that looks like a mark for no value or a stuck channel: '
-        "leave the cells empty there",
+        f'repetition "{repetition}", {frequency:.4g} Hz); this looks like a code for missing data or a stuck channel: '
+        "leave the cells empty",
     )
 
 
@@ -233,7 +233,9 @@ def _group(
         if total >= COMMON_MINIMUM and len(recordings) > COMMON * total:
             band = _hull(same)
             whose = f"{len(recordings)} of {total} recordings"
-            text = f"{message(whose, _band(band), same)}; so many at once point to the rig and not to the subjects"
+            text = (
+                f"{message(whose, _band(band), same)}; so many at once indicate a fault of the rig, not of the subjects"
+            )
             yield Finding(id=kind, severity="warning", subject=None, repetition=None, frequency_hz=band, message=text)
             continue
         for event in same:
@@ -258,8 +260,8 @@ def _band(band_hz: tuple[float, float]) -> str:
 def _not_passive_message(whose: str, where: str, events: list[_Event]) -> str:
     worst = min(events, key=lambda event: float(event.detail)).detail
     return (
-        f"{whose}: Re z is negative {where} beyond its scatter (down to {worst} of |z|), which no passive load can be; "
-        "check the delay between the channels, the mass correction and the sign there"
+        f"{whose}: Re z is negative {where} beyond its scatter (down to {worst} of |z|), which a passive load cannot "
+        "have; check the delay between the channels, the mass correction and the sign there"
     )
 
 
@@ -268,17 +270,16 @@ def _jump_message(whose: str, where: str, events: list[_Event]) -> str:
     count = "a jump" if len(places) == 1 else f"{len(places)} jumps"
     size = f" by {events[0].detail}" if len(events) == 1 else ""
     return (
-        f"{whose}: {count} of z{size} {where} that stays; "
+        f"{whose}: {count} of z{size} {where} (a lasting step); "
         "check gain range, phase sign and splicing of sweeps there, and correct or delete the part"
     )
 
 
 def _outlier_message(whose: str, where: str, events: list[_Event]) -> str:
     places = {event.band_hz for event in events}
-    count = "1 point is" if len(places) == 1 else f"{len(places)} points are"
+    count = "1 point is far from its" if len(places) == 1 else f"{len(places)} points are far from their"
     return (
-        f"{whose}: {count} far off the neighbours {where}; "
-        "check for mains hum and contact loss, and delete the rows that are wrong"
+        f"{whose}: {count} neighbours {where}; check for mains hum and contact loss, and delete the rows that are wrong"
     )
 
 
@@ -325,7 +326,7 @@ def _check_repetition_spread(recordings: Recordings) -> Iterator[Finding]:
             repetition=None,
             frequency_hz=None,
             message=f'subject "{name}": the repetitions differ by {spread:.2g} of |z| where {usual:.2g} is usual; '
-            "check that they are of the same person and contact, and delete the one that went wrong",
+            "check that all are of the same person and contact, and delete the faulty one",
         )
 
 
@@ -338,9 +339,9 @@ def _check_units(recordings: Recordings) -> Iterator[Finding]:
             subject=None,
             repetition=None,
             frequency_hz=None,
-            message="the phase agrees with the slope of the magnitude only if its sign is turned round; these seem to "
-            "be complex conjugates, of a convention exp(-jwt) or of an analyser that subtracts phases the other way: "
-            "change the sign of the imaginary part or of the phase",
+            message="the phase agrees with the slope of the magnitude only if its sign is reversed; these seem to be "
+            "complex conjugates, from the convention exp(-jwt) or from an analyser that subtracts phases the other "
+            "way: change the sign of the imaginary part or of the phase",
         )
     if "phase_in_radians" in suspects:
         yield Finding(
@@ -373,7 +374,7 @@ def _check_size(recordings: Recordings) -> Iterator[Finding]:
             repetition=None,
             frequency_hz=None,
             message="there is one subject, so that the dispersion between persons cannot be estimated; "
-            "add subjects for it",
+            "add subjects to estimate it",
         )
     if recordings.repetitions_max == 1:
         yield Finding(
@@ -383,5 +384,6 @@ def _check_size(recordings: Recordings) -> Iterator[Finding]:
             repetition=None,
             frequency_hz=None,
             message="each subject was measured once, so that the dispersion between repetitions cannot be estimated "
-            "and the noise only from the roughness of the curves; repeat the measurement for it",
+            "and the noise is estimated from the roughness of the curves only; repeat the measurements to estimate "
+            "both",
         )

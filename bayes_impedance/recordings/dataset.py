@@ -60,14 +60,16 @@ class Subject:
         if self.frequency_hz.ndim != 1 or self.frequency_hz.size == 0:
             raise ValueError(f"{self.name}: frequency_hz must have shape (F,), not {self.frequency_hz.shape}")
         if not (self.frequency_hz[0] > 0 and np.all(np.diff(self.frequency_hz) > 0)):
-            raise ValueError(f"{self.name}: frequency_hz must ascend from above zero")
+            raise ValueError(
+                f"{self.name}: frequency_hz must be above zero and ascend: sort it and leave out 0 Hz and doubles"
+            )
         shape = (len(self.repetitions), self.frequency_hz.size)
         if not self.repetitions or self.z.shape != shape:
             raise ValueError(f"{self.name}: z has shape {self.z.shape}, but repetitions and frequencies are {shape}")
         if self.noise_sd is not None and self.noise_sd.shape != shape:
             raise ValueError(f"{self.name}: noise_sd has shape {self.noise_sd.shape}, but z has {shape}")
         if len(set(self.repetitions)) < len(self.repetitions):
-            raise ValueError(f"{self.name}: two repetitions have the same name")
+            raise ValueError(f"{self.name}: two repetitions have the same name: give each its own")
 
     @property
     def mean(self) -> ComplexArray:
@@ -129,7 +131,7 @@ class Recordings:
     def __post_init__(self) -> None:
         """Check that the subjects' names are unique."""
         if len(set(self.names)) < len(self.names):
-            raise ValueError("two subjects have the same name")
+            raise ValueError("two subjects have the same name: give each its own")
 
     def __len__(self) -> int:
         """Return the number of subjects."""

@@ -140,7 +140,9 @@ class _Reading:
         self.polar |= table.polar
         for name in table.subject_names:
             if name in self.named:
-                raise InputError(f'{table.file}: subject "{name}" has another partition too; put them into one')
+                raise InputError(
+                    f'{table.file}: subject "{name}" is also in another partition; put all of its rows into one'
+                )
             self.named[name] = table.file
         used, starts = np.unique(table.subject, return_index=True)
         for i, row in zip(used, np.minimum.reduceat(table.row, starts) if used.size else (), strict=True):
@@ -195,7 +197,7 @@ class _Reading:
         if not surplus:
             return ()
         more = f" and {len(surplus) - 5} more" if len(surplus) > 5 else ""
-        return (f"{file}: no recordings of {', '.join(surplus[:5])}{more}; the covariates are not used",)
+        return (f"{file}: there are no recordings of {', '.join(surplus[:5])}{more}; their covariates are not used",)
 
     def check_sign(self, metadata_file: str) -> None:
         """Refuse data that contradict their declared sign: a negated impedance would fail only later, in the fit."""

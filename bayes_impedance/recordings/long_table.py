@@ -178,7 +178,7 @@ def _check_sizes(cells: Table, z: ComplexArray, noise_sd: FloatArray, frequency_
         told = "z is exactly 0" if name == "|z|" and value == 0 else f"{name} is {value:g}"
         more = f" (and so are {int(wrong.sum()) - 1} more rows)" if wrong.sum() > 1 else ""
         message = (
-            f"{told}, which nothing measured can be{more}; leave the cells empty where there is no value, or delete "
+            f"{told}, which cannot be a measured value{more}; leave the cells empty where there is no value, or delete "
             "the row"
         )
         _refuse(cells, wrong, lambda _, message=message: message)  # type: ignore[misc]

@@ -57,11 +57,13 @@ def _read(place: StoredRows) -> tuple[ComplexArray, FloatArray | None]:
     """Impedance and noise, each of shape (J, F); the last few are cached, as both are usually needed."""
     if not place.folder.exists():
         raise InputError(
-            f"{place.folder}: is not there for {gethostname()}; every worker needs the dataset at this path"
+            f"{place.folder}: the folder does not exist on {gethostname()}; every worker needs the dataset at this path"
         )
     cells, digest = parquet_table(place.folder, KNOWN)
     if digest != place.digest:
-        raise InputError(f"{place.folder}: has changed since it was checked; begin again when nobody writes to it")
+        raise InputError(
+            f"{place.folder}: the folder has changed since it was checked; start again when no program writes to it"
+        )
     z, noise_sd = values(cells, place.polar)
     first = np.arange(math.prod(place.shape)).reshape(place.shape)
     rows = first if place.rows is None else np.searchsorted(cells.row, place.rows)

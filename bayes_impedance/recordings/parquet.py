@@ -60,12 +60,12 @@ def parquet_table(path: Path, known: Collection[str], extra: dict[str, str] | No
         for name, value in ((extra or {}) | keys).items():
             if any(name == found and np.any(_text(cells) != value) for found, cells in columns):
                 raise InputError(
-                    f'{file}: there is another {name} in it than its folder says, "{value}"; write it anew'
+                    f'{file}: the column {name} differs from the name of its folder, "{value}"; write the file again'
                 )
             parts[-1] = [(found, cells) for found, cells in parts[-1] if found != name]
             parts[-1].append((name, np.full(table.num_rows, value, dtype=object)))
     if not parts:
-        raise InputError(f"{path}: there is no file in the folder; put Parquet files there")
+        raise InputError(f"{path}: the folder contains no files; put Parquet files there")
     return table_of(_joined(parts), str(path), known), digest.hexdigest()
 
 
@@ -120,7 +120,7 @@ def _require_pyarrow(path: Path) -> None:
 
 def _unreadable(file: Path, error: Exception) -> InputError:
     reason = (str(error).splitlines() or [type(error).__name__])[0]
-    return InputError(f"{file}: cannot be read as Parquet ({reason}); write it anew")
+    return InputError(f"{file}: cannot be read as Parquet ({reason}); write the file again")
 
 
 def _cells(column: Any) -> Cells:

@@ -82,13 +82,13 @@ def _common_rows(table: RecordingTable, start: int, stop: int) -> tuple[IntArray
         common = reduce(lambda one, other: np.intersect1d(one, other, assume_unique=True), grids)
         if common.size < MINIMUM_COMMON * longest:
             raise InputError(
-                f"{where} has repetitions of up to {longest} frequencies, of which only {common.size} are in all; "
-                "give its repetitions the same frequencies, or make them different subjects"
+                f"{where} has repetitions of up to {longest} frequencies, of which only {common.size} are common to "
+                "all; give its repetitions the same frequencies, or make them different subjects"
             )
         parts = [part[np.isin(grid, common)] for part, grid in zip(parts, grids, strict=True)]
         warning = (
-            f"{where} has repetitions on different frequencies and was reduced to the {common.size} that all have "
-            f"(of up to {longest})"
+            f"{where} has repetitions on different frequencies and was reduced to the {common.size} that are common to "
+            f"all (of up to {longest})"
         )
     if parts[0].size < MINIMUM_POINTS:
         raise InputError(

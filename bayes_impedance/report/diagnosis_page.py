@@ -34,7 +34,7 @@ from bayes_impedance.report.findings import (
 from bayes_impedance.report.page_template import embedded_picture, template_environment
 from bayes_impedance.report.schematic import schematic
 from bayes_impedance.runtime.atomic_files import write_text
-from bayes_impedance.units import hertz, scale_for, signed, significant
+from bayes_impedance.units import Scale, hertz, joined, scale_for, signed, significant
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -59,8 +59,8 @@ candidates that the recordings can distinguish."""
 
 _QUANTITIES = {
     "central": "centre",
-    "dispersion_between_persons": "spread between persons (sd of ln)",
-    "dispersion_between_repetitions": "spread between repetitions (sd of ln)",
+    "dispersion_between_persons": "dispersion between persons (sd of ln)",
+    "dispersion_between_repetitions": "dispersion between repetitions (sd of ln)",
 }
 
 
@@ -238,8 +238,13 @@ def improvements(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
     rows = (
         (f"Magnitude error of {one} (eq. 5)", entry.delta_magnitude, scale.factor, f" {scale.unit}"),
         (f"Phase error of {one} (eq. 5)", entry.delta_phase_deg, 1.0, "°"),
-        (f"Error of each {people(diagnosis, 1)}'s own network (relative)", entry.subject_rms_relative, 100.0, " %"),
-        ("Recordings inside of the predicted 90 % band, average over frequency", entry.coverage90, 100.0, " %"),
+        (
+            f"Error of each {people(diagnosis, 1)}'s individual fit (relative, median)",
+            entry.subject_rms_relative,
+            100.0,
+            " %",
+        ),
+        ("Recordings inside the predicted 90 % band, average over frequency", entry.coverage90, 100.0, " %"),
     )
     shown = []
     for name, pair, factor, unit in rows:
@@ -268,8 +273,8 @@ def limits(verdict: Verdict) -> list[tuple[str, str, list[tuple[str, str]]]]:
     grouped: dict[str, list[tuple[str, str]]] = {}
     names = {}
     for limit in verdict.detectable:
-        scale = scale_for(limit.above, limit.unit)
-        size = f"{significant(limit.above * scale.factor, 2)} {scale.unit}".strip()
+        scale = scale_for(limit.above, limit.unit) if limit.unit else Scale(1.0, "")
+        size = joined(significant(limit.above * scale.factor, 2), scale.unit)
         grouped.setdefault(limit.id, []).append((limit.place, size))
         names[limit.id] = limit.name
     return [(id, names[id], places) for id, places in grouped.items()]

@@ -17,14 +17,14 @@ ABSENT = "–"
 SIDES = {"rig": "the rig", "body": "the body"}
 POOLING = {
     "shared": "the same for everybody",
-    "varying": "a size of its own for each",
+    "varying": "a different size for each",
     "some": "in some only",
 }
 KINDS = {
     "nothing": "Nothing is missing",
-    "found": "Something was left out",
-    "unknown": "Something is missing that has no name",
-    "refused": "Not to be relied on",
+    "found": "Physics is missing",
+    "unknown": "Physics is missing that no known effect explains",
+    "refused": "Not reliable",
 }
 _SMALLEST_P = 1e-300
 """Smaller p-values are given as an upper bound: close to the smallest double-precision number, 2e-308."""
@@ -94,7 +94,7 @@ def facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:
         found.append(("Frequencies", ", ".join(f"{hertz(a)} to {hertz(b)}" for a, b in where.bands_hz)))
     side = SIDES[where.side] if where.side else None
     for title, text in (
-        ("Seen in", where.part),
+        ("Part of z", where.part),
         ("Place", where.place),
         ("Belongs to", side),
         ("Follows", where.covariate),
@@ -103,11 +103,9 @@ def facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:
             found.append((title, text))
     if names:
         more = f" and {len(names) - 3} more" if len(names) > 4 else ""
-        found.append(("Seen in whom", ", ".join(names[:3] if more else names) + more))
+        found.append(("Shown by", ", ".join(names[:3] if more else names) + more))
     elif where.subjects == "all":
-        found.append(
-            ("Seen in whom", f"all {people(diagnosis)}" if len(diagnosis.subjects) > 1 else "the one measured")
-        )
+        found.append(("Shown by", f"all {people(diagnosis)}" if len(diagnosis.subjects) > 1 else "the one measured"))
     if gain is not None and gain.elpd_gain is not None:
         found.append(("Held-out gain", _plus_minus(gain.elpd_gain, gain.elpd_gain_se)))
     return found
@@ -136,7 +134,7 @@ def _effect(entry: Physics, number: int, diagnosis: Diagnosis) -> EffectCard:
         story=entry.story,
         formula=entry.formula,
         place=entry.place,
-        side=side + ("" if entry.side_decided or entry.side is None else ", not certainly"),
+        side=side + ("" if entry.side_decided or entry.side is None else ", not certain"),
         why=why_side(entry, diagnosis),
         pooling=POOLING[entry.pooling],
         parameters=[_quantity(name, parameter) for name, parameter in entry.parameters.items()],
@@ -150,17 +148,20 @@ def why_side(entry: Physics, diagnosis: Diagnosis) -> str:
     who, one = people(diagnosis), people(diagnosis, 1)
     if len(diagnosis.subjects) == 1:
         return (
-            f"One {one} was measured, so the recordings cannot show whether the effect varies between {who}: the side "
-            "follows from what the effect is."
+            f"One {one} was measured, so the recordings cannot show whether the effect varies between {who}: the "
+            "side follows from the kind of effect."
         )
     spread = _spread(entry)
     if spread is None:
-        return f"How much it varies between {who} was not estimated."
+        return f"Its dispersion between {who} was not estimated."
     says = {
-        "rig": "A rig is the same for everybody, and a spread near zero speaks for it",
-        "body": "A rig is the same for everybody; a spread above zero speaks for the body",
-    }.get(entry.side or "", "A rig is the same for everybody, a body is not; this does not decide between them")
-    return f"{says}. Relative spread of {spread[0]} between {who}: {spread[1]}."
+        "rig": "An effect of the rig is the same for everybody; a dispersion near zero supports the rig",
+        "body": "An effect of the rig is the same for everybody; a dispersion above zero supports the body",
+    }.get(
+        entry.side or "",
+        "An effect of the rig is the same for everybody, one of the body is not; the dispersion does not decide",
+    )
+    return f"{says}. Relative dispersion of the {spread[0]} between {who}: {spread[1]}."
 
 
 def _spread(entry: Physics) -> tuple[str, str] | None:
@@ -191,7 +192,7 @@ def _evidence(entry: EvidenceOfEffect) -> list[tuple[str, str, str]]:
     """Name, value, meaning."""
     return [
         ("score", score_text(entry.score), "chi-square statistic of the screening"),
-        ("p", p_text(entry.p_value), "corrected for everything that was tried"),
+        ("p", p_text(entry.p_value), "corrected for all candidates that were tried"),
         (
             "held-out gain",
             _plus_minus(entry.elpd_gain, entry.elpd_gain_se),

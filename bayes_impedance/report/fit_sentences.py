@@ -34,12 +34,12 @@ def answer(result: Result) -> list[str]:
         f"network of {len(result.elements)} elements."
     ]
     if result.problems:
-        return [*text, "The computation did not reach the accuracy it needs, so no number is given here."]
+        return [*text, "The computation did not reach the required accuracy, so no number is given here."]
     if network_misfits(summary):
         text.append(
-            "It leaves out something that the recordings show: what remains is "
-            f"{misfit_words(summary['noise_scale'], n, who(result))}, and all numbers are those of the network that "
-            "comes closest."
+            "It leaves out something that the recordings show: the residuals are "
+            f"{misfit_words(summary['noise_scale'], n, who(result))}, and all numbers are those of the closest network "
+            "of this form."
         )
     text += _values_in_words(result, n)
     text += _quality_in_words(result, n)
@@ -63,8 +63,8 @@ def _values_in_words(result: Result, n: int) -> list[str]:
     if factors:
         ends = dict.fromkeys(f"{factor:.2f}" for factor in (factors[0], factors[-1]))  # once if they are equal
         text.append(
-            f"From one {who(result, 1)} to another the elements spread by a factor of {' to '.join(ends)} (one "
-            "standard deviation)."
+            f"Between {who(result)} the elements vary by a factor of {' to '.join(ends)} (geometric standard "
+            "deviation)."
         )
     return text
 
@@ -74,22 +74,22 @@ def _quality_in_words(result: Result, n: int) -> list[str]:
     own = errors["subjects"]
     middle, worst = 100 * own["relative_rms_median"], 100 * own["relative_rms_max"]
     if n == 1:
-        text = [f"The network is {significant(middle, 2)} % off the recording (root mean square, relative)."]
+        text = [f"The network deviates from the recording by {significant(middle, 2)} % (relative root mean square)."]
     else:
         text = [
-            f"With values of its own for each {who(result, 1)}, the network is {significant(middle, 2)} % off the "
-            f"recordings (median; worst {significant(worst, 2)} %)."
+            f"Fitted to each {who(result, 1)} individually, the network deviates from the recordings by "
+            f"{significant(middle, 2)} % (relative root mean square, median; worst {significant(worst, 2)} %)."
         ]
         network, table = errors["population_network"], errors["lookup_median"]
         scale = scale_for(network["delta_magnitude"], result.attributes["unit"])
         text.append(
-            f"One network for all is {significant(network['delta_magnitude'] * scale.factor)} {scale.unit} and "
-            f"{significant(network['delta_phase_deg'], 2)}° away from an individual on average; the best that any "
-            f"single curve can do, because {who(result)} differ, is "
-            f"{significant(table['delta_magnitude'] * scale.factor)} {scale.unit} and "
+            f"The network with the central values deviates from an individual by "
+            f"{significant(network['delta_magnitude'] * scale.factor)} {scale.unit} and "
+            f"{significant(network['delta_phase_deg'], 2)}° on average; because {who(result)} differ, no single curve "
+            f"can be closer than {significant(table['delta_magnitude'] * scale.factor)} {scale.unit} and "
             f"{significant(table['delta_phase_deg'], 2)}°."
         )
-        text.append(f"The predicted 90 % band contains {coverage_in_words(result, '90')} of what was measured.")
+        text.append(f"The predicted 90 % band contains {coverage_in_words(result, '90')}.")
     return text
 
 
@@ -97,7 +97,7 @@ def coverage_in_words(result: Result, level: str) -> str:
     """Average share inside a band, and the range over frequency, which an average hides."""
     least, most = (f"{100 * share:.0f} %" for share in result.summary["coverage_by_frequency"][level])
     mean = f"{100 * result.summary['coverage'][level]:.0f} %"
-    return f"{mean} on average ({least} to {most} at single frequencies)"
+    return f"on average {mean} of the recordings ({least} to {most} at single frequencies)"
 
 
 def chance_in_words(result: Result) -> str:
@@ -106,8 +106,8 @@ def chance_in_words(result: Result) -> str:
     ranges = []
     for level in result.summary["coverage"]:
         low, high = range_by_chance(int(level) / 100, np.array(n))
-        ranges.append(f"between {100 * low:.0f} % and {100 * high:.0f} % for the {level} % band")
-    return f"With {n} {who(result, n)}, chance alone leaves nine of ten frequencies {' and '.join(ranges)}."
+        ranges.append(f"between {100 * low:.0f} % and {100 * high:.0f} % ({level} % band)")
+    return f"With {n} {who(result, n)} and correct bands, nine of ten frequencies lie {' and '.join(ranges)}."
 
 
 def replication_sentence(result: Result) -> str:
@@ -118,17 +118,17 @@ def replication_sentence(result: Result) -> str:
     kind = "populations" if len(subjects(result)) > 1 else "recordings"
     if network_misfits(result.summary):
         verdict = (
-            "That says how far people differ and how large the residuals are, but not that the network describes the "
-            "recordings: it does not."
+            "This concerns the variation between subjects and the size of the residuals only: the network does not "
+            "describe the recordings."
         )
         if min(ranks) < _RARE:
-            verdict = "The recordings stray further from the network than the model can explain."
+            verdict = "The recordings deviate from the network by more than the model explains."
     elif min(ranks) < _RARE:
-        verdict = "The recordings stray further from the network than the model can explain."
+        verdict = "The recordings deviate from the network by more than the model explains."
     elif min(ranks) > 1 - _RARE:
-        verdict = "The model expects more scatter than the recordings have."
+        verdict = "The model predicts more scatter than the recordings show."
     else:
-        verdict = "So the size of the error is what the model expects."
+        verdict = "So the size of the error is as the model predicts."
     return (
         f"If {kind} like this one are drawn from the fitted model, their error is at least as large as the measured "
         f"one in {shares}. {verdict}"

@@ -36,9 +36,9 @@ _WITHHELD = "withheld"
 _ABSENT = "–"
 
 _ELECTRICAL = {
-    "m": ("inductance", "Coil: voltage in proportion to how fast the current changes."),
-    "n": ("capacitance", "Storage of charge: current in proportion to how fast the voltage changes."),
-    "r": ("resistance", "Loss: voltage in proportion to current, energy turned into heat."),
+    "m": ("inductance", "Inductor: voltage proportional to the rate of change of the current."),
+    "n": ("capacitance", "Capacitor: current proportional to the rate of change of the voltage."),
+    "r": ("resistance", "Resistor: voltage proportional to the current."),
 }
 _CORRELATIONS = 12
 """Most pairs that are listed. By choice: completeness against the table's length."""
@@ -108,7 +108,10 @@ def element_rows(result: Result) -> list[ElementRow]:
         plain = quantity.name, quantity.story
         noun, story = _ELECTRICAL.get(name[0], plain) if is_electrical(result) else plain
         if entry.get("pooling") == "shared":
-            noun, story = f"{noun}, the same for all", f"{story} It is the same for everybody: the rig's."
+            noun, story = (
+                f"{noun}, the same for all",
+                f"{story} It is the same for everybody and is taken to belong to the rig.",
+            )
         central, unit = entry["central"], typeset(entry["unit"])
         value, interval = (_WITHHELD, "") if entry["identified"] else (NOT_DETERMINED, "")
         if entry["identified"] and central["median"] is not None:
@@ -229,7 +232,7 @@ def error_table(result: Result) -> tuple[str, list[tuple[str, str, str]]]:
         own = errors["subjects"]
         rows.append(
             (
-                f"each {who(result, 1)}'s own network",
+                f"individual fit of each {who(result, 1)}",
                 significant(own["delta_magnitude"] * scale.factor),
                 significant(own["delta_phase_deg"]),
             )
@@ -305,43 +308,46 @@ def checks(result: Result) -> list[Check]:
             f"{s['rhat_max']:.3f}",
             f"below {_RHAT_WANTED}; refused above {RHAT_LIMIT}",
             s["rhat_max"] <= _RHAT_WANTED,
-            "Ensembles start and adapt independently. 1 means that they found the same distribution.",
+            "Compares ensembles that start and adapt independently. At 1 they have the same distribution.",
         ),
         Check(
             "Effective sample size, worst",
             f"{s['ess_min']:.0f}",
             f"above {_ESS_WANTED}; refused below {FEWEST_EFFECTIVE:g}",
             s["ess_min"] >= _ESS_WANTED,
-            f"How many independent draws the correlated ones are worth; {_ESS_WANTED} are enough for the ends of "
-            "intervals.",
+            f"Number of independent draws with the same information as the correlated ones; {_ESS_WANTED} suffice for "
+            "the ends of intervals.",
         ),
         Check(
             "Acceptance",
             f"{s['acceptance']:.2f}",
             f"{_ACCEPTANCE[0]} to {_ACCEPTANCE[1]}",
             _ACCEPTANCE[0] <= s["acceptance"] <= _ACCEPTANCE[1],
-            "Share of proposed steps that were taken. Near 0 the sampler is stuck, near 1 it hardly moves.",
+            "Share of proposed steps that were accepted. Near 0 the sampler does not move; near 1 its steps are too "
+            "small.",
         ),
         Check(
             "Variance of the log-likelihood",
             f"{s['log_likelihood_variance']:.2g}",
             f"below {VARIANCE_WANTED}; refused above {VARIANCE_LIMIT:g}",
             s["log_likelihood_variance"] <= VARIANCE_WANTED,
-            f"The likelihood is a Monte-Carlo average over each {who(result, 1)}'s draws; this is its squared error.",
+            f"The likelihood is a Monte-Carlo average over each {who(result, 1)}'s draws; this is its Monte-Carlo "
+            "variance.",
         ),
         Check(
             "Pareto k, worst",
             f"{s['pareto_k_max']:.2f}",
             f"below {PARETO_LIMIT}",
             s["pareto_k_max"] <= PARETO_LIMIT,
-            f"Tail of the weights of a {who(result, 1)}'s draws. Above {PARETO_LIMIT} few draws carry all the weight.",
+            f"Shape of the tail of a {who(result, 1)}'s importance weights. Above {PARETO_LIMIT}, few draws carry most "
+            "of the weight.",
         ),
         Check(
             "Effective draws, worst",
             f"{s['effective_draws_min']:.0f}",
             f"above {_DRAWS_WANTED}",
             s["effective_draws_min"] >= _DRAWS_WANTED,
-            f"How many equal draws the weighted ones of a {who(result, 1)} are worth.",
+            f"Number of equally weighted draws with the same information as a {who(result, 1)}'s weighted ones.",
         ),
     ]
 

@@ -115,7 +115,9 @@ def leave_one_out(result: Result) -> LeftOut:
     require_absolute(result)
     subjects = tuple(str(name) for name in result.coords["subject"])
     if len(subjects) < FEWEST_PEOPLE:
-        raise InputError("networks are compared by how the others predict each person: there must be two or more")
+        raise InputError(
+            "networks are compared by how well each person is predicted from the others: give two or more people"
+        )
     elpd, k, p_loo = smoothed(result.groups["posterior"], result.groups["log_likelihood"]["marginal"])
     return LeftOut(subjects, elpd, k, np.zeros(elpd.size, dtype=bool), p_loo)
 

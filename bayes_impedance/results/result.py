@@ -311,11 +311,17 @@ def load_result(folder: Path) -> Result:
     file, summary_file = folder / RESULT_FILE, folder / SUMMARY_FILE
     for needed in (file, summary_file):
         if not needed.is_file():
-            raise InputError(f"{needed}: not found; give the folder that 'bayes-impedance run -o FOLDER' has written")
+            raise InputError(
+                f"{needed}: there is no such file; give the folder that 'bayes-impedance run -o FOLDER' has written"
+            )
     summary = read_json(summary_file, "fit the recordings again, or take a copy")
     groups, coords, attributes = load_groups(file)
     if without_seconds(summary) != attributes.get("summary"):
-        fits = "are of different fits" if _is_of_other_fit(summary, attributes) else "do not agree: one was changed"
+        fits = (
+            "are of different fits"
+            if _is_of_other_fit(summary, attributes)
+            else "do not agree, so one of them was changed"
+        )
         raise InputError(f"{folder}: {RESULT_FILE} and {SUMMARY_FILE} {fits}; fit the recordings again, or take a copy")
     times = folder / SECONDS_FILE
     seconds = read_json(times, "delete it, or fit the recordings again") if times.is_file() else {}

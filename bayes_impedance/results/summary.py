@@ -156,9 +156,10 @@ def _remarks(fit: PopulationFit, predictive: Predictive, gross: bool) -> list[st
     n, scale = len(fit.recordings.subjects), noise_scale_summary(fit.noise_scale)
     if not gross and network_misfits({"subjects": n, "noise_scale": scale}):
         remarks.append(
-            f"The network does not describe these recordings: what remains is {misfit_words(scale, n, 'subjects')}, "
-            f"and each subject's own best network is {100 * np.median(predictive.person_relative_rms):.1f} % off. The "
-            "values below are those of the network that comes closest, and their intervals hold only if one accepts it."
+            f"The network does not describe these recordings: the residuals are {misfit_words(scale, n, 'subjects')}, "
+            f"and each subject's individual fit deviates by {100 * np.median(predictive.person_relative_rms):.1f} % "
+            "(median). The values below are those of the closest network of this form, and their intervals are valid "
+            "only for this form."
         )
     if fit.one_person:
         remarks.append("There is one subject: the values are this subject's, and no dispersion can be estimated.")
@@ -166,23 +167,25 @@ def _remarks(fit: PopulationFit, predictive: Predictive, gross: bool) -> list[st
         remarks.append(f"There are only {n} subjects: dispersions rest on the prior as much as on the data.")
     if not fit.one_person and too_few_for_correlations(n, len(fit.kernel.elements)):
         remarks.append(
-            f"{n} subjects cannot tell how {len(fit.kernel.elements)} elements vary together: they are taken to vary "
-            "independently."
+            f"{n} subjects are too few to estimate the correlations of {len(fit.kernel.elements)} elements, which are "
+            "taken as zero."
         )
     if not fit.repeated:
-        mixed = "" if fit.one_person else "the dispersion between persons contains that between repetitions, and "
-        remarks.append(f"There is one repetition: {mixed}the noise was estimated from the roughness of the curves.")
+        mixed = "" if fit.one_person else "the dispersion between persons includes that between repetitions, and "
+        remarks.append(
+            f"There is one repetition per subject: {mixed}the noise was estimated from the roughness of the curves."
+        )
     for c in fit.combinations:
         remarks.append(
-            f"Only {c.expression} is determined, by no recording {' or '.join(c.elements)} alone: one element {c.name} "
-            "stands for them."
+            f"Recordings can determine only {c.expression}, not {' or '.join(c.elements)} alone: one element, "
+            f"{c.name}, replaces them."
         )
     lost = inseparable(fit.kernel.network)
     if lost:
         remarks.append(
-            f"No recording can tell {', '.join(lost[:-1])} and {lost[-1]} apart, because the others can take over what "
-            "each of them does: the network has more elements than its impedance has coefficients, and no number is "
-            "reported for them."
+            f"No recording can determine {', '.join(lost[:-1])} and {lost[-1]}, because a change of one of them can be "
+            "compensated by the others: the network has more elements than its impedance has coefficients. No number "
+            "is reported for them."
         )
     unseen = [e for e, seen in zip(fit.kernel.elements, fit.identified, strict=True) if not seen and e not in lost]
     if unseen:

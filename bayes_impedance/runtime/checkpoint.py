@@ -56,8 +56,8 @@ def claim(folder: Path, digests: Iterable[str], *settings: object) -> None:
     if file.is_file():
         if file.read_bytes() != owner.encode():
             raise InputError(
-                f"{folder}: is of other data or other options; repeat those, or start anew (without --resume, "
-                "or with another folder)"
+                f"{folder}: the checkpoint is of other data or other options; give the same ones, or start anew "
+                "(without --resume, or with another folder)"
             )
         return
     require_own(folder)
@@ -73,8 +73,8 @@ def require_own(folder: Path) -> None:
         If the path exists without the mark of a fit.
     """
     foreign = InputError(
-        f"{folder}: does not carry the mark of a fit ({_NAME}), so it is left as it is; move it away, or name another "
-        "folder for the results"
+        f"{folder}: the folder is not a checkpoint (it has no {_NAME}), so it is left as it is; move it away, or name "
+        "another folder for the results"
     )
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
         raise foreign

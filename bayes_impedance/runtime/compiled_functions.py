@@ -68,8 +68,8 @@ def _temporary_cache() -> str | None:
 
     atexit.register(remove)
     logging.getLogger(__name__).warning(
-        "no folder for compiled functions can be written: compiling into a temporary one, which takes longer; name a "
-        "folder with %s",
+        "no folder for compiled functions is writable: they are compiled into a temporary one, which takes longer; "
+        "name a folder with %s",
         _FOLDER,
     )
     os.environ[_FOLDER] = folder

@@ -89,8 +89,8 @@ def executor_of(threads: int = 2, processes: int | None = None, scheduler: str |
             yield Cluster(client)
         except KilledWorker:
             raise WorkerError(
-                "the same task has lost one of the cluster's workers after the other, killed by somebody or for want "
-                "of memory; give workers more memory, or leave out --scheduler"
+                "several workers of the cluster died on the same task, killed or out of memory; give workers more "
+                "memory, or leave out --scheduler"
             ) from None
         except (InputError, WorkerError):
             raise
@@ -139,8 +139,8 @@ async def _require_scheduler(address: str) -> None:
 
 def _lost(scheduler: str) -> str:
     return (
-        f"the Dask scheduler at {scheduler} does not answer any more; start it again and repeat the command, with "
-        "--resume to go on from what was kept"
+        f"the Dask scheduler at {scheduler} no longer answers; start it again and repeat the command, with "
+        "--resume to continue from what was saved"
     )
 
 
@@ -210,7 +210,8 @@ class _Watch:
             if without > _WORKER_SECONDS + _FAREWELL_SECONDS:
                 self.lost = (
                     f"the Dask scheduler at {self.scheduler} has lost all its workers and got none for "
-                    f"{_WORKER_SECONDS} s; start some and repeat the command, with --resume to go on from what was kept"
+                    f"{_WORKER_SECONDS} s; start some and repeat the command, with --resume to continue from what was "
+                    "saved"
                 )
             if self.lost:
                 with suppress(Exception):

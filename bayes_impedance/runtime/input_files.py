@@ -91,7 +91,7 @@ def _unpacked(data: bytes, largest: int) -> bytes | None:
         # Zeros may follow the last member: some programs pad their blocks.
         data = member.unused_data.lstrip(b"\0")
     if data:
-        raise zlib.error("what follows the last member is not gzip")
+        raise zlib.error("the data after the last member are not gzip")
     return b"".join(parts)
 
 
@@ -161,12 +161,12 @@ def read_json(path: Path, remedy: str) -> dict[str, Any]:
     else:
         if isinstance(content, dict):
             return content
-        reason = "it holds no object"
+        reason = "it contains no object"
     raise InputError(f"{path}: cannot be read as JSON ({reason}); {remedy}")
 
 
 def _not_a_number(text: str) -> float:
-    raise ValueError(f"{text} is no number of JSON")
+    raise ValueError(f"{text} is not a number in JSON")
 
 
 def _described(path: Path, remedy: str, largest: int) -> bytes:
@@ -186,7 +186,7 @@ def parse_toml(text: str, file: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except RecursionError:
-        raise InputError(f"{file}: the TOML is nested too deeply to be read; write it in few levels") from None
+        raise InputError(f"{file}: the TOML is nested too deeply to be read; use fewer levels") from None
     except ValueError as error:  # also integers of thousands of digits, which are grammatically valid
         raise InputError(f'{file}: {_toml_problem(_reason(error))}; correct it, e.g. title = "My data"') from None
 

@@ -101,19 +101,21 @@ def require_ours(folder: Path, names: Iterable[str], overwrite: bool) -> None:
         As in :func:`output_folder`.
     """
     if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: is no folder; name one for the results with -o")
+        raise InputError(f"{folder}: is not a folder; name one for the results with -o")
     made = _made(folder)
     for name in names:
         file = folder / name
         if not file.exists() and not file.is_symlink():
             continue
         if file.is_dir():
-            raise InputError(f"{file}: is a folder where a file is to be written; name another folder with -o")
+            raise InputError(
+                f"{file}: a file of this name is to be written, but it is a folder; name another folder with -o"
+            )
         ours = name in made and not file.is_symlink() and made[name] in (None, _digest(file))
         if not ours and not overwrite:
             raise InputError(
-                f"{file}: was not made by this package or has been changed since, so it is not replaced; "
-                "name another folder with -o, or say --overwrite"
+                f"{file}: was not written by this package or was changed since, so it is not replaced; "
+                "name another folder with -o, or give --overwrite"
             )
 
 
@@ -154,7 +156,8 @@ def _locked(folder: Path) -> Iterator[None]:
         if not held or machine not in ("", socket.gethostname()):
             who = f"process {number} on {machine}" if number else "another process"
             raise BusyError(
-                f"{folder}: {who} writes there; wait for it, or name another folder (if it has ended, delete {file})"
+                f"{folder}: {who} is writing there; wait for it, or name another folder (if it has ended, delete "
+                f"{file})"
             )
         os.ftruncate(descriptor, 0)
         os.pwrite(descriptor, f"{os.getpid()}\n{socket.gethostname()}\n".encode(), 0)
@@ -171,7 +174,7 @@ def _open_lock(file: Path) -> int:
         return os.open(file, os.O_CREAT | os.O_RDWR | getattr(os, "O_NOFOLLOW", 0), 0o666)
     except OSError as error:
         if error.errno == errno.ELOOP:
-            raise InputError(f"{file}: is a link that this package has not made; delete it") from None
+            raise InputError(f"{file}: is a link that this package did not make; delete it") from None
         raise
 
 

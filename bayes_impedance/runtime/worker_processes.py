@@ -159,7 +159,7 @@ class _Worker:
             done, result = pickle.loads(answer)
             return done, result
         raise WorkerError(
-            f"the same task has lost {1 + _REPEATS} processes, killed by somebody or for want of memory; "
+            f"{1 + _REPEATS} processes died on the same task, killed or out of memory; "
             "use fewer --workers, or leave them out to work in one process"
         )
 

@@ -120,7 +120,7 @@ def test_an_element_that_the_band_does_not_show_gets_no_number():
 def test_refuses_functions_that_are_no_impedance():
     entry = published("sit")
     turned = TransferFunction.from_coefficients([-c for c in entry.numerator], entry.denominator.tolist())
-    with pytest.raises(InputError, match="turn the sign"):
+    with pytest.raises(InputError, match="reverse the sign"):
         map_to_network(turned, PAPER, FREQUENCY_HZ)
     complex_one = TransferFunction.from_coefficients([1.0, 2.0 + 1j], [1.0, 0.0])
     with pytest.raises(InputError, match="coefficients are complex"):

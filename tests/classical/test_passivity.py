@@ -66,7 +66,7 @@ def test_corrected_eq4_is_positive_real_and_the_printed_one_has_an_unstable_pole
         assert not verdict.positive_real
         assert verdict.unstable_poles.size > 0
         assert np.all(verdict.unstable_poles.real > 0)
-        assert any("right half plane" in reason for reason in verdict.reasons)
+        assert any("right half-plane" in reason for reason in verdict.reasons)
 
 
 @pytest.mark.parametrize("form", [lambda t: t, partial_fractions], ids=["ratio", "fractions"])
@@ -230,7 +230,7 @@ def test_unstable_poles():
     verdict = check_passivity(with_terms(finger(), [2 + 9j, 2 - 9j, -5], [0.1, 0.1, 1e-3]))
     np.testing.assert_allclose(np.sort_complex(verdict.unstable_poles), [2 - 9j, 2 + 9j])
     assert not verdict.positive_real
-    assert "2+9j rad/s is in the right half plane" in verdict.reasons[0]
+    assert "2+9j rad/s is in the right half-plane" in verdict.reasons[0]
     assert check_passivity(with_terms(finger(), [2 + 9j, 2 - 9j], [0, 0])).positive_real  # no pole without a residue
 
 

@@ -98,5 +98,5 @@ def test_refuses_too_little_data():
         identify(FREQUENCY_HZ[:4], CLEAN[:4])
     with pytest.raises(InputError, match="401 frequencies, but there are 400"):
         identify(FREQUENCY_HZ[1:], CLEAN)
-    with pytest.raises(InputError, match="nobody has data"):
+    with pytest.raises(InputError, match="a frequency without any data"):
         identify(FREQUENCY_HZ, np.where(FREQUENCY_HZ < 6, np.nan, CLEAN))

@@ -120,7 +120,7 @@ def test_a_verdict_stands_for_its_second_network(place: Path) -> None:
         (("m1|r1", "{place}/verdict_of_nothing.json"), "no pair of networks"),
         (("m1|r1", "{place}/broken.json"), "JSON"),
         (("m1|r1", "{place}/notes.txt"), "notes.txt"),
-        (("m1|r1", "{place}/data"), "not found"),
+        (("m1|r1", "{place}/data"), "there is no such file"),
         (("m1|r1", "{place}/own", "{place}/own/"), "are the same"),
         (("m1|r1", "{place}/own", "--subject", "V01", "--subject", "V02"), "other subjects"),
         (("m1|r1", "r1|n1", "--subject", "V01"), "two or more"),
@@ -158,7 +158,7 @@ def test_files_of_others_in_a_later_folder_are_seen_before_the_first_fit(
     (tmp_path / "2" / "summary.json").write_text("mine", encoding="utf-8")
     command = ["compare", str(place / "data"), "-o", str(tmp_path), "--networks", "m1|r1|n1", "m1|r1"]
     assert main(command) == 2
-    assert "was not made by this package" in capsys.readouterr().err
+    assert "was not written by this package" in capsys.readouterr().err
     assert [p.name for p in tmp_path.iterdir()] == ["2"]
 
 
@@ -187,6 +187,6 @@ def test_what_people_do_not_separate_is_undecided() -> None:
     close = entry("close", elpd - np.array([2.0, -1.5, 1.0, -1.0]))
     comparison = NetworkComparison.of([close, entry("first", elpd), entry("far", elpd - np.array([5.0, 5.1, 5, 5]))])
     assert [e.given for e in comparison.as_good] == ["close"]
-    assert lines_of(comparison)[-1] == "best: first; within 3 standard errors of it, so not decided: close"
+    assert lines_of(comparison)[-1] == "best: first; not separated from it (within 3 standard errors): close"
     nothing = NetworkComparison.of([entry("x", elpd, problems=("p",)), entry("y", elpd - 1, problems=("p",))])
-    assert lines_of(nothing)[-1] == "no fit is reliable: none is the best"
+    assert lines_of(nothing)[-1] == "no fit is reliable, so none is named the best"

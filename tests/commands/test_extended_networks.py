@@ -90,7 +90,7 @@ def test_run_with_a_verdict(verdict: Path, dataset: Path, fitted: Path) -> None:
 
 @pytest.mark.parametrize(
     ("content", "said"),
-    [("{}", "no pair of networks"), ("[1]", "holds no object"), ('{"network": ["m1", "m1|"]}', "ends too early")],
+    [("{}", "no pair of networks"), ("[1]", "contains no object"), ('{"network": ["m1", "m1|"]}', "ends too early")],
 )
 def test_a_verdict_that_is_none(
     dataset: Path, tmp_path: Path, content: str, said: str, capsys: pytest.CaptureFixture[str]

@@ -36,7 +36,7 @@ def test_simulate_leaves_recordings_that_are_there(
 ) -> None:
     (tmp_path / name).write_text("measured for a year")
     assert main(["simulate", "-o", str(tmp_path), *SIMULATE]) == 2
-    assert "was not made by this package" in capsys.readouterr().err
+    assert "was not written by this package" in capsys.readouterr().err
     assert contents(tmp_path) == {name: b"measured for a year"}
     assert main(["simulate", "-o", str(tmp_path), *SIMULATE, "--overwrite"]) == 0
     assert main(["simulate", "-o", str(tmp_path), *SIMULATE, "--seed", "2"]) == 0  # its own dataset it replaces
@@ -136,7 +136,7 @@ def test_a_diagnosis_stands_beside_a_fit_and_is_resumed_to_the_same_verdict(tiny
             raise KeyboardInterrupt
 
     options = jobs.FitOptions(network="m1|r1|n1", quick=True)
-    with pytest.raises(KeyboardInterrupt, match="takes up the network's fit"):
+    with pytest.raises(KeyboardInterrupt, match="continues the fit of the network"):
         jobs.diagnose_dataset(tiny / "data", again, options, None, False, stop)
     assert {"first_fits.npz", "point_estimate.npz"} <= {p.name for p in (again / "diagnosis_checkpoint").iterdir()}
     stages: list[str] = []

@@ -67,12 +67,12 @@ def test_what_is_held_is_the_rig_s_too() -> None:
 
 @pytest.mark.parametrize("text", ["m9*", "delay[d9*](m9*|n9=1e-6)", "m9*|n9*-r9*"])
 def test_a_rig_without_a_body_is_one_error(text: str) -> None:
-    with pytest.raises(InputError, match=r"nothing of .* is the body's"):
+    with pytest.raises(InputError, match=r"nothing of .* belongs to the body"):
         body_of(parse(text))
 
 
 def test_a_wrapper_of_the_body_around_the_rig_is_an_error() -> None:
-    with pytest.raises(InputError, match=r"reflex\[k1, d1, f1\]\(...\) is the body's, but all that it wraps"):
+    with pytest.raises(InputError, match=r"reflex\[k1, d1, f1\]\(...\) belongs to the body, but all that it wraps"):
         body_of(parse("m1|reflex[k1, d1, f1](n9*)"))
 
 
@@ -159,7 +159,7 @@ def test_what_was_taken_out_is_told_in_the_terminal_and_in_every_file(
     out = tmp_path / "design"
     options = ["--users", "12", "--spanning", "2", "--no-pictures", "--what", "users"]
     assert main(["export", str(finished), "-o", str(out), *options]) == 0
-    note = "the same for everybody or held, are delay[d1*](...), m9*"
+    note = "the same for everybody or held: delay[d1*](...), m9*"
     assert note in capsys.readouterr().out
     files = [file for file in sorted(out.iterdir()) if file.name[0] != "."]
     assert files

@@ -142,7 +142,7 @@ def test_bad_input_is_one_sentence_and_no_file(
 
 def test_what_is_no_fit_is_refused(finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["export", str(tmp_path), "-o", str(tmp_path / "out")]) == 2
-    assert "not found" in capsys.readouterr().err
+    assert "there is no such file" in capsys.readouterr().err
     spoiled = tmp_path / "spoiled"
     result = load_result(finished)
     result.summary["problems"] = ["ensembles disagree"]

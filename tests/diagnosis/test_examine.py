@@ -67,7 +67,7 @@ def test_good_populations_are_not_marked() -> None:
 def test_another_quantity_is_a_gross_misfit(change: str) -> None:
     found = examined(change)
     assert len(found.gross) == 1
-    assert "each subject's own best network is" in found.gross[0]
+    assert "each subject's own best fit deviates by" in found.gross[0]
 
 
 @pytest.mark.parametrize(
@@ -92,7 +92,7 @@ def test_one_person_who_does_not_belong_is_named(change: str) -> None:
 
 def test_two_groups_are_not_one_population() -> None:
     found = examined("two groups")
-    assert any("of two groups" in sentence for sentence in found.misfit)
+    assert any("form two groups" in sentence for sentence in found.misfit)
     assert set(found.bent) == set(CENTRAL)
 
 

@@ -89,5 +89,5 @@ def test_a_piece_of_another_fit_is_as_good_as_none(tmp_path: Path) -> None:
     assert load_arrays(tmp_path / "2" / "a.npz") is None
     (tmp_path / "1" / "belongs_to.txt").unlink()
     assert load_arrays(tmp_path / "1" / "a.npz") is None
-    with pytest.raises(InputError, match="does not carry the mark"):
+    with pytest.raises(InputError, match="is not a checkpoint"):
         claim(tmp_path / "1", ["digest"], 3)

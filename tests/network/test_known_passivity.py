@@ -110,18 +110,21 @@ def test_what_is_certified(text: str) -> None:
     ("text", "doubts"),
     [
         ("m1|n1", ()),
-        ("m1|delay[d1](n1)", ("delay[d1](...) turns the phase as far as one likes",)),
+        ("m1|delay[d1](n1)", ("delay[d1](...) shifts the phase without bound",)),
         (
             "lowpass[t1*](highpass[f1=2](m1))",
             (
-                "lowpass[t1*](...) turns the phase by up to a right angle",
-                "highpass[f1=2](...) turns the phase by up to a right angle",
+                "lowpass[t1*](...) shifts the phase by up to 90 degrees",
+                "highpass[f1=2](...) shifts the phase by up to 90 degrees",
             ),
         ),
-        ("offset[m1*](n1)", ("offset[m1*](...) may take something off",)),
-        ("offset[m1=-2](n1)", ("offset[m1=-2](...) takes something off",)),
-        ("hysteretic[e1](n1|m1)", ("hysteretic[e1](...) adds to the phase of something that has inertia",)),
-        ("reflex[k1,d1,f1*](n1)", ("reflex[k1, d1, f1*](...) answers late, and so pushes when it should give way",)),
+        ("offset[m1*](n1)", ("offset[m1*](...) may subtract from the impedance",)),
+        ("offset[m1=-2](n1)", ("offset[m1=-2](...) subtracts from the impedance",)),
+        (
+            "hysteretic[e1](n1|m1)",
+            ("hysteretic[e1](...) is applied to a part with inertia, whose phase it shifts beyond 90 degrees",),
+        ),
+        ("reflex[k1,d1,f1*](n1)", ("reflex[k1, d1, f1*](...) responds with a delay, so that it can add energy",)),
     ],
 )
 def test_the_reason_is_told(text: str, doubts: tuple[str, ...]) -> None:

@@ -107,7 +107,7 @@ def test_links_and_units_of_leaves():
         # power laws
         ("p1|m1", "network 'p1|m1': '|' at character 3 is not '^' and the power law's exponent, such as p1^a1"),
         ("p1", "network 'p1' ends too early: expected '^' and the power law's exponent, such as p1^a1"),
-        ("m1^a1", "'m1^a1' is no power law: only p has an exponent, such as p1^a1"),
+        ("m1^a1", "'m1^a1' is not a power law: only p can have an exponent, as in p1^a1"),
         (
             "p1^m1",
             "'m1' cannot be an exponent: call it a1 (0 to 1, spring to damper) or b1 (1 to 2, damper to mass)",

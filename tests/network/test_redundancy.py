@@ -158,7 +158,7 @@ def test_deeply_nested_roots_are_found_or_given_up_in_words() -> None:
     assert len(inseparable(parse(text))) == 12 - 1  # the outermost mass is free of the roots
     for k in range(6, 22):
         text = f"line_matched[r{k}]({text})|m{k}"
-    with pytest.raises(InputError, match="too many lines without an end inside one another"):
+    with pytest.raises(InputError, match="too many nested infinite lines"):
         inseparable(parse(text))
 
 

@@ -58,16 +58,20 @@ def _with(values: np.ndarray, index: int, value: float) -> np.ndarray:
         ({"age": 1 + 1e-17 * AGE}, ("age",), ["same for everybody"]),
         ({"age": _with(AGE, 3, 1e300)}, ("age",), ["1e+300 for subject S3", "correct it"]),
         ({"age": _with(AGE, 3, -1e38)}, ("age",), ["-1e+38 for subject S3"]),
-        ({"age": AGE, "months": 12 * AGE}, ("age", "months"), ['"age", "months" say the same']),
-        ({"age": AGE, "young": 80 - AGE, "force": FORCE}, ("force", "age", "young"), ['covariates "age", "young" say']),
-        ({"age": AGE, "force": FORCE, "both": AGE + 9 * FORCE}, ("age", "force", "both"), ["say the same"]),
-        ({"age": AGE, "near": AGE + 0.1 * FORCE}, ("age", "near"), ["say the same"]),
+        ({"age": AGE, "months": 12 * AGE}, ("age", "months"), ['"age", "months" are linearly dependent']),
+        ({"age": AGE, "young": 80 - AGE, "force": FORCE}, ("force", "age", "young"), ['covariates "age", "young" are']),
+        ({"age": AGE, "force": FORCE, "both": AGE + 9 * FORCE}, ("age", "force", "both"), ["are linearly dependent"]),
+        ({"age": AGE, "near": AGE + 0.1 * FORCE}, ("age", "near"), ["are linearly dependent"]),
         (
             {f"x{i}": AGE ** (0.2 * i + 1) for i in range(9)},
             tuple(f"x{i}" for i in range(9)),
             ["9 covariates are too many"],
         ),
-        ({f"x{i}": AGE ** (0.2 * i + 1) for i in range(6)}, tuple(f"x{i}" for i in range(6)), ["say the same"]),
+        (
+            {f"x{i}": AGE ** (0.2 * i + 1) for i in range(6)},
+            tuple(f"x{i}" for i in range(6)),
+            ["are linearly dependent"],
+        ),
     ],
 )
 def test_covariates_that_cannot_be_told_apart_are_refused(
@@ -97,7 +101,7 @@ def test_impedances_that_no_load_can_be_are_refused(value: float) -> None:
     broken = replace(data, subjects=(*data.subjects[:3], replace(data.subjects[3], z=z), *data.subjects[4:]))
     kernel = Kernel(parse("r1|m1"))
     require_usable(data, kernel)
-    with pytest.raises(InputError, match=r"subject S3, repetition 2: z is .* Hz, which no load can be"):
+    with pytest.raises(InputError, match=r"subject S3, repetition 2: z is .* Hz, which is not a possible impedance"):
         require_usable(broken, kernel)
     with pytest.raises(InputError, match="at least one subject"):
         require_usable(replace(data, subjects=()), kernel)

@@ -77,7 +77,7 @@ def test_outlier() -> None:
     finding = only(change(data, 4, edit), "outlier")
     f = float(data.subjects[0].frequency_hz[120])
     assert (finding.subject, finding.repetition, finding.frequency_hz) == ("S04", "2", (f, f))
-    assert f"1 point is far off the neighbours at {f:.4g} Hz" in finding.message
+    assert f"1 point is far from its neighbours at {f:.4g} Hz" in finding.message
     assert "delete the rows" in finding.message
 
 
@@ -120,7 +120,7 @@ def test_hum_in_all_recordings_is_one_finding() -> None:
     finding = only(data, "outlier")
     assert finding.subject is None
     assert "36 of 36 recordings" in finding.message
-    assert "point to the rig" in finding.message
+    assert "indicate a fault of the rig" in finding.message
 
 
 @pytest.mark.parametrize("factor", [2.0, 0.5, 1.2, -1.0, 1j])
@@ -188,7 +188,7 @@ def test_delay_of_the_rig_is_one_finding() -> None:
     late = [replace(subject, z=subject.z * np.exp(2j * np.pi * f * 8e-5)) for subject in data.subjects]
     finding = only(replace(data, subjects=tuple(late)), "not_passive")
     assert finding.subject is None
-    assert "point to the rig" in finding.message
+    assert "indicate a fault of the rig" in finding.message
 
 
 # Notes, and small data

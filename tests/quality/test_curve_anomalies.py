@@ -73,7 +73,7 @@ def test_repetition_spread() -> None:
     finding = only(change(simulate(1), 3, edit), "repetition_spread")
     assert finding.subject == "S03"
     assert "0.24 of |z| where 0.013 is usual" in finding.message
-    assert "delete the one that went wrong" in finding.message
+    assert "delete the faulty one" in finding.message
 
 
 def test_phase_in_radians() -> None:

@@ -161,7 +161,7 @@ def test_different_grids_of_repetitions_are_reduced(tmp_path: Path) -> None:
     np.testing.assert_array_equal(data.subjects[0].z, [[2, 3, 5], [20, 30, 50]])
     (warning,) = data.warnings
     assert "row 2" in warning
-    assert "reduced to the 3 that all have (of up to 5)" in warning
+    assert "reduced to the 3 that are common to all (of up to 5)" in warning
 
 
 @pytest.mark.parametrize(

@@ -195,7 +195,7 @@ def test_people_are_in_the_order_of_the_folders_names(dataset: Path, monkeypatch
         names.append(read_recordings(table).names)
     assert names == [("12", "A", "A-1")] * 2
     (table / "subject=").mkdir()
-    with pytest.raises(InputError, match="there is no file in the folder"):
+    with pytest.raises(InputError, match="the folder contains no files"):
         read_recordings(table)
 
 
@@ -223,7 +223,7 @@ FAULTS: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str]] = {
     "text": (lambda t: t.assign(z_im=t.z_im.map(repr).where(t.index != 7, "1,5")), r"row 9: z_im .* decimal comma"),
     "no name": (lambda t: t.assign(repetition=""), r"row 2: repetition is empty"),
     "nothing": (lambda t: t[:0], r"no rows of data"),
-    "other subject": (lambda t: t.assign(subject="X"), r"another subject in it than its folder says"),
+    "other subject": (lambda t: t.assign(subject="X"), r"the column subject differs from the name of its folder"),
 }
 
 

@@ -60,7 +60,7 @@ def test_a_card_says_what_where_how_much_and_why(tmp_path: Path) -> None:
         assert said in page.words
     assert "delay 1.500 µs 1.420 to 1.610 the same for all" in page.words
     assert "at: port belongs to: the rig the same for everybody" in page.words
-    assert "Relative spread of delay between people: 90 % interval 0 % to 3.1 %." in page.words
+    assert "Relative dispersion of the delay between people: 90 % interval 0 % to 3.1 %." in page.words
     assert "score 2096" in page.words
     assert "p < 1e-300" in page.words
     assert "held-out gain 985 ± 40" in page.words
@@ -74,7 +74,7 @@ def test_improvement_and_limits_have_units(tmp_path: Path) -> None:
     _, page = page_of(make_diagnosis(), tmp_path)
     assert "Magnitude error of one network for all (eq. 5) 1.31 N s/m 1.27 N s/m" in page.words
     assert "Phase error of one network for all (eq. 5) 8.70° 8.10°" in page.words
-    assert "inside of the predicted 90 % band, average over frequency 82.0 % 89.8 %" in page.words
+    assert "inside the predicted 90 % band, average over frequency 82.0 % 89.8 %" in page.words
     assert "5 subject folds, 8 frequency blocks" in page.words
     assert "rig.mass port 2.1 mg rig.delay port 31 ns" in page.words
     assert "body.relaxation skin 0.34 N s/m tissue 12 mN s/m rig.lowpass port 41 kHz" in page.words
@@ -87,7 +87,10 @@ def test_several_effects_have_a_card_each_and_their_dependence(tmp_path: Path) -
     assert text.count('<article class="card">') == 2
     assert "body.resonator port" not in page.words
     assert "mass 0.240 g 0.190 to 0.310 31 % resonance 1.310 kHz 1.240 to 1.390" in page.words
-    assert "speaks for the body. Relative spread of mass between people: 31 %, 90 % interval 22 % to 44 %" in page.words
+    assert (
+        "supports the body. Relative dispersion of the mass between people: 31 %, 90 % interval 22 % to 44 %"
+        in page.words
+    )
     assert page.words.index("rig.delay delay and body.resonator resonance −0.61") < page.words.index("mass +0.12")
     assert page.words.count("body.line") == 30
     before, folded = page.words.split("22 more")
@@ -108,10 +111,10 @@ def test_ranking_is_cut_and_shows_aliases(tmp_path: Path) -> None:
 def test_nothing_missing_is_said_calmly_with_the_limits_first(tmp_path: Path) -> None:
     text, page = page_of(make_diagnosis("nothing"), tmp_path)
     assert '<section class="verdict nothing">' in text
-    for absent in ("What was left out", "Is it better with it?", "<article", "<h3>After", 'class="k"'):
+    for absent in ("Missing effects", "<h2>Improvement", "<article", "<h3>After", 'class="k"'):
         assert absent not in text
-    assert text.index("What would have been seen") < text.index("<h2>The network")
-    assert "“Nothing” means: nothing as large as this." in page.words
+    assert text.index("Detection limits") < text.index("<h2>The network")
+    assert "“Nothing is missing” means: nothing above these limits." in page.words
 
 
 def test_unknown_draws_the_one_port_that_is_missing(tmp_path: Path) -> None:
@@ -153,7 +156,7 @@ def test_nothing_missing_that_cannot_be_relied_on_is_refused(tmp_path: Path) -> 
     diagnosis = make_diagnosis("nothing", subjects=3, size=5)
     text, page = page_of(replace(diagnosis, verdict=replace(diagnosis.verdict, reliable=False)), tmp_path)
     assert '<section class="verdict refused">' in text
-    assert "means: nothing as large" not in page.words
+    assert "means: nothing above" not in page.words
 
 
 def test_signed_values_without_a_sure_sign(tmp_path: Path) -> None:
@@ -171,7 +174,7 @@ def test_names_are_escaped_on_the_page_and_harmless_in_pictures(tmp_path: Path) 
     diagnosis = replace(diagnosis, verdict=replace(diagnosis.verdict, where=where))
     text, page = page_of(diagnosis, tmp_path)
     assert "<b>, a&b, $x_{$ and 17 more" in page.words
-    assert "All 20 people in whom it is seen" in page.words
+    assert "All 20 people whose recordings show it" in page.words
     assert "&lt;b&gt;, a&amp;b, $x_{$, \u6307" in text
     with style():
         figure = residual_map(diagnosis)
@@ -209,7 +212,7 @@ def test_differences_from_a_simulation_are_listed_by_element(tmp_path: Path) -> 
     diagnosis = make_diagnosis()
     _, page = page_of(replace(diagnosis, differences=rows), tmp_path)
     assert "m2 centre 0.790 g 0.860 g 1.090 1.020 to 1.170 0.030" in page.words
-    assert "r1 spread between persons (sd of ln) 0.300 0.410 1.37 1.10 to 1.70 < 1e-300" in page.words
+    assert "r1 dispersion between persons (sd of ln) 0.300 0.410 1.37 1.10 to 1.70 < 1e-300" in page.words
     assert "Differences from the simulation" not in page_of(diagnosis, tmp_path)[1].words
 
 

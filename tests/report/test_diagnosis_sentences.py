@@ -51,7 +51,7 @@ def printed_of(name: str, folder: Path, monkeypatch: Any, capsys: Any) -> str:
 def test_numbers_of_the_sentence_are_recorded(name: str) -> None:
     verdict = ALL[name]
     known = [*numbers(to_json(replace(verdict, summary=""))), 90, PEOPLE]
-    unnamed = re.sub(r"a small network .*? stands? in", "", verdict.summary)
+    unnamed = re.sub(r"a small network .*? the place", "", verdict.summary)
     for entry in verdict.physics:
         unnamed = unnamed.replace(entry.name, "")
     for text in NUMBER.findall(unnamed):
@@ -90,7 +90,7 @@ def test_a_spread_and_its_interval_are_of_one_parameter(name: str) -> None:
     diagnosis = diagnosis_of(name)
     for entry in diagnosis.verdict.physics:
         said = why_side(entry, diagnosis)
-        found = re.search(r"Relative spread of (.*?) between people: (?:([\d.]+) %(?! interval))?(.*)", said)
+        found = re.search(r"Relative dispersion of the (.*?) between people: (?:([\d.]+) %(?! interval))?(.*)", said)
         if found is None:
             assert "was not estimated" in said
             assert not NUMBER.findall(said)
@@ -120,7 +120,7 @@ def test_a_spread_of_another_parameter_is_not_said_beside_the_interval() -> None
         dispersion_interval=(0.075, 0.1),
     )
     said = why_side(entry, make_diagnosis(subjects=PEOPLE))
-    assert "Relative spread of mass between people: 9.0 %, 90 % interval 7.5 % to 10 %." in said
+    assert "Relative dispersion of the mass between people: 9.0 %, 90 % interval 7.5 % to 10 %." in said
     assert "14 %" not in said
     shared = why_side(replace(DELAY, dispersion_interval=(0.003, 0.031)), make_diagnosis(subjects=PEOPLE))
     assert "between people: 90 % interval 0.30 % to 3.1 %." in shared

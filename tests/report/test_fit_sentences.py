@@ -120,7 +120,7 @@ def test_a_share_inside_of_a_band_is_an_average_with_its_range(tmp_path: Path) -
     result.summary["coverage"]["90"] = 0.9
     result.summary["coverage_by_frequency"]["90"] = [0.0, 1.0]
     words = words_of(result, tmp_path)
-    assert words.count("90 % on average (0 % to 100 % at single frequencies)") == 2
+    assert words.count("on average 90 % of the recordings (0 % to 100 % at single frequencies)") == 2
     assert not re.search(r"band contains \d+ % of", words)
 
 
@@ -141,8 +141,8 @@ def test_an_interval_that_is_said_to_exclude_zero_does_so_as_written(low: float,
 def test_what_chance_leaves_is_said_for_the_number_of_people() -> None:
     said = chance_in_words(make_result(subjects=71))  # 0.9 -+ 1.645 sqrt(0.09 / 71), 0.5 -+ 1.645 sqrt(0.25 / 71)
     assert said == (
-        "With 71 people, chance alone leaves nine of ten frequencies between 40 % and 60 % for the 50 % band and "
-        "between 84 % and 96 % for the 90 % band."
+        "With 71 people and correct bands, nine of ten frequencies lie between 40 % and 60 % (50 % band) and "
+        "between 84 % and 96 % (90 % band)."
     )
 
 

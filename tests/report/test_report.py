@@ -134,9 +134,9 @@ def test_says_who_was_measured(tmp_path: Path) -> None:
 
 def test_covariates_are_listed(tmp_path: Path) -> None:
     text, page = page_of(tmp_path, covariates=("contact_force_n",))
-    assert "What the covariates change" in text
+    assert "Effects of the covariates" in text
     assert "--covariate contact_force_n" in page.words
-    assert "What the covariates change" not in page_of(tmp_path)[0]
+    assert "Effects of the covariates" not in page_of(tmp_path)[0]
 
 
 def test_command_names_what_differs_from_the_defaults(tmp_path: Path) -> None:

@@ -153,7 +153,7 @@ def test_a_fit_that_loses_the_scheduler(
     arguments, out = fit_arguments(tiny / "data", tmp_path / "out"), tmp_path / "out"
     assert main([*arguments, "--scheduler", cluster.address]) == 1
     assert happened
-    require_one_sentence(capsys, "does not answer any more", "with --resume")
+    require_one_sentence(capsys, "no longer answers", "with --resume")
     assert "first_fits.npz" in pieces(out)
     assert main([*arguments, "--resume"]) == 0
     assert (out / "result.nc").read_bytes() == (tiny / "out" / "result.nc").read_bytes()

@@ -27,7 +27,7 @@ def test_what_was_made_is_replaced_and_what_was_not_is_not(tmp_path: Path) -> No
     make(out, "again")
     assert (out / "a.txt").read_text() == "again"
     (out / "a.txt").write_text("edited by the user")
-    with pytest.raises(InputError, match=r"a\.txt: was not made by this package or has been changed.*--overwrite"):
+    with pytest.raises(InputError, match=r"a\.txt: was not written by this package or was changed.*--overwrite"):
         make(out)
     assert (out / "a.txt").read_text() == "edited by the user"
     make(out, "third", overwrite=True)
@@ -64,7 +64,7 @@ def test_the_user_s_file_is_not_counted_as_ours_when_the_work_fails(tmp_path: Pa
 
     with pytest.raises(KeyError):
         failing()
-    with pytest.raises(InputError, match="was not made"):
+    with pytest.raises(InputError, match="was not written"):
         make(tmp_path)
 
 
@@ -72,7 +72,7 @@ def test_the_user_s_file_is_not_counted_as_ours_when_the_work_fails(tmp_path: Pa
 def test_a_damaged_mark_protects(tmp_path: Path, mark: str) -> None:
     make(tmp_path)
     (tmp_path / MARK).write_text(mark, encoding="latin-1")
-    with pytest.raises(InputError, match="was not made"):
+    with pytest.raises(InputError, match="was not written"):
         make(tmp_path)
 
 
@@ -100,7 +100,7 @@ def test_a_second_process_is_told_who_holds_the_folder_and_takes_it_over_after_a
     with subprocess.Popen([sys.executable, "-c", HOLD, str(tmp_path)], stdout=subprocess.PIPE, text=True) as first:
         assert first.stdout is not None
         assert first.stdout.readline() == "held\n"
-        with pytest.raises(BusyError, match=rf"process {first.pid} on {socket.gethostname()} writes there"):
+        with pytest.raises(BusyError, match=rf"process {first.pid} on {socket.gethostname()} is writing there"):
             make(tmp_path)
         first.kill()
     assert (tmp_path / LOCK).exists()  # stale

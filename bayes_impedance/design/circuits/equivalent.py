@@ -89,7 +89,7 @@ class Equivalent:
         return (
             f"{', '.join(self.replaced)} {'is' if len(self.replaced) == 1 else 'are'} approximated by ladders of "
             f"masses, compliances and dampers, within {_percent(self.error)} of every user's impedance from {low:g} to "
-            f"{high:g} Hz; outside this band they are no statement about the body"
+            f"{high:g} Hz; outside this band they do not represent the body"
         )
 
 
@@ -116,8 +116,8 @@ def equivalent(users: Users, accuracy: float = ACCURACY) -> Equivalent:
         if accuracy < LOOP_ACCURACY:
             return equivalent(users, LOOP_ACCURACY)
         raise NotRealisableError(
-            f"{users.network} has no finite state space, and ladders near to it take {len(network.elements)} elements, "
-            f"more than {_MOST}"
+            f"{users.network} has no finite state space, and ladders that approximate it need "
+            f"{len(network.elements)} elements, more than {_MOST}"
         )
     order = network.elements
     u = np.stack([np.broadcast_to(np.log(found[name].value), len(users)) for name in order], axis=-1)
@@ -128,8 +128,8 @@ def equivalent(users: Users, accuracy: float = ACCURACY) -> Equivalent:
         error = float(np.max(np.abs(plain.impedance(frequency) / users.impedance(frequency) - 1)))
         if error > _WORST and not builder.lossy:
             raise NotRealisableError(
-                f"{', '.join(builder.replaced)} has no finite state space, and the nearest ladder is off by "
-                f"{_percent(error)} of some user's impedance"
+                f"{', '.join(builder.replaced)} has no finite state space, and the best ladder deviates by "
+                f"{_percent(error)} from some user's impedance"
             )
     return Equivalent(plain, error, tuple(builder.replaced), {name: found[name].text for name in order})
 
@@ -145,8 +145,8 @@ def in_loop(users: Users) -> Equivalent:
     made = equivalent(users, LOOP_ACCURACY)
     if made.replaced and len(made.users.elements) > _MOST_IN_LOOP:
         raise NotRealisableError(
-            f"ladders near to {users.network} take {len(made.users.elements)} elements, more than the {_MOST_IN_LOOP} "
-            "of a stability analysis"
+            f"ladders that approximate {users.network} need {len(made.users.elements)} elements, more than the "
+            f"{_MOST_IN_LOOP} that a stability analysis allows"
         )
     return made
 
@@ -259,7 +259,7 @@ class _Builder:
             return self.names.element(letter, value / scale.factor if letter == "n" else value * scale.factor)
         if letter == "m":
             raise NotRealisableError(
-                "a loss factor around a mass is no passive material, so there is no finite state space"
+                "a loss factor applied to a mass is not passive, so that there is no finite state space"
             )
         if letter == "n":
             return self._power(scale.factor / value, scale.power - 1)

@@ -96,7 +96,7 @@ def power_ladder(
     least, most = float(beta.value.min()), float(beta.value.max())
     if not (least > 0 and most < 1 and np.all(strength.value > 0)):
         raise InputError(
-            f"a power law with exponent {-most:.4g} is no passive material: its exponent lies between -1 (spring) and "
+            f"a power law with exponent {-most:.4g} is not passive: the exponent must lie between -1 (spring) and "
             "0 (damper)"
         )
     low, high = 2 * np.pi * band_hz[0], 2 * np.pi * band_hz[1]

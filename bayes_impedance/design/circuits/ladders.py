@@ -108,7 +108,7 @@ def built(
             if path or any(
                 o.name not in FILTERS for o in here[min(i for i, o in enumerate(here) if o.name in FILTERS) :]
             ):
-                raise InputError("filters can be written only at the port, after everything else that happens there")
+                raise InputError("filters can be written only at the port, outside all other operations there")
             filters = [o for o in here if o.name in FILTERS]
             here = [o for o in here if o.name not in FILTERS]
         for operation in here:
@@ -141,8 +141,7 @@ def _applied(
 ) -> tuple[Network, dict[str, float]]:
     if TRAITS[operation.name].built_as not in ("elements", "ladder"):
         raise InputError(
-            f"the operation '{operation.name}' is no network of elements: it can be neither realised nor approximated "
-            "by a passive one"
+            f"the operation '{operation.name}' cannot be realised, nor approximated, by a passive network of elements"
         )
     place = Place(operation.path, "")
     x = coefficient(operation, parameters)
@@ -179,7 +178,7 @@ def _applied(
             branch, own = _power_law(x * operation.constants[1] ** beta, float(beta), names, band_hz, accuracy)
             return network.beside(place, branch), values | own
     if not (isinstance(there, Element) and there.name[0] == "n"):
-        raise InputError("a power law in place of an element is built of springs only, at the place of a spring")
+        raise InputError("a power law can replace an element only at the place of a spring")
     strength = float(operation.constants[1] ** -x / values[there.name])  # z (s/c1)^x with z = 1/(s n)
     branch, own = _power_law(strength, 1 - x, names, band_hz, accuracy)
     return network.replaced(place, branch), values | own
@@ -228,7 +227,7 @@ class _Names(Names):
 def _layer(there: Network, values: Mapping[str, float], mass: float, names: _Names) -> tuple[Network, dict[str, float]]:
     """The network in parallel to z in a layer of the given mass."""
     if not mass > 0:
-        raise InputError("a layer of negative mass is no network: it cannot be built")
+        raise InputError("a layer of negative mass cannot be built as a network")
     kappa = np.pi * np.arange(1, _LINE_TERMS + 1)
     terms = Terms(kappa, np.full(kappa.size, 2.0), 1.0, float(1 / 3 - np.sum(2 / kappa**2)))
     network, found = line_ladder(

@@ -201,7 +201,7 @@ def _control(band_hz: tuple[float, float], points: int, output: str, shown: str)
 def _cards(network: Network, analogy: str, first: str, second: str) -> list[str]:
     """Lines of all elements between two nodes."""
     if analogy not in ANALOGIES:
-        raise InputError(f"'{analogy}' is no analogy: choose fv (force-voltage) or fc (force-current)")
+        raise InputError(f"analogy is '{analogy}': choose fv (force-voltage) or fc (force-current)")
     return list(_between(network, analogy, first, second, count(1)))
 
 
@@ -232,7 +232,7 @@ def _filtered(
     node = "f0"
     for i, operation in enumerate(filters, 1):
         if operation.name not in FILTERS:
-            raise InputError(f"'{operation.name}' is no filter: build it as elements")
+            raise InputError(f"'{operation.name}' is not a filter: build it from elements")
         x = coefficient(operation, parameters)
         out = f"f{i}"
         # The mobility has the inverse filter, and so has a negative coefficient.

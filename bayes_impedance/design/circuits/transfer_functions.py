@@ -196,7 +196,7 @@ def to_control(
     """
     control = _control()
     if form not in FORMS:
-        raise InputError(f"'{form}' is no form: choose {', '.join(FORMS)}")
+        raise InputError(f"form is '{form}': choose {', '.join(FORMS)}")
     if form == "transfer":
         function = transfer_function(network, values, mobility=mobility)
         return control.TransferFunction(function.numerator, function.denominator)
@@ -206,7 +206,7 @@ def to_control(
         return control.zpk(poles, zeros, 1 / gain) if mobility else control.zpk(zeros, poles, gain)
     wanted = impedance.reciprocal() if mobility else impedance
     if wanted.high > 0:
-        raise InputError("this grows with s without bound and has no state space: ask for its reciprocal")
+        raise InputError("this function grows without bound with s and has no state space: ask for its reciprocal")
     a, b, c, d = matrices(wanted)
     return control.StateSpace(a[0], b[0][:, None], c[0][None], [[d[0]]])
 
@@ -246,7 +246,7 @@ def read_control(file: Path) -> dict[str, Any]:
             for entry in table["users"]
         }
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{file}: holds no transfer functions ({error}); give an exported transfer.json") from None
+        raise InputError(f"{file}: contains no transfer functions ({error}); give an exported transfer.json") from None
 
 
 def _control() -> Any:

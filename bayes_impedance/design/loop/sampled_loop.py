@@ -186,7 +186,9 @@ def sampled_loop(device: Device, users: Realisation) -> SampledLoop:
     else:
         transition, late = first[:, :n, :n], np.zeros_like(b)
     if not np.all(np.isfinite(transition)):
-        raise InputError("the motion of device and user cannot be computed over one period: check values and units")
+        raise InputError(
+            "the motion of device and user over one period cannot be computed: check the device's values and units"
+        )
     return SampledLoop(
         transition=transition, now=first[:, :n, n], late=late, position=position, whole=whole, period_s=period
     )

@@ -84,7 +84,7 @@ def transparency(
         If the loop is stable with no user at these gains, or both gains are zero.
     """
     if not stiffness + damping > 0:
-        raise InputError("a wall of no stiffness and no damping has no transparency: give gains above zero")
+        raise InputError("transparency is not defined for a wall without stiffness and damping: give gains above zero")
     frequency_hz = frequency_hz[frequency_hz < 0.5 / device.period_s]
     loop = loop_of(device, users)
     gains = (np.full((len(users), 1), g) for g in (stiffness, damping))

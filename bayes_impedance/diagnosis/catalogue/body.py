@@ -16,7 +16,8 @@ BODY_MASS = register(
         pooling="varying",
         places=("port", "groups"),
         formula="z + s m",
-        story="Some tissue moves as one with the contactor. How much differs from person to person.",
+        story="Part of the tissue moves rigidly with the contactor and adds its mass. The mass differs from person to "
+        "person.",
         look_for="a change of Im z that grows with frequency and differs between people",
         separates="a smaller contactor, under which less tissue moves",
         source="Fingertip models under shear: 0.11 to 0.23 g",
@@ -34,9 +35,9 @@ BODY_SPRINGPOT_ELEMENT = register(
         pooling="varying",
         places=("springs",),
         formula="1/(s n) becomes c s^(a-1)",
-        story="The material is neither spring nor damper but something between: it creeps and forgets by a power law. "
-        "Its phase is the same over decades of frequency.",
-        look_for="depressed arcs; phase and slope that change together over decades",
+        story="The material lies between a spring and a damper (springpot): it creeps and relaxes by a power law of "
+        "time. Its phase is constant over decades of frequency.",
+        look_for="depressed arcs in the complex plane; phase and slope that change together over decades",
         separates="a wider band, by a decade or more",
         source=_FRACTIONAL,
         operation="power",
@@ -52,9 +53,9 @@ BODY_SPRINGPOT = register(
         pooling="varying",
         places=("port", "groups", "springs", "dampers"),
         formula="z + c s^(a-1)",
-        story="A power-law material works beside what the network has: it creeps and forgets without a time constant. "
-        "Its phase is the same over decades of frequency.",
-        look_for="phase and slope that change together over decades; diffusion if a is near 0.5",
+        story="A power-law material (springpot) acts in parallel with the place: it creeps and relaxes without a time "
+        "constant. Its phase is constant over decades of frequency.",
+        look_for="phase and slope that change together over decades; an exponent a near 0.5 indicates diffusion",
         separates="a wider band, by a decade or more",
         source=_FRACTIONAL,
         operation="beside_power",
@@ -73,10 +74,10 @@ BODY_HYSTERESIS = register(
         pooling="varying",
         places=("springs",),
         formula="k(1 + j eta)/s",
-        story="The tissue loses the same energy in every cycle however slow it is, as rubbing fibres do. "
-        "A damper would lose less the slower it moves.",
+        story="The tissue loses the same share of energy in every cycle at any frequency, as friction between fibres "
+        "does. A damper would lose less at lower frequencies.",
         look_for="a loss angle that does not depend on frequency",
-        separates="a lower frequency end: a power law's stiffness falls with it, that of hysteresis does not",
+        separates="lower frequencies: the stiffness of a power law falls there, that of a hysteretic spring does not",
         source="Structural damping",
         operation="hysteresis",
         coefficients=(Coefficient("loss_factor", ""),),
@@ -91,8 +92,8 @@ BODY_RELAXATION = register(
         pooling="varying",
         places=("port", "groups", "springs", "dampers"),
         formula="z + 1/(1/r + s n)",
-        story="A spring that is held through a damper supports quick loads and lets go of slow ones. "
-        "Stiffness rises by a step around one frequency, where the loss has its maximum.",
+        story="A spring in series with a damper (Maxwell branch) resists fast loads and relaxes under slow ones. "
+        "The stiffness rises by a step around one frequency, where the loss has its maximum.",
         look_for="a step of stiffness with a peak of loss, a decade wide",
         separates="finer frequencies around the step",
         source="Standard linear solid",
@@ -110,10 +111,10 @@ BODYRESONATOR = register(
         pooling="varying",
         places=("port", "groups", "springs", "dampers"),
         formula="z + 1/(1/(s m) + 1/(r + k/s))",
-        story="A further joint or bone swings on the tissue around it. "
-        "It makes a bump whose frequency differs between people.",
-        look_for="a resonance that lies elsewhere in everybody",
-        separates="another posture or grip force, which moves the bump",
+        story="A further joint or bone vibrates on the tissue around it. "
+        "It causes a resonance whose frequency differs between people.",
+        look_for="a resonance at a different frequency in each person",
+        separates="another posture or grip force, which shifts the resonance",
         source="Hand-arm models with several segments",
         operation="resonator",
         coefficients=RESONATOR,
@@ -129,9 +130,9 @@ BODY_LINE = register(
         pooling="varying",
         places=("groups", "springs"),
         formula="z x coth x, x^2 = s M/z",
-        story="The tissue's mass is spread over its thickness, so a wave runs through it. "
-        "Above the first resonance it does not move as one any more.",
-        look_for="several resonances at odd ratios towards the high end",
+        story="The tissue's mass is distributed over its thickness, so that shear waves run through it. "
+        "Above the first resonance it no longer moves as one mass.",
+        look_for="several resonances at odd multiples of the first, towards the high end of the band",
         separates="a band that reaches beyond the first resonance of the layer",
         source="Shear beam on a rigid base: transmission line",
         operation="line",
@@ -147,10 +148,10 @@ BODY_BYPASS = register(
         pooling="varying",
         places=("port",),
         formula="z + r + k/s",
-        story="Something holds the contactor to ground beside the finger, such as a neighbouring finger or a sleeve. "
-        "Its stiffness and its loss add to everybody's own, in differing amounts.",
-        look_for="an offset of Re z and of s Im z that differs between people",
-        separates="a recording with the second path lifted off",
+        story="Something besides the finger connects the contactor to ground, such as a neighbouring finger or a "
+        "sleeve. Its stiffness and damping add to those of the finger and differ between people.",
+        look_for="a constant offset of Re z, and one of Im z that falls as 1/frequency; both differ between people",
+        separates="a recording with the second path removed",
         source="Contact with neighbouring fingers or surrounds",
         operation="bypass",
         coefficients=(Coefficient("damping", "r"), Coefficient("stiffness", "k")),
@@ -166,10 +167,10 @@ BODY_REFLEX = register(
         pooling="varying",
         places=("port", "groups"),
         formula="z + k exp(-s T)/(s (1 + s/wc))",
-        story="Muscles answer a stretch after the time that nerves need, about 29 ms (short) or 51 ms (long). "
-        "The delayed stiffness winds the phase at the low end of the band.",
+        story="Muscles respond to a stretch with the latency of the reflex, about 29 ms (short) or 51 ms (long). "
+        "The delayed stiffness makes the phase oscillate over frequency at the low end of the band.",
         look_for="ripples over linear frequency with a period of 1/T, below 50 Hz",
-        separates="a relaxed against a tensed hand; anaesthesia",
+        separates="recordings with a relaxed and with a tensed hand; anaesthesia",
         source="Short- and long-latency stretch reflexes",
         operation="reflex",
         coefficients=(
@@ -187,10 +188,10 @@ BODY_DRIFT = register(
         side="body",
         pooling="varying",
         places=("springs", "dampers"),
-        formula="z exp(x q(f)), q the part of the sweep's time that has passed",
+        formula="z exp(x q(f)), q the elapsed fraction of the sweep's duration",
         story="The tissue relaxes under the load while the frequencies are measured one after the other. "
-        "An element is not the same at the end of the sweep as it was at its beginning.",
-        look_for="a slope of the magnitude over frequency without the phase that belongs to it",
+        "An element therefore has another value at the end of the sweep than at its beginning.",
+        look_for="a slope of the magnitude over frequency without the corresponding phase",
         separates="a sweep in the opposite direction, or in random order",
         source="Creep of about 0.5 % per second under load",
         operation="sweep",
@@ -207,7 +208,7 @@ BODY_SUBGROUP = register(
         pooling="some",
         places=("port",),
         formula="1/(1/z + 1/(r + 1/(s n))) in some people",
-        story="Some people have a further layer in front, such as a callus. The others have none of it.",
+        story="Some people have a further layer in series with the finger, such as a callus. The others have none.",
         look_for="people in two groups",
         separates="an examination of the skin",
         source="Calluses of manual workers",

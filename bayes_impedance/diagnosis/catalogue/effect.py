@@ -17,7 +17,7 @@ A new effect is registered in a few lines::
     register(Effect(
         id="body.nail", name="nail", side="body", pooling="varying", branch="m-(n|r)", connection="beside",
         places=("port",), formula="z + 1/(1/(s m) + 1/(r + 1/(s n)))",
-        story="The nail rides on its bed. It moves along at low and stays behind at high frequencies.",
+        story="The nail moves with its bed at low frequencies and lags behind at high ones.",
         look_for="a bump at the resonance", separates="a recording with the nail clamped", source="ours"))
 """
 
@@ -114,7 +114,7 @@ class Effect:
             choice_in(self.operation, f"{what}: operation", NAMES)
             self._check_coefficients(what)
         elif self.coefficients:
-            raise InputError(f"{what}: a branch has no coefficients but its elements; leave coefficients out")
+            raise InputError(f"{what}: the coefficients of a branch are its elements; leave 'coefficients' out")
         if self.branch:
             parse(self.branch)
 
@@ -132,8 +132,8 @@ class Effect:
         for coefficient in self.coefficients[1:]:
             if traits.scanned is None and coefficient.grid == ():
                 raise InputError(
-                    f"{what}: coefficient '{coefficient.name}' has no grid, so that it would never be looked for; "
-                    "give values, or how many for each decade"
+                    f"{what}: coefficient '{coefficient.name}' has no grid, so that the effect would never be tried; "
+                    "give a tuple of values, or the number of values per decade"
                 )
         if not set(self.places) <= set(traits.places):
             raise InputError(f"{what}: '{self.operation}' acts on {', '.join(traits.places)} only")
@@ -204,7 +204,7 @@ def register(effect: Effect) -> Effect:
         If the argument is not an `Effect`. (The fields of an effect are checked when it is made.)
     """
     if not isinstance(effect, Effect):
-        raise InputError(f"what is registered is {shown(effect)}, but must be an Effect")
+        raise InputError(f"the argument of register is {shown(effect)}, but must be an Effect")
     _CATALOGUE[effect.id, effect.form] = effect
     return effect
 

@@ -45,9 +45,10 @@ STRUCTURES = {
             name="hum of the mains",
             pooling="shared",
             formula="z + hum near 50 or 60 Hz and multiples",
-            story="The mains couple into the force channel. A few points next to its multiples are far off, at random.",
+            story="The mains voltage couples into the force channel. "
+            "A few points near multiples of the mains frequency deviate strongly and at random.",
             look_for="scatter at single frequencies",
-            separates="another excitation level: hum stays, the finger's force grows",
+            separates="a higher excitation level: the finger's force grows, the hum does not",
             source="Ground loops",
             side="rig",
         ),
@@ -56,8 +57,8 @@ STRUCTURES = {
             name="an element follows a covariate",
             pooling="shared",
             formula="log element = mu + b x",
-            story="People differ partly for a known reason. "
-            "An element follows a quantity that was noted for everybody.",
+            story="Part of the difference between people has a known cause. "
+            "An element follows a covariate that was recorded for everybody.",
             look_for="a trend of an element over the covariate",
             separates="the same people at several values of the covariate",
             source="Stiffness and damping grow with contact force as F^0.35",
@@ -67,8 +68,8 @@ STRUCTURES = {
             name="a group of people that differs",
             pooling="some",
             formula="mixture of two groups",
-            story="Some people differ from the others as a group. "
-            "One centre with one dispersion does not describe both.",
+            story="Some people form a group that differs from the others. "
+            "One centre with one dispersion does not describe both groups.",
             look_for="two clusters",
             separates="an examination of what the group has in common",
             source="Calluses of manual workers",
@@ -89,7 +90,8 @@ STRUCTURES = {
             name="elements vary together",
             pooling="shared",
             formula="full covariance in place of a diagonal one",
-            story="Who has a stiff skin has a lossy one too. Elements that vary together need a full covariance.",
+            story="Elements are correlated between people: for instance, a stiffer skin may also be more lossy. "
+            "Such a population needs a full covariance.",
             look_for="correlated estimates",
             separates="nothing further: the recordings suffice",
             source="Hierarchical models",

@@ -21,7 +21,7 @@ RIG_MASS = register(
         pooling="shared",
         places=("port",),
         formula="z + s m",
-        story="Some of the moving mass between sensor and finger was not subtracted, or too much of it was. "
+        story="The moving mass between sensor and finger was subtracted incompletely, or in excess. "
         "It is the same for everybody because it belongs to the device.",
         look_for="a change of Im z that grows with frequency, the same for everybody",
         separates="the unloaded device, or a second contactor of another known mass",
@@ -40,7 +40,7 @@ RIG_DAMPING = register(
         pooling="shared",
         places=("port",),
         formula="z + r",
-        story="The contactor's suspension loses energy, and that was not fully subtracted. "
+        story="The contactor's suspension loses energy, and this loss was not fully subtracted. "
         "It adds the same resistance at every frequency and for everybody.",
         look_for="a constant offset of Re z, largest where |z| is smallest",
         separates="the unloaded device",
@@ -59,8 +59,8 @@ RIG_STIFFNESS = register(
         pooling="shared",
         places=("port",),
         formula="z + k/s",
-        story="The contactor hangs on a spring whose force was not fully subtracted. "
-        "It shows at the low end of the band, the same for everybody.",
+        story="The contactor is suspended on a spring whose force was not fully subtracted. "
+        "The error is largest at the low end of the band and the same for everybody.",
         look_for="a change of Im z that falls with frequency, the same for everybody",
         separates="the unloaded device at low frequencies",
         source=_PAPER,
@@ -73,13 +73,13 @@ RIG_STIFFNESS = register(
 RIG_DELAY = register(
     Effect(
         id="rig.delay",
-        name="skew between the channels",
+        name="time skew between the channels",
         side="rig",
         pooling="shared",
         places=("port",),
         formula="z exp(-s tau)",
-        story="The force channel is sampled a little later than the acceleration channel (or earlier). "
-        "The phase error grows in proportion to frequency and the magnitude does not change.",
+        story="The force channel is sampled slightly later than the acceleration channel (or earlier). "
+        "The phase error is proportional to frequency, and the magnitude does not change.",
         look_for="a phase error proportional to frequency, no magnitude error",
         separates="a known pure mass in place of the finger: its phase must be 90 degrees at every frequency",
         source="Multiplexed or filtered acquisition channels",
@@ -92,13 +92,13 @@ RIG_DELAY = register(
 RIG_HIGHPASS = register(
     Effect(
         id="rig.highpass",
-        name="unequal coupling corners",
+        name="unequal high-pass corners",
         side="rig",
         pooling="shared",
         places=("port",),
         formula="z s/(s + wc)",
-        story="The two channels block direct current with unequal corner frequencies, as charge amplifiers do. "
-        "The phase is wrong at the low end of the band, by the same angle for everybody.",
+        story="The two channels are high-pass filtered (AC coupled) with unequal corner frequencies, as by charge "
+        "amplifiers. The phase is wrong at the low end of the band, by the same angle for everybody.",
         look_for="a phase error proportional to 1/frequency",
         separates="a known spring or mass measured down to the lowest frequency",
         source="Charge amplifiers and AC coupling",
@@ -117,9 +117,9 @@ RIG_LOWPASS = register(
         places=("port",),
         formula="z/(1 + s/wc)",
         story="The two channels are low-pass filtered with unequal corner frequencies. "
-        "Phase, and at the very end magnitude, are wrong at the high end of the band.",
+        "The phase is wrong at the high end of the band, and close to the corner the magnitude too.",
         look_for="a phase error proportional to frequency, with a fall of magnitude near the corner",
-        separates="a known pure mass measured beyond the band: the magnitude of a delay stays, that of a filter falls",
+        separates="a known pure mass measured beyond the band: a filter lowers its magnitude, a delay does not",
         source="Anti-alias filters",
         operation="lowpass",
         coefficients=(Coefficient("time_constant", "s"),),
@@ -135,8 +135,8 @@ RIG_SERIES_COMPLIANCE = register(
         pooling="shared",
         places=("port",),
         formula="1/(1/z + s n)",
-        story="The adhesive or the mount between sensor and finger gives way. "
-        "The sensor then moves by more than the finger does, most of all where the finger is stiff or heavy.",
+        story="The adhesive or the mount between sensor and finger is compliant. "
+        "The sensor then moves more than the finger, most of all where the finger's impedance is large.",
         look_for="a change proportional to s z^2, the same compliance for everybody",
         separates="a heavier known mass: its apparent mass grows towards high frequencies",
         source="Adhesive mounts of impedance heads",
@@ -155,8 +155,8 @@ RIG_RESONANCE = register(
         pooling="shared",
         places=("port",),
         formula="z + 1/(1/(s m) + 1/(r + k/s))",
-        story="A part of the fixture vibrates along on its own spring. "
-        "It makes a bump at one frequency, the same for everybody.",
+        story="Part of the fixture vibrates on a spring of its own. "
+        "It causes a resonance at one frequency, the same for everybody.",
         look_for="a resonance at the same frequency in everybody",
         separates="the unloaded device, or a tap on the fixture",
         source="Modal tests of fixtures",

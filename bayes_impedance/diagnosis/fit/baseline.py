@@ -146,7 +146,7 @@ def _gathered(refitter: Refitter, fit: Refit) -> Refit:
 def _trust(fit: Refit, point: Estimate) -> tuple[str, ...]:
     remarks = []
     if not fit.settled:
-        remarks.append("The fit of the network did not come to rest; an unconverged fit looks like missing physics.")
+        remarks.append("The fit of the network did not converge; an unconverged fit looks like missing physics.")
     if point.rivals and min(point.rivals) < 6:
-        remarks.append("Another solution for the whole population is nearly as good; the network may be ambiguous.")
+        remarks.append("Another solution for the whole population fits nearly as well; the network may be ambiguous.")
     return tuple(remarks)

@@ -208,7 +208,7 @@ def find_covariates(
                 f"covariate '{name}' has shape {np.shape(values)}: give one number for each of {n} persons"
             )
     if n < MINIMUM_PERSONS:
-        return Trends((), 0, reason=f"{n} persons, and at least {MINIMUM_PERSONS} are needed")
+        return Trends((), 0, reason=f"only {n} persons; at least {MINIMUM_PERSONS} are needed")
     if not covariates:
         return Trends((), 0, reason="there are no covariates")
     remarks: list[str] = []
@@ -227,7 +227,11 @@ def find_covariates(
         if not best or bonferroni(min(best.values()), tried) > alpha:
             break
         beside.append(min(best, key=lambda q: best[q]))
-    remarks += [f"covariate '{q}' has too few persons, or does not differ from others" for q in rows if not rows[q]]
+    remarks += [
+        f"covariate '{q}' is known for too few persons, or is determined by the other covariates"
+        for q in rows
+        if not rows[q]
+    ]
     found = [t for r in rows.values() for t in r]
     return Trends(_corrected(found), tried, tuple(beside), "" if found else "no slope is determined", tuple(remarks))
 
@@ -246,7 +250,7 @@ def find_drift(repetitions: RepetitionLikelihoods) -> Trends:
     """
     n = sum(len(order) > 1 for order in repetitions.order)
     if n < MINIMUM_PERSONS:
-        return Trends((), 0, reason=f"{n} persons have repetitions, and at least {MINIMUM_PERSONS} are needed")
+        return Trends((), 0, reason=f"only {n} persons have repetitions; at least {MINIMUM_PERSONS} are needed")
     fit = fit_normal_population(*drift_model(repetitions))
     kept = np.flatnonzero(np.sqrt(np.diag(fit.variance)) < _LARGEST_SLOPE_SD)
     remarks = tuple(f"{e} is not determined by the repetitions" for e in _others(repetitions.elements, kept))
@@ -306,7 +310,7 @@ def regressors_of(covariates: Mapping[str, np.ndarray], remarks: list[str]) -> d
         values = np.where(np.isfinite(np.asarray(raw, dtype=float)), raw, np.nan)
         known = values[np.isfinite(values)]
         if known.size < MINIMUM_PERSONS:
-            remarks.append(f"covariate '{name}' is known of {known.size} persons only")
+            remarks.append(f"covariate '{name}' is known for {known.size} persons only")
         elif np.ptp(known) <= 1e-9 * np.abs(known).max():
             remarks.append(f"covariate '{name}' is the same for everybody")
         elif known.min() > 0 and np.unique(known).size > 2 and not name.lower().endswith(_CELSIUS):
@@ -316,7 +320,7 @@ def regressors_of(covariates: Mapping[str, np.ndarray], remarks: list[str]) -> d
         else:
             found[name] = values, "linear"
         if name in found and known.size < values.size:
-            remarks.append(f"covariate '{name}' is unknown of {values.size - known.size} persons, who were left out")
+            remarks.append(f"covariate '{name}' is unknown for {values.size - known.size} persons, who were left out")
     return found
 
 

@@ -121,7 +121,7 @@ def separation(winner: Refit, alias: Refit, people: int = 8) -> tuple[Proposal, 
             f"the two explanations were fitted to {len(winner.u)} and {len(alias.u)} recordings: fit both to the same"
         )
     if people < 1:
-        raise InputError(f"{people} people cannot stand for a population: use at least one")
+        raise InputError(f"{people} people cannot represent a population: use at least one")
     present, share = _representatives(winner, alias, people)
     plans = _plans(winner, present)
     values = [_expected(winner, alias, recordings, share) for _, _, recordings in plans]
@@ -143,8 +143,8 @@ def best_sentence(proposals: Sequence[Proposal]) -> str:
         added = p.kind not in ("wider_high", "wider_low")
         if p.kind != "none" and p.elpd > ENOUGH and p.elpd > now * (2.0 if added else 1.0):
             return (
-                f"{p.measurement}: expected to raise the difference from {_two_digits(now)} to {_two_digits(p.elpd)} "
-                "(natural logarithms)"
+                f"{p.measurement}: expected to raise the difference of the log likelihoods from {_two_digits(now)} to "
+                f"{_two_digits(p.elpd)}"
             )
     return "none of the measurements considered"
 
@@ -376,7 +376,9 @@ def _stacked(values: np.ndarray) -> np.ndarray:
 def _heavier(mass: float, impedance_unit: str) -> str:
     unit = MASS.unit(impedance_unit)
     size = number_with_unit(mass, unit, digits=2)
-    return f"a second contactor that is {size} heavier" if unit == "kg" else f"a contactor with {size} more"
+    if unit == "H":
+        return f"an inductance of {size} in series"
+    return f"a second contactor that is {size} heavier" if unit == "kg" else f"a contactor with {size} more inertia"
 
 
 def _two_digits(value: float) -> str:

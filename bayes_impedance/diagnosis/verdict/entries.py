@@ -170,7 +170,7 @@ def aliases_of(step: Step, quick: bool) -> tuple[Alias, ...]:
     for k, (trial, behind, separated) in enumerate(rivals(step)):
         remedy = trial.effect.separates
         if not separated and k < _PROPOSALS and not quick:
-            remedy = f"{best_sentence(separation(step.chosen.fit, trial.fit))}; usually: {remedy}"
+            remedy = f"{best_sentence(separation(step.chosen.fit, trial.fit))}; in general: {remedy}"
         rows.append(
             Alias(
                 id=trial.effect.id,
@@ -189,14 +189,15 @@ def unknown_entry(unknown: Realised, named: int) -> Physics:
     terms = unknown.trial.fit.model.additions[named:]
     addition = terms[0]
     branches = unknown.trial.fit.model.branches[named:]  # with names that are free in the network
-    formula = f"a small network {branches[0]} {addition.effect.connection} the place"
+    joined = "in parallel with" if addition.effect.connection == "beside" else "in series with"
+    formula = f"a small network {branches[0]} {joined} the place"
     if len(terms) > 1:
         each = zip(terms, branches, strict=True)
         formula = "a sum of " + ", ".join(f"{branch or t.effect.name} at {t.place}" for t, branch in each)
     return Physics(
         kind="unknown",
         id="unknown",
-        name="physics outside of the catalogue",
+        name="physics outside the catalogue",
         place=addition.place,
         side=None,
         pooling="shared" if addition.pooling == "shared" else "varying",
@@ -205,7 +206,7 @@ def unknown_entry(unknown: Realised, named: int) -> Physics:
         network=branches[0] if len(terms) == 1 else "",
         connection=addition.effect.connection,
         formula=formula,
-        story="Something is missing that is not in the catalogue. A network that fits stands in for it.",
+        story="No effect of the catalogue explains what is missing. A small passive network represents it.",
     )
 
 

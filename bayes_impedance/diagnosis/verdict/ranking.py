@@ -83,7 +83,7 @@ def ranking(step: Step) -> tuple[Ranked, ...]:
         notes[step.chosen.fit.model.additions[-1].key] = "found"
         for trial, behind, separated in rivals(step):
             key = (trial.effect.id, trial.effect.form, trial.candidate.place)
-            notes[key] = f"{'behind' if separated else 'alias'}, {behind:.1f}"
+            notes[key] = f"{'' if separated else 'alias, '}behind by {behind:.1f}"
     rows = []
     for k in order:
         c = s.candidates[k]

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 from bayes_impedance.diagnosis.verdict_types import Physics, Verdict
 from bayes_impedance.units import number_with_unit as number
+
+_WITHOUT_ARTICLE = frozenset({"corners", "damping", "feedback", "hum", "loss", "stiffness", "tissue", "waves"})
+"""Head nouns of names in the catalogue that take no article: uncountable nouns and plurals."""
 
 
 def sentence(verdict: Verdict, people: int) -> str:
@@ -21,27 +25,30 @@ def sentence(verdict: Verdict, people: int) -> str:
     if not verdict.reliable and verdict.shortcomings:
         return f"Nothing can be concluded: {_clause_of(verdict.shortcomings[0])}"
     if not verdict.mismatch and not verdict.reliable:
-        return "Whether anything is missing cannot be said: the fit of the network did not come to rest."
+        return "No verdict is possible: the fit of the network did not converge."
     if not verdict.mismatch and verdict.shortcomings:
         return (
-            "Nothing was found that all people have and the network lacks, but it does not describe everybody: "
+            "No effect was found that is missing for all subjects, but the network does not describe every subject: "
             f"{_clause_of(verdict.shortcomings[0])}"
         )
     if not verdict.mismatch:
         return (
-            f"Nothing is missing: the network describes the recordings of {_people(people)} to within their noise, "
-            "and an effect larger than the limits listed would have been found."
+            f"Nothing is missing: the network describes the recordings of {_people(people)} to within their noise; "
+            "an effect above the listed detection limits would have been found with a probability of 90 %."
         )
     bands = verdict.where.bands_hz
-    band = f", mostly {_span(bands)}" if bands else ""
+    band = f", seen mostly {_span(bands)}" if bands else ""
     text = f"The network leaves out {_listed([_clause(entry) for entry in verdict.physics])}{band}"
     gain = None if verdict.improvement is None else verdict.improvement.elpd_gain
     if gain is not None and gain > 0:
-        text += f"; with it, predictions of what was held out improve by {gain:.0f} natural logarithms"
-    undecided = [alias for entry in verdict.physics for alias in entry.aliases if not alias.separated]
+        added = "it" if len(verdict.physics) == 1 else "them"
+        text += f"; with {added}, the log predictive density of held-out recordings rises by {gain:.0f}"
+    undecided = [entry for entry in verdict.physics if any(not alias.separated for alias in entry.aliases)]
     if undecided:
-        names = list(dict.fromkeys(f"{alias.name} at {alias.place}" for alias in undecided))
-        text += f". These recordings cannot tell it from {_listed(names[:3], 'or')}"
+        rivals = [alias for entry in undecided for alias in entry.aliases if not alias.separated]
+        names = list(dict.fromkeys(f"{_with_article(alias.name)} at {_place(alias.place)}" for alias in rivals))
+        one = "it" if len(verdict.physics) == 1 else _listed([entry.name for entry in undecided], "or")
+        text += f". These recordings cannot distinguish {one} from {_listed(names[:3], 'or')}"
     if verdict.shortcomings:
         text += f". Even so, {_clause_of(verdict.shortcomings[0])[:-1]}"
     return text + "."
@@ -54,19 +61,28 @@ def _clause_of(sentence: str) -> str:
 
 def _clause(entry: Physics) -> str:
     if entry.kind == "unknown":
-        return f"something unknown at {_place(entry.place)}, for which {entry.formula} stands in"
+        return f"an unknown effect at {_place(entry.place)}, represented by {entry.formula}"
     size = ""
     for name, row in list(entry.parameters.items())[:1]:
         size = f" ({name.replace('_', ' ')} {number(row.median, row.unit)}, 90 % interval "
         size += f"{number(row.q05, row.unit)} to {number(row.q95, row.unit)})"
-    side = {"rig": ", a matter of the rig", "body": ", a matter of the body"}.get(entry.side or "", "")
+    side = {"rig": ", an effect of the rig", "body": ", an effect of the body"}.get(entry.side or "", "")
     others = {alias.id.split(".")[0] for alias in entry.aliases if not alias.separated}
     if not entry.side_decided or others - {entry.side}:
         side = ""  # dispersion is undecided, or an inseparable rival belongs to the other side
     if entry.id == "body.covariate" or entry.kind == "correlation":
         return f"that {entry.name}{size}"
-    at = "" if entry.place == "port" and entry.side == "rig" else f" at {_place(entry.place)}"
-    return f"{entry.name}{at}{size}{side}"
+    word = "in" if entry.kind == "subgroup" else "at"
+    at = "" if entry.place == "port" and entry.side == "rig" else f" {word} {_place(entry.place)}"
+    return f"{_with_article(entry.name)}{at}{size}{side}"
+
+
+def _with_article(name: str) -> str:
+    """A name of the catalogue with its indefinite article, if it takes one."""
+    head = re.split(r" (?:at|between|in|moving|of|on|that|to|with) ", name)[0].split()[-1:]
+    if not head or head[0] in _WITHOUT_ARTICLE or name.startswith(("a ", "an ")):
+        return name
+    return f"{'an' if name[0].lower() in 'aeio' else 'a'} {name}"
 
 
 def _place(name: str) -> str:
@@ -83,4 +99,4 @@ def _listed(parts: Sequence[str], word: str = "and") -> str:
 
 
 def _people(n: int) -> str:
-    return "one person" if n == 1 else f"{n} people"
+    return "one subject" if n == 1 else f"{n} subjects"

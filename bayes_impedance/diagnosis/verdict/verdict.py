@@ -121,7 +121,7 @@ def improvement(before: Snapshot, after: Snapshot, gain: HeldOut | None) -> Impr
         elpd_gain=None if gain is None else gain.people if people else gain.blocks,
         elpd_gain_se=None if gain is None else gain.people_se if people else gain.blocks_se,
         blocks=None if gain is None else BlockGain(gain.blocks, gain.blocks_se),
-        held_out="nothing: spoilt points were left out" if gain is None else gain.described,
+        held_out="nothing; the points affected by hum were left out of the fit" if gain is None else gain.described,
     )
 
 
@@ -245,7 +245,7 @@ def _left_out(evidence: Evidence) -> tuple[str, ...]:
     ids = no_networks(evidence.final.model) if evidence.changed else ()
     if not ids:
         return ()
-    return (f"{', '.join(ids)} cannot be written as a network: 'run --with' fits what else was found.",)
+    return (f"{', '.join(ids)} cannot be written as a network: 'run --with' fits the other effects only.",)
 
 
 def _shortcomings(recordings: Recordings, final: Refit) -> tuple[list[str], list[str]]:
@@ -353,11 +353,12 @@ def _limits_of_few(recordings: Recordings) -> list[str]:
     if len(recordings.subjects) >= FEW_PEOPLE:
         return []
     texts = [
-        "So few people cannot tell what belongs to the rig from what belongs to the body, nor how much people differ."
+        "With so few subjects, effects of the rig and of the body cannot be distinguished, nor can the dispersion "
+        "between subjects be estimated."
     ]
     if all(len(s.repetitions) == 1 for s in recordings.subjects):
         texts.append(
-            "With one repetition the noise is known only from the roughness of the curve, so that smooth errors of "
-            "measurement look like physics."
+            "With one repetition the noise is estimated from the roughness of the curves only, so that smooth errors "
+            "of measurement look like missing physics."
         )
     return texts

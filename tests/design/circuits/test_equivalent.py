@@ -140,8 +140,8 @@ def test_what_cannot_be_made_of_elements_is_refused_in_one_sentence() -> None:
         ("m1|reflex[k1, d1, f1](n1)", r"reflex\[k1, d1, f1\]\(...\) has no finite state space"),
         ("m1|delay[d1](n1)", r"delay\[d1\]\(...\) has no finite state space"),
         ("m1|lowpass[t1](n1)", r"lowpass\[t1\]\(...\) has no finite state space"),
-        ("hysteretic[e1](m1|n1)", "loss factor around a mass is no passive material"),
-        ("line_matched[m2](n1)", r"nearest ladder is off by .* %"),
+        ("hysteretic[e1](m1|n1)", "a loss factor applied to a mass is not passive"),
+        ("line_matched[m2](n1)", r"the best ladder deviates by .* %"),
     ):
         with pytest.raises(NotRealisableError, match=message):
             equivalent(users_of(text))
@@ -154,7 +154,7 @@ def test_what_is_too_large_for_an_accuracy_is_coarser_and_says_so() -> None:
     users = users_of("line_free[m2](p1^a1@100)", 4)
     made = equivalent(users)
     assert 1e-3 < made.error < 1.5e-2
-    with pytest.raises(NotRealisableError, match="more than the 100 of a stability analysis"):
+    with pytest.raises(NotRealisableError, match="more than the 100 that a stability analysis allows"):
         in_loop(users)
 
 
@@ -274,7 +274,7 @@ def test_a_power_law_is_exported_in_every_form_and_every_file_says_how_accuratel
     for file in files:
         content = file.read_text(encoding="utf-8")
         assert "p1^a1 is approximated by ladders" in content, file.name
-        assert "the same for everybody or held, are m9*" in content, file.name
+        assert "the same for everybody or held: m9*" in content, file.name
     because = json.loads((out / "stability.json").read_text())["worst_user"]
     assert {entry["element"] for entry in because["because"]} == {"n3", "r3", "m2", "r1", "n1", "p1", "a1"}
     assert 0 < because["elements"]["a1"] < 1

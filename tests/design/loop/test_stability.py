@@ -242,7 +242,7 @@ def test_users_vary_together_and_once_touched_a_little_more() -> None:
     np.testing.assert_allclose(np.cov(many.u.T), p.covariance, atol=0.008)
     assert np.all(touched.u.std(axis=0) > many.u.std(axis=0))
     np.testing.assert_array_equal(p.draw(7, seed=13).u, p.draw(7, seed=13).u)
-    with pytest.raises(InputError, match="ask for one"):
+    with pytest.raises(InputError, match="ask for at least one"):
         p.draw(0, seed=1)
 
 

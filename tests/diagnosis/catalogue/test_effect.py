@@ -144,7 +144,7 @@ def test_registering_and_taking_out(added: Callable[[Effect], Effect]) -> None:
         ({"places": ()}, "must be a tuple"),
         ({"signed": 1}, "signed is 1"),
         ({"branch": ""}, "give an operation or a branch"),
-        ({"coefficients": (Coefficient("x", "m"),)}, "a branch has no coefficients"),
+        ({"coefficients": (Coefficient("x", "m"),)}, "the coefficients of a branch are its elements"),
         ({"branch": "", "operation": "wobble", "coefficients": (Coefficient("x", "m"),)}, "must be one of add, "),
         ({"branch": "", "operation": "delai"}, 'did you mean "delay"'),
         ({"branch": "", "operation": "add"}, "the coefficients of 'add' are coefficient .linear."),

@@ -119,7 +119,7 @@ def test_what_cannot_be_tested_is_said():
         "hand": (20, "linear"),
     }
     said = " / ".join(found.remarks)
-    for words in ("n3 is not determined", "'force' is the same", "unknown of 4 persons", "'x' is known of 0"):
+    for words in ("n3 is not determined", "'force' is the same", "unknown for 4 persons", "'x' is known for 0"):
         assert words in said
     # Persons without a value have no influence.
     other = find_covariates(people.persons(np.arange(4, 20)), {"age_y": age[4:]})

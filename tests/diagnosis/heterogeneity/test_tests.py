@@ -147,4 +147,4 @@ def test_covariates_are_collected_by_name_with_nan_where_unknown() -> None:
 
 def test_what_cannot_be_tested_is_remarked_upon() -> None:
     _, remarks = entries(toy(*TOY, seed=9, n=4), np.ones(4))
-    assert remarks == ["Covariates: 4 persons, and at least 5 are needed"]
+    assert remarks == ["Covariates: only 4 persons; at least 5 are needed"]

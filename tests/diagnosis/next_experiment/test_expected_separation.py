@@ -234,7 +234,9 @@ def test_a_wider_band_tells_a_lowpass_from_a_delay():
     assert of(proposals, "none").elpd < 10
     assert of(proposals, "wider_high").elpd > 100
     assert of(proposals, "wider_low").gain < 1.1
-    assert best_sentence(proposals).startswith("the band extended to 15 kHz: expected to raise the difference from 3.")
+    assert best_sentence(proposals).startswith(
+        "the band extended to 15 kHz: expected to raise the difference of the log likelihoods from 3."
+    )
 
 
 def test_the_low_end_of_the_band_tells_a_highpass_from_a_spring():
@@ -322,13 +324,15 @@ def proposed(kind: str, elpd: float) -> Proposal:
 def test_the_sentence_names_the_best_measurement_that_is_worth_it():
     present = proposed("none", 4.2)
     assert best_sentence([present, proposed("position", 9.0), proposed("contactor_mass", 163.0)]) == (
-        "measurement contactor_mass: expected to raise the difference from 4.2 to 160 (natural logarithms)"
+        "measurement contactor_mass: expected to raise the difference of the log likelihoods from 4.2 to 160"
     )
     nothing = "none of the measurements considered"
     assert best_sentence([present, proposed("wider_high", 4.9)]) == nothing
     assert best_sentence([present, proposed("position", 8.3)]) == nothing  # as good as the same once more
     wider = best_sentence([proposed("position", 8.3), proposed("wider_low", 8.0), present])
-    assert wider.startswith("measurement wider_low: expected to raise the difference from 4.2 to 8.0")
+    assert wider.startswith(
+        "measurement wider_low: expected to raise the difference of the log likelihoods from 4.2 to 8.0"
+    )
     assert best_sentence([]) == nothing
 
 

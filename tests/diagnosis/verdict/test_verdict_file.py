@@ -64,14 +64,14 @@ def test_what_is_not_finite_becomes_null_and_is_read_as_unknown() -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda r: r.pop("schema"), "no verdict of schema 1"),
-        (lambda r: r.update(schema=2), "no verdict of schema 1"),
+        (lambda r: r.pop("schema"), "not a verdict of schema 1"),
+        (lambda r: r.update(schema=2), "not a verdict of schema 1"),
         (lambda r: r.pop("where"), "'where' is missing"),
         (lambda r: r["where"].pop("bands_hz"), "'bands_hz' is missing"),
         (lambda r: r["where"].update(colour="red"), "colour"),
-        (lambda r: r["physics"][0].pop("story"), "which no kind of entry has"),
-        (lambda r: r["physics"][0].update(colour="red"), "which no kind of entry has"),
-        (lambda r: r.update(network=["m1"]), "no verdict of schema 1"),
+        (lambda r: r["physics"][0].pop("story"), "fit no kind of entry"),
+        (lambda r: r["physics"][0].update(colour="red"), "fit no kind of entry"),
+        (lambda r: r.update(network=["m1"]), "not a verdict of schema 1"),
     ],
 )
 def test_what_is_no_verdict_is_said_to_be_none(change: Callable[[dict[str, Any]], object], said: str) -> None:

@@ -71,7 +71,7 @@ def test_one_person_has_no_side() -> None:
     record = record_of("one person")
     assert record["where"]["side"] is None
     assert [entry["side_decided"] for entry in record["physics"]] == [False]
-    assert sum("So few people" in remark or "one repetition" in remark for remark in record["remarks"]) == 2
+    assert sum("so few subjects" in remark or "one repetition" in remark for remark in record["remarks"]) == 2
 
 
 def test_members_of_a_group_are_named() -> None:
@@ -122,10 +122,10 @@ def test_the_sentence_names_what_it_cannot_be_told_from() -> None:
     ]
     record["physics"][0]["aliases"] = aliases
     said = sentence(from_json(record), 10)
-    assert said.endswith("These recordings cannot tell it from body at port.")
-    assert "a matter of the rig" not in said  # the other explanation is of the other side
+    assert said.endswith("These recordings cannot distinguish it from a body at the port.")
+    assert "an effect of the rig" not in said  # the other explanation is of the other side
     aliases[0]["separated"] = True
-    assert "a matter of the rig" in sentence(from_json(record), 10)
+    assert "an effect of the rig" in sentence(from_json(record), 10)
 
 
 @pytest.mark.parametrize(
