@@ -278,6 +278,7 @@ def sample(
     seed: np.random.SeedSequence,
     progress: Progress,
     checkpoint: Path | None = None,
+    first_file: int = 0,
 ) -> Chains:
     """Sample a distribution that is close to normal.
 
@@ -295,6 +296,8 @@ def sample(
     checkpoint : Path, optional
         Folder in which the growing chains are saved (``ensemble_0.h5`` and so on, readable by emcee's ``HDFBackend``);
         chains found there are continued.
+    first_file : int
+        Number of the first ensemble's file, so that several samplings share the folder.
 
     Returns
     -------
@@ -307,9 +310,10 @@ def sample(
         If the folder keeps chains of another number of dimensions.
     """
     covariance = np.diag(scale**2) if scale.ndim == 1 else scale
+    children = seed.spawn(settings.ensembles)
+    files = [checkpoint / f"ensemble_{first_file + i}.h5" if checkpoint else None for i in range(settings.ensembles)]
     ensembles = [
-        _Ensemble(log_probability, centre, covariance, child, checkpoint / f"ensemble_{i}.h5" if checkpoint else None)
-        for i, child in enumerate(seed.spawn(settings.ensembles))
+        _Ensemble(log_probability, centre, covariance, child, file) for child, file in zip(children, files, strict=True)
     ]
     total = settings.ensembles * sum(settings.burn_in)
     done = [0]

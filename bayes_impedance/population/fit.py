@@ -8,7 +8,8 @@ The steps, each in a module of its own:
 3. :mod:`~bayes_impedance.person.importance_draws`: importance draws of each person's elements under that estimate;
 4. :mod:`~bayes_impedance.population.importance_likelihood`, :mod:`~bayes_impedance.population.sharded_likelihood` and
    :mod:`~bayes_impedance.population.posterior`: the posterior density of population parameters, from these draws;
-5. :mod:`~bayes_impedance.mcmc.ensemble`: emcee over :mod:`~bayes_impedance.population.parameters`;
+5. :mod:`~bayes_impedance.mcmc.ensemble`: emcee over :mod:`~bayes_impedance.population.parameters`, repeated with other
+   draws if these do not hold for the sampled populations (:mod:`~bayes_impedance.population.sampling`);
 6. each person's own posterior, by resampling the draws with their weights under each sampled population.
 
 If there is a checkpoint folder, first fits, iterations of the point estimate and chains are saved as they are computed.
@@ -40,6 +41,7 @@ from bayes_impedance.population.natural_scales import default_prior
 from bayes_impedance.population.parameters import PopulationParameters, Prior
 from bayes_impedance.population.posterior import Posterior
 from bayes_impedance.population.requirements import CheckedModel, checked_model
+from bayes_impedance.population.sampling import sampled
 from bayes_impedance.population.shared import Pooling
 from bayes_impedance.population.starting_fits import FirstFits, first_fits, noise_of
 from bayes_impedance.population.whole import Whole
@@ -256,25 +258,16 @@ def fit_population(
         repetitions = np.array([len(s.repetitions) for s in recordings.subjects])
         full = settings.covariance == "full"
         posterior = Posterior(repetitions, prior, full, settings.draws, point, covariates)
-        with clock.measure("draws"):
-            posterior.draw(seeds[3], executor, progress)
+        posterior, chains, error = sampled(
+            posterior, settings.sampler, seeds[3], seeds[2], executor, clock, progress, checkpoint
+        )
         point.forget()
-        with clock.measure("population"):
-            chains = sample(
-                posterior.log_probability,
-                posterior.mode,
-                posterior.normal_covariance,
-                settings.sampler,
-                seeds[2],
-                progress,
-                checkpoint,
-            )
         with clock.measure("persons"):
             kept = _kept_sets(chains, len(recordings.subjects) * len(kernel.elements))
             flat = chains.coordinates[:, kept].reshape(-1, chains.coordinates.shape[-1])
             parameters = posterior.coordinates.unpack(flat)
             person_draws, person_likelihood = posterior.marginal.persons(parameters, seeds[4])
-            diagnostics = assess(recordings, point, chains, posterior.marginal, parameters, posterior.redrawn)
+            diagnostics = assess(recordings, point, chains, posterior.marginal, parameters, posterior.redrawn, error)
             scaled = partial(_scaled_noise, first.model)
             noise = tuple(map_persons(executor, scaled, recordings.subjects, point.scale))
     shape = (settings.sampler.ensembles, -1, len(recordings.subjects))

@@ -301,12 +301,13 @@ class ImportanceLikelihood:
             if values.shape != shape:  # allocating an array for every product would take longer than the product
                 values = np.empty(shape, dtype=np.float32)
             if coefficients.ndim == 2:  # the same for every person: one product
-                with np.errstate(over="ignore"):  # overflow if the dispersion vanishes: minus infinity, refused later
+                with np.errstate(over="ignore", invalid="ignore"):  # as below
                     np.matmul(coefficients, features, out=values.reshape(shape[0], -1))
             else:
                 own = features.reshape(features.shape[0], persons.size, self.n_draws)
-                for n in range(persons.size):
-                    np.matmul(coefficients[:, n], own[:, n], out=values[:, n])
+                for n in range(persons.size):  # if a dispersion vanishes it overflows, and is refused later
+                    with np.errstate(over="ignore", invalid="ignore"):
+                        np.matmul(coefficients[:, n], own[:, n], out=values[:, n])
             yield persons, values, constants
 
     def _population(self, parameters: PopulationParameters, repetitions: int) -> tuple[np.ndarray, np.ndarray]:

@@ -168,6 +168,25 @@ class KeptDraws:
         """Each person's effective number of draws under W sets, shape (W, N)."""
         return np.concatenate(self._kept.ask(_effective, parameters), axis=1)
 
+    def influences(self, parameters: PopulationParameters, influence: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How the weights of the draws go with functions of W sets of parameters.
+
+        Parameters
+        ----------
+        parameters : PopulationParameters
+        influence : ndarray, shape (W, F)
+            Functions of the sets, with a mean of zero, divided by W.
+
+        Returns
+        -------
+        squares : ndarray, shape (F,)
+            Squared covariance of each function with each draw's normalised weight, summed over draws and persons.
+        least : ndarray, shape (W,)
+            Smallest effective number of draws over persons.
+        """
+        both = self._kept.ask(_influences, parameters, influence)
+        return np.asarray(np.sum([a for a, _ in both], axis=0)), np.asarray(np.min([b for _, b in both], axis=0))
+
     def missed(self) -> float:
         """What moving the draws with shared parameters misses of the log likelihood, at most, at test points."""
         return float(np.abs(np.sum(self._kept.ask(_missed), axis=0)).max(initial=0.0))
@@ -301,6 +320,18 @@ def _variance(part: Part, parameters: PopulationParameters) -> np.ndarray:
 
 def _effective(part: Part, parameters: PopulationParameters) -> np.ndarray:
     return np.asarray(part.marginal.terms(parameters, effective=True)[1])
+
+
+def _influences(part: Part, parameters: PopulationParameters, influence: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    squares, least = np.zeros(influence.shape[1]), np.full(len(influence), np.inf)
+    transposed = influence.T.astype(np.float32)
+    for _, log_weight, _ in part.marginal.exponents(parameters):
+        weight = np.exp(log_weight - log_weight.max(axis=2, keepdims=True))
+        weight /= weight.sum(axis=2, keepdims=True)
+        least = np.minimum(least, 1 / np.sum(weight**2, axis=2).max(axis=1))
+        covariance = transposed @ weight.reshape(len(weight), -1)
+        squares += np.sum(covariance**2, axis=1, dtype=float)
+    return squares, least
 
 
 def _pareto_k(part: Part, parameters: PopulationParameters) -> np.ndarray:

@@ -1,0 +1,88 @@
+"""Draws and chains, until the draws hold for the populations of the chain.
+
+Whether importance draws hold can be told only from populations that the posterior contains, and these are known when it
+has been sampled: a normal approximation of it misses the long tails of ridges. The first chain therefore serves as the
+pilot. If the error that the draws leave in its intervals (:mod:`bayes_impedance.population.draw_error`) is smaller than
+the error that the chain leaves, the chain is the result, and nothing was spent. Otherwise everybody's draws are made
+anew for the populations of this chain, and the posterior is sampled again. The last error decides whether numbers are
+reported (:mod:`bayes_impedance.population.diagnostics`).
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor
+from pathlib import Path
+
+import numpy as np
+
+from bayes_impedance.mcmc.ensemble import Chains, SamplerSettings, sample
+from bayes_impedance.population.draw_error import ERROR_WANTED, DrawError
+from bayes_impedance.population.posterior import Posterior
+from bayes_impedance.runtime.clock import Clock
+from bayes_impedance.runtime.progress import Progress
+
+_HOPELESS = 0.5
+"""Error with draws made for the populations of a chain above which they are not made once more. By choice: of errors
+up to this the second time left less than half, and half of it is too much."""
+
+_MOST_TIMES = 2
+"""Most times that draws are made anew for the populations of a chain. By choice: a bound on the time of hopeless fits;
+in bands of 1 % the first time sufficed or nearly did."""
+
+
+def sampled(
+    posterior: Posterior,
+    settings: SamplerSettings,
+    drawing: np.random.SeedSequence,
+    sampling: np.random.SeedSequence,
+    executor: Executor,
+    clock: Clock,
+    progress: Progress,
+    checkpoint: Path | None,
+) -> tuple[Posterior, Chains, DrawError]:
+    """Draw and sample until the draws hold.
+
+    Parameters
+    ----------
+    posterior : Posterior
+        Without draws.
+    settings : SamplerSettings
+    drawing, sampling : SeedSequence
+    executor : Executor
+        Makes and keeps the draws.
+    clock : Clock
+        Measures ``draws`` and ``population``.
+    progress : callable
+    checkpoint : Path, optional
+        Folder of the chains; those of each repetition have files of their own.
+
+    Returns
+    -------
+    posterior : Posterior
+        With the last draws.
+    chains : Chains
+        Of this posterior.
+    error : DrawError
+        By the draws, in these chains.
+    """
+    with clock.measure("draws"):
+        posterior.draw(drawing, executor, progress)
+    for time in range(_MOST_TIMES + 1):
+        with clock.measure("population"):
+            chains = sample(
+                posterior.log_probability,
+                posterior.mode,
+                posterior.normal_covariance,
+                settings,
+                sampling,
+                progress,
+                checkpoint,
+                first_file=time * settings.ensembles,
+            )
+            error = posterior.error(chains)
+        hopeless = time > 0 and not error.interval_end <= _HOPELESS
+        if error.interval_end <= ERROR_WANTED or time == _MOST_TIMES or hopeless:
+            break
+        with clock.measure("draws"):
+            posterior = posterior.moved_to(chains, drawing.spawn(1)[0], executor, progress)
+    return posterior, chains, error
