@@ -120,6 +120,11 @@ class Chains:
     walkers: int
 
 
+_CLEARLY_NOT_ZERO = 2.0
+"""Mean of a coordinate's absolute value, in its standard deviations, above which it is clearly not zero: 1.3 of a
+normal distribution about zero, 5 where the normal distribution is five standard deviations away. By choice."""
+
+
 def crank_nicolson_move(mean: np.ndarray, covariance: np.ndarray) -> Any:
     """An emcee move that is efficient if the target is close to a normal distribution, and valid for any target.
 
@@ -187,11 +192,13 @@ class _Ensemble:
         covariance: np.ndarray,
         seed: np.random.SeedSequence,
         file: Path | None,
+        even: np.ndarray,
     ) -> None:
         self.log_probability = log_probability
         self.n_dimensions = centre.size
         self.n_walkers = 2 * max(centre.size, 16)
         self.centre, self.covariance, self.file = centre, covariance, file
+        self.even = even
         self.seed = seed
         self.adapted: dict[str, Any] = {}
         self.kept = -1
@@ -233,8 +240,16 @@ class _Ensemble:
                     progress(10)
             coordinates, random_state = state.coords, state.random_state
             recent = sampler.get_chain(discard=n_steps // 2, flat=True)
+            one_sided = self._one_sided(recent)
+            coordinates = np.where(one_sided, np.abs(coordinates), coordinates)
+            recent = np.where(one_sided, np.abs(recent), recent)
             mean, covariance = recent.mean(axis=0), _refined(covariance, np.atleast_2d(np.cov(recent.T)))
         return {"mean": mean, "covariance": covariance, "coordinates": coordinates, "random_state": random_state}
+
+    def _one_sided(self, recent: np.ndarray) -> np.ndarray:
+        """Even coordinates that are clearly not zero: walkers at the mirrored peak are brought to the other."""
+        size = np.abs(recent)
+        return np.asarray(self.even & (size.mean(axis=0) > _CLEARLY_NOT_ZERO * size.std(axis=0)))
 
     def _sampler(self, mean: np.ndarray, covariance: np.ndarray, backend: Any) -> Any:
         import emcee
@@ -279,6 +294,7 @@ def sample(
     progress: Progress,
     checkpoint: Path | None = None,
     first_file: int = 0,
+    even: np.ndarray | None = None,
 ) -> Chains:
     """Sample a distribution that is close to normal.
 
@@ -299,6 +315,9 @@ def sample(
     first_file : int
         Number of the first ensemble's file, so that several samplings share the folder.
 
+    even : ndarray of bool, shape (D,), optional
+        Coordinates of whose sign the density does not depend; their absolute values are returned.
+
     Returns
     -------
     Chains
@@ -312,8 +331,10 @@ def sample(
     covariance = np.diag(scale**2) if scale.ndim == 1 else scale
     children = seed.spawn(settings.ensembles)
     files = [checkpoint / f"ensemble_{first_file + i}.h5" if checkpoint else None for i in range(settings.ensembles)]
+    even = np.zeros(centre.size, dtype=bool) if even is None else even
     ensembles = [
-        _Ensemble(log_probability, centre, covariance, child, file) for child, file in zip(children, files, strict=True)
+        _Ensemble(log_probability, centre, covariance, child, file, even)
+        for child, file in zip(children, files, strict=True)
     ]
     total = settings.ensembles * sum(settings.burn_in)
     done = [0]
@@ -346,6 +367,7 @@ def _collect(ensembles: list[_Ensemble]) -> Chains:
     draws, log_probability, times = [], [], []
     for ensemble in ensembles:
         chain = ensemble.sampler.get_chain()  # (steps, walkers, D)
+        chain = np.where(ensemble.even, np.abs(chain), chain)
         tau = autocorrelation_time(chain)
         times.append(tau)
         spacing = int(np.clip(np.ceil(tau.max()), 1, max(len(chain) // 10, 1)))

@@ -13,10 +13,13 @@ with covariates x standardised. The default priors need no knowledge of unit or 
 * correlations C ~ LKJ(2), through partial correlations (Lewandowski, Kurowicka and Joe 2009): in a P-dimensional
   C-vine the partial correlation of level j is Beta(b, b) on (-1, 1) with :math:`b = \eta + (P - 2 - j)/2`.
 
-**Coordinates.** The sampled distribution should be close to normal. Centres are standardised. A dispersion is
-represented by the probit of its prior probability, :math:`u = \Phi^{-1}(F(\tau))`. It is normal under the prior and,
-where the data determine tau, locally linear in it; unlike a logarithm it has no exponential tail where the data cannot
-distinguish a small dispersion from zero. Partial correlations are transformed by atanh.
+**Coordinates.** The sampled distribution should be close to normal. Centres are standardised. A dispersion with a
+half-normal prior is the absolute value of a normal variable, which is sampled with its sign: the posterior density is
+an even, smooth function of it. Where the data cannot distinguish a dispersion from zero it is close to a normal
+distribution about zero, of the width to which the data limit the dispersion; a logarithm, or the probit of the prior
+probability, has a tail without end there. Where the data determine a dispersion the density has two equal peaks, of
+which a chain sees one; their distance does not matter, because the sign has no meaning. Partial correlations are
+transformed by atanh.
 """
 
 from __future__ import annotations
@@ -24,10 +27,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import ndtr, ndtri
 
 from bayes_impedance.errors import InputError
 from bayes_impedance.runtime.user_table import number_in
+
+_SMALLEST = 1e-9
+"""Least absolute value of a dispersion's coordinate: covariances stay invertible, and nothing that small is resolved by
+any recording."""
 
 
 @dataclass(frozen=True)
@@ -250,9 +256,9 @@ class Coordinates:
         """
         free = list(self.free)
         tau = np.sqrt(np.diag(covariance))[free]
-        parts = [(mu[free] - self.prior.centre[free]) / self.prior.centre_sds[free], self._probit(tau)]
+        parts = [(mu[free] - self.prior.centre[free]) / self.prior.centre_sds[free], tau / self.prior.dispersion_sd]
         if self.repetitions:
-            parts.append(self._probit(between_repetitions[free]))
+            parts.append(between_repetitions[free] / self.prior.dispersion_sd)
         parts.append(slopes[free].ravel() / self.prior.slope_sd)
         if self.correlated:
             correlation = covariance[np.ix_(free, free)] / np.outer(tau, tau)
@@ -262,12 +268,15 @@ class Coordinates:
             parts.append((shared - self.shared_prior.centre)[chosen] / self.shared_prior.centre_sds[chosen])
         return np.concatenate(parts)
 
-    def _dispersion(self, u: np.ndarray) -> np.ndarray:
-        # Half-normal quantile of Phi(u), written with the upper tail so that large values do not lose digits.
-        return np.asarray(-self.prior.dispersion_sd * ndtri(0.5 * ndtr(-u)))
+    @property
+    def even(self) -> np.ndarray:
+        """Coordinates whose sign has no meaning, those of dispersions: bool, shape (D,)."""
+        centre, persons, repetitions, *_ = self.sizes
+        position = np.arange(self.n_dimensions)
+        return np.asarray((position >= centre) & (position < centre + persons + repetitions))
 
-    def _probit(self, dispersion: np.ndarray) -> np.ndarray:
-        return np.asarray(-ndtri(2 * ndtr(-np.asarray(dispersion) / self.prior.dispersion_sd)))
+    def _dispersion(self, u: np.ndarray) -> np.ndarray:
+        return np.asarray(self.prior.dispersion_sd * np.maximum(np.abs(u), _SMALLEST))
 
     def _levels(self) -> np.ndarray:
         """Parameter b of the Beta(b, b) prior of each partial correlation, by rows of the lower triangle."""

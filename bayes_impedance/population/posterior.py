@@ -49,6 +49,9 @@ _BEYOND_CHAIN = 2.0
 _PILOT = SamplerSettings(ensembles=2, burn_in=(60, 60), chunk=60, longest=60)
 """Short chains that give the mean and the covariance to which the reference is moved. By choice: convergence is not
 required."""
+_LEAST_DISPERSION = 0.05
+"""Dispersion whose relative standard error is the first guess of how well a smaller one is known. By choice: the steps
+in which the posterior's curvature is measured begin within the range that it has on common recordings."""
 _LARGEST_COORDINATE = 8.0
 """Limit on the coordinates. Most are standard normal under the prior, with a probability of 1e-15 beyond eight."""
 _SPREAD_ALLOWED = 1.2
@@ -178,8 +181,14 @@ class Posterior:
         sizes = self.coordinates.sizes
         prior, free = self.coordinates.prior, list(self.coordinates.free)
         centre = self.point.mu_sd[free] / prior.centre_sds[free]
-        widths = (few, repetitions, few / prior.slope_sd, few)
-        blocks = [np.full(k, w) for k, w in zip(sizes[1:-1], widths, strict=True)]
+        tau = np.maximum(np.sqrt(np.diag(self.covariance))[free], _LEAST_DISPERSION) / prior.dispersion_sd
+        rho = np.maximum(self.point.between_repetitions[free], _LEAST_DISPERSION) / prior.dispersion_sd
+        blocks = [
+            few * tau,
+            repetitions * rho[: sizes[2]],
+            np.full(sizes[3], few / prior.slope_sd),
+            np.full(sizes[4], few),
+        ]
         if self.coordinates.shared_prior is not None:
             sd = np.sqrt(np.diag(self.shared_covariance)) / self.coordinates.shared_prior.centre_sds
             blocks.append(sd[list(self.coordinates.shared_free)])
@@ -221,6 +230,7 @@ class Posterior:
                 _PILOT,
                 child,
                 lambda _, done, total: progress("moving the reference", done, total),
+                even=self.coordinates.even,
             )
             there = self._sampled(chains)
             mu, slopes, covariance = there.mu.mean(axis=0), there.slopes.mean(axis=0), self._mean_covariance(there)

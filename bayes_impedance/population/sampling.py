@@ -78,6 +78,7 @@ def sampled(
                 progress,
                 checkpoint,
                 first_file=time * settings.ensembles,
+                even=posterior.coordinates.even,
             )
             error = posterior.error(chains)
         hopeless = time > 0 and not error.interval_end <= _HOPELESS
