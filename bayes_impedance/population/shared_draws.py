@@ -38,10 +38,10 @@ not used farther away, where they may grow without limit."""
 _DEGREES = {1: 4, 2: 4, 3: 3}
 """Degree of the polynomials for one, two and three shared parameters; two for more. By choice: four to nineteen terms;
 what is left out is measured."""
-_TESTED, _TESTED_AT = 3, 0.6
+_TESTED, _TESTED_AT = 4, 0.6
 """Number of points at which the polynomial is tested, and their distance in units of the reach. By choice: typical of
 the posterior."""
-_LINE, _LINE_TESTED = np.array([[-1.0], [-0.62], [0.62], [1.0]]), np.array([[-0.35], [0.35], [0.85]])
+_LINE, _LINE_TESTED = np.array([[-1.0], [-0.62], [0.62], [1.0]]), np.array([[-0.85], [-0.35], [0.35], [0.85]])
 """The same for one shared parameter: with the origin the five nodes of Chebyshev, in units of the reach, through which
 a polynomial of degree four passes, and tests where a term of degree five would be missed most."""
 _SMOOTH = 1.0
