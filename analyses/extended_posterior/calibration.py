@@ -16,6 +16,7 @@ from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import chi2
 
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
@@ -72,10 +73,10 @@ def population(kind: str, seed: int) -> tuple[Recordings, dict[str, float], dict
     return recordings, dict(zip(names, mu, strict=True)), dict(zip(names, tau, strict=True))
 
 
-def one(kind: str, seed: int) -> list[dict[str, object]]:
+def one(kind: str, seed: int, workers: int) -> list[dict[str, object]]:
     """Fit one population: a row for each parameter and quantity."""
     recordings, centre, spread = population(kind, seed)
-    fit = fit_population(recordings, settings=QUICK_SETTINGS, seed=seed + 1)
+    fit = fit_population(recordings, settings=QUICK_SETTINGS, seed=seed + 1, workers=workers)
     rows = []
     for k, name in enumerate(fit.kernel.elements):
         shared = fit.kernel.parameters[k].shared
@@ -102,20 +103,43 @@ def one(kind: str, seed: int) -> list[dict[str, object]]:
 
 
 def table() -> None:
-    """Coverage of each kind and quantity, over populations whose fit reports no problem."""
-    print(f"{'kind':20s} {'populations':>11s} {'with problems':>13s}  coverage of 90 % intervals (and rms of z)")
+    """Coverage of each kind and quantity, over populations whose fit reports no problem.
+
+    Intervals of one population are not independent: the standard error is that of the populations' own coverages. The
+    ranks are tested in five equal classes, with as many independent ones as explain that standard error.
+    """
+    print("| kind | populations | with problems | quantity | intervals | coverage of 90 % | rms z | mean rank | p |")
+    print("|---|---|---|---|---|---|---|---|---|")
     for file in sorted(HERE.glob("*.csv")):
         rows = list(csv.DictReader(file.open()))
         good = [r for r in rows if r["problems"] == "0" and r["identified"] == "1"]
-        found = defaultdict(list)
-        for r in good:
-            found[r["quantity"]].append((int(r["covers"]), float(r["z"])))
         n, bad = len({r["seed"] for r in rows}), len({r["seed"] for r in rows if r["problems"] != "0"})
-        said = "  ".join(
-            f"{q} {100 * np.mean([c for c, _ in v]):.0f} % of {len(v)} ({np.sqrt(np.mean([z * z for _, z in v])):.2f})"
-            for q, v in sorted(found.items())
-        )
-        print(f"{file.stem:20s} {n:11d} {bad:13d}  {said}")
+        for quantity in sorted({quantity_of(r) for r in good}):
+            some = [r for r in good if quantity_of(r) == quantity]
+            print(f"| {file.stem} | {n} | {bad} | {quantity} | {line(some)}")
+
+
+def quantity_of(row: dict[str, str]) -> str:
+    """What a row is about; an exponent's central value is a quantity of its own."""
+    return "exponent" if row["parameter"].startswith("a") and row["quantity"] == "centre" else row["quantity"]
+
+
+def line(rows: list[dict[str, str]]) -> str:
+    """Number of intervals, coverage with its standard error, root mean square of z, mean rank, p of uniform ranks."""
+    each = defaultdict(list)
+    for r in rows:
+        each[r["seed"]].append(float(r["covers"]))
+    own = np.array([np.mean(v) for v in each.values()])
+    covers, ranks, z = (np.array([float(r[k]) for r in rows]) for k in ("covers", "rank", "z"))
+    coverage = covers.mean()
+    error = max(own.std(ddof=1) / np.sqrt(own.size), np.sqrt(0.9 * 0.1 / len(rows))) if own.size > 1 else np.nan
+    classes = np.bincount(np.minimum((5 * ranks).astype(int), 4), minlength=5)
+    independent = min(1.0, 0.9 * 0.1 / (len(rows) * error**2))
+    p = chi2.sf(independent * np.sum((classes - len(rows) / 5) ** 2 / (len(rows) / 5)), 4)
+    return (
+        f"{len(rows)} | {100 * coverage:.0f} ± {100 * error:.0f} % | {np.sqrt(np.mean(z**2)):.2f} | "
+        f"{ranks.mean():.2f} | {p:.2g} |"
+    )
 
 
 def main() -> None:
@@ -123,6 +147,7 @@ def main() -> None:
     parser.add_argument("kind", nargs="*", metavar="KIND", help=", ".join(KINDS))
     parser.add_argument("--populations", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--table", action="store_true")
     options = parser.parse_args()
     if options.table:
@@ -131,7 +156,7 @@ def main() -> None:
     HERE.mkdir(exist_ok=True)
     for seed in range(options.first, options.first + options.populations):
         for kind in options.kind or KINDS:
-            rows = one(kind, seed)
+            rows = one(kind, seed, options.workers)
             file = HERE / f"{kind}.csv"
             new = not file.exists()
             with file.open("a", newline="") as out:

@@ -38,9 +38,12 @@ not used farther away, where they may grow without limit."""
 _DEGREES = {1: 4, 2: 4, 3: 3}
 """Degree of the polynomials for one, two and three shared parameters; two for more. By choice: four to nineteen terms;
 what is left out is measured."""
-_TESTED, _TESTED_AT = 3, 0.6
+_TESTED, _TESTED_AT = 4, 0.6
 """Number of points at which the polynomial is tested, and their distance in units of the reach. By choice: typical of
 the posterior."""
+_LINE, _LINE_TESTED = np.array([[-1.0], [-0.62], [0.62], [1.0]]), np.array([[-0.85], [-0.35], [0.35], [0.85]])
+"""The same for one shared parameter: with the origin the five nodes of Chebyshev, in units of the reach, through which
+a polynomial of degree four passes, and tests where a term of degree five would be missed most."""
 _SMOOTH = 1.0
 """Largest distance of a mode from the path, in the person's posterior standard deviations. By choice: the draws are as
 wide; a mode that is farther off has jumped to another valley."""
@@ -142,8 +145,7 @@ def _points(size: int) -> np.ndarray:
     """Points of the fit, on spheres of half and of the whole reach, and points of the test."""
     reach = reach_of(size)
     if size == 1:
-        fitted = reach * np.array([[-1.0], [-0.75], [-0.5], [-0.25], [0.25], [0.5], [0.75], [1.0]])
-        return np.vstack([fitted, reach * np.array([[-0.6], [0.35], [0.85]])])
+        return reach * np.vstack([_LINE, _LINE_TESTED])
     rng = np.random.default_rng(_SEED)
     terms = monomials(np.zeros((1, size))).shape[1]
 
@@ -225,24 +227,20 @@ def _path(
 ) -> np.ndarray:
     """Coefficients (M, V) of the person's path: that of the mode, or straight where the mode leaves its valley."""
     fitted = len(sharing.points) - _TESTED
-    terms = monomials(sharing.points)[:fitted]
+    terms = monomials(sharing.points)
     mean, precision = reference.mean, np.linalg.inv(reference.covariance)
     origin = find_mode(sharing.kernel, likelihood, theta[None], mean, precision)
-    straight = sharing.points[:fitted] @ response.T
+    straight = sharing.points @ response.T
     modes = [
         find_mode(kernel, own, (origin.theta + step)[None], mean, precision).theta
-        for kernel, own, step in zip(sharing.kernels[:fitted], there, straight, strict=False)
+        for kernel, own, step in zip(sharing.kernels, there, straight, strict=True)
     ]
     offsets = np.array(modes) - origin.theta
-    path = np.asarray(np.linalg.lstsq(terms, offsets, rcond=None)[0])
+    path = np.asarray(np.linalg.lstsq(terms[:fitted], offsets[:fitted], rcond=None)[0])
     rest = offsets - terms @ path
     if np.einsum("np,pq,nq->n", rest, origin.precision, rest).max() < _SMOOTH**2:
         return path
     return np.vstack([response.T, np.zeros((len(path) - len(response.T), len(theta)))])
-
-
-def _log_mean(draws: Draws, changes: np.ndarray) -> np.ndarray:
-    return np.asarray(np.logaddexp.reduce(draws.log_weight + changes, axis=1))
 
 
 def stacked(all_moved: Sequence[Moved]) -> tuple[np.ndarray, np.ndarray]:

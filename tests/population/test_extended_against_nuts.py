@@ -54,16 +54,7 @@ def require_equal(fit: PopulationFit, case: Case, table: list[Comparison]) -> No
     assert {f"shared {name}" for name in case.shared} <= {c.name for c in table}
 
 
-_LOST = pytest.mark.xfail(
-    strict=True,
-    reason="the posterior's mode is 2.4 standard deviations of the delay from the point estimate: Hessian steps leave "
-    "the reach of the moved draws, and each centring then widens the delay's covariance fourfold",
-)
-
-
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=_LOST if name == "delay, repeated" else ()) for name in CASES]
-)
+@pytest.mark.parametrize("name", CASES)
 def test_equals_nuts(name: str) -> None:
     """Twenty people."""
     fit, table = compared(CASES[name])
