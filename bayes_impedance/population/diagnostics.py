@@ -45,7 +45,7 @@ central values agreed with an independent integration."""
 ERROR_LIMIT = 0.2
 """Above this standard error of the ends of 90 % intervals by the draws, in posterior standard deviations, the posterior
 is refused. An interval whose ends are off by 0.2 (one sigma) covers 89 %. The error is of first order: in a band of 100
-to 101 Hz, where it was found as 0.41 and 0.29, lower ends were off by 0.5 and 0.9; where it was 0.1, by 0.2 at most.
+to 101 Hz, where it was found as 0.4 and 0.3, lower ends were off by 0.5 and 0.9; where it was 0.1, by 0.3 at most.
 With fewer draws for somebody than are believed (:data:`FEWEST_DRAWS_BELIEVED`), the limit is the error that draws are
 made to meet (:data:`~bayes_impedance.population.draw_error.ERROR_WANTED`)."""
 

@@ -22,12 +22,12 @@ from bayes_impedance.runtime.clock import Clock
 from bayes_impedance.runtime.progress import Progress
 
 _HOPELESS = 0.5
-"""Error with draws made for the populations of a chain above which they are not made once more. By choice: of errors
-up to this the second time left less than half, and half of it is too much."""
+"""Error with draws made for the populations of a chain above which they are not made once more. By choice, for time:
+the same number of draws again leaves about as much, unless the chain has moved."""
 
 _MOST_TIMES = 2
 """Most times that draws are made anew for the populations of a chain. By choice: a bound on the time of hopeless fits;
-in bands of 1 % the first time sufficed or nearly did."""
+in a band of 1 % the first time sufficed, or the second."""
 
 
 def sampled(
