@@ -1,0 +1,80 @@
+"""One diagnosis through the command line, in a process of its own, from a folder alone."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from pathlib import Path
+from typing import Any
+
+from sealed_cases import ROOT, VERDICTS, digest_of, slim, sources
+
+LONGEST = 1200.0
+"""Seconds after which a diagnosis is given up: more than ten times what any may take."""
+
+
+def diagnosed(folder: Path, seed: int = 1, quick: bool = True) -> dict[str, Any]:
+    """Verdict, exit status and seconds of a dataset.
+
+    Returns
+    -------
+    dict
+        ``case``, ``data_sha256``, ``seconds``, ``exit`` (None if given up), ``verdict`` (None if there is none),
+        ``crash`` (end of what was printed, if the command ended with a traceback or was given up), ``sources``.
+    """
+    threads = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg"} | threads
+    with tempfile.TemporaryDirectory() as room:
+        out = Path(room) / "out"
+        command = [sys.executable, "-m", "bayes_impedance", "diagnose", str(folder), "-o", str(out), "--seed", str(seed)]
+        started = time.perf_counter()
+        try:
+            done = subprocess.run(
+                [*command, *(["--quick"] if quick else [])], capture_output=True, text=True, check=False, cwd=room,
+                env=environment, timeout=LONGEST,
+            )  # fmt: skip
+            status, printed = done.returncode, done.stderr
+        except subprocess.TimeoutExpired:
+            status, printed = None, f"given up after {LONGEST:.0f} s"
+        seconds = time.perf_counter() - started
+        file = out / "verdict.json"
+        verdict = slim(json.loads(file.read_text(encoding="utf-8"))) if file.is_file() else None
+    crashed = verdict is None or "Traceback" in printed
+    return {
+        "case": folder.name,
+        "data_sha256": digest_of(folder),
+        "seconds": round(seconds, 2),
+        "exit": status,
+        "verdict": verdict,
+        "crash": printed.strip()[-1500:] if crashed else None,
+        "sources": sources(),
+    }
+
+
+def run(folders: Iterable[Path], out: Path, jobs: int) -> None:
+    """Diagnose datasets and append each record when it is there."""
+    path = out / VERDICTS
+    torn = path.is_file() and path.read_bytes()[-1:] not in (b"", b"\n")
+    with path.open("a", encoding="utf-8") as file:
+        file.write("\n" if torn else "")
+        for record in _records(list(folders), jobs):
+            file.write(json.dumps(record) + "\n")
+            file.flush()
+            said = "no verdict" if record["verdict"] is None else _said(record["verdict"])
+            print(f"{record['case']}: {said} ({record['seconds']:.0f} s, exit {record['exit']})", flush=True)
+
+
+def _records(folders: list[Path], jobs: int) -> Iterator[dict[str, Any]]:
+    with ThreadPoolExecutor(max(jobs, 1)) as pool:
+        for future in as_completed([pool.submit(diagnosed, folder) for folder in folders]):
+            yield future.result()
+
+
+def _said(verdict: dict[str, Any]) -> str:
+    return ", ".join(f"{p['id']} at {p.get('place')}" for p in verdict["physics"]) or "nothing"
