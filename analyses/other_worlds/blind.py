@@ -28,11 +28,11 @@ def diagnosed(folder: Path, seed: int = 1, quick: bool = True) -> dict[str, Any]
         ``case``, ``data_sha256``, ``seconds``, ``exit`` (None if given up), ``verdict`` (None if there is none),
         ``crash`` (end of what was printed, if the command ended with a traceback or was given up), ``sources``.
     """
-    threads = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
+    threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     environment = os.environ | {"PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg"} | threads
     with tempfile.TemporaryDirectory() as room:
         out = Path(room) / "out"
-        command = [sys.executable, "-m", "bayes_impedance", "diagnose", str(folder), "-o", str(out), "--seed", str(seed)]
+        command = [sys.executable, "-m", "bayes_impedance", "diagnose", str(folder), "-o", str(out), f"--seed={seed}"]
         started = time.perf_counter()
         try:
             done = subprocess.run(

@@ -9,7 +9,7 @@ shape. A kind of the catalogue has the catalogue's id as its only right name. Ki
 - ``outside.diffusion``: a layer through which something diffuses, :math:`z + r \tanh\sqrt{s\tau}/\sqrt{s\tau}`;
 - ``outside.semi_inductance``: eddy currents behind a moving coil, :math:`z + c s^a`, 0.4 < a < 0.8;
 - ``outside.echo``: a reflection in the cable or the floor, :math:`z\,(1 + g\,e^{-sT})`;
-- ``outside.fractional_zener``: :math:`z + c s^{a-1}/(1 + (s\tau)^a)`, a spring behind a springpot... as one branch;
+- ``outside.fractional_zener``: :math:`z + c s^{a-1}/(1 + (s\tau)^a)`; a springpot that ends in a spring;
 - ``outside.stiffening``: a spring that is stiffer the further it moves (``drawn_worlds.py`` solves for the amplitude).
 """
 
@@ -134,6 +134,11 @@ def _diffusion(s: np.ndarray, z: np.ndarray, p: Values) -> np.ndarray:
     return z + p["damping"] * np.tanh(x) / x
 
 
+def _fractional_zener(s: np.ndarray, z: np.ndarray, p: Values) -> np.ndarray:
+    a = p["exponent"]
+    return z + p["coefficient"] * s ** (a - 1) / (1 + (s * p["time_constant"]) ** a)
+
+
 def _resonance_start(rng: np.random.Generator, at: Setting) -> dict[str, float]:
     ratio = float(np.exp(rng.uniform(np.log(0.04), np.log(0.4))))
     return {"mass": at.level / at.middle, "frequency": at.inside_hz(rng), "damping_ratio": ratio}
@@ -188,7 +193,7 @@ KINDS = {
         ),
         Kind(
             "body.hysteresis", "body", "spring", "loss_factor", lambda s, z, p: z * (1 + 1j * p["loss_factor"]) + 0 * s,
-            lambda _, at: {"loss_factor": 0.1},
+            lambda _rng, _at: {"loss_factor": 0.1},
         ),
         Kind(
             "body.relaxation", "body", "beside", "damping",
@@ -211,7 +216,7 @@ KINDS = {
         ),
         Kind(
             "body.drift", "body", "element", "change", _drift,
-            lambda rng, at: {"change": 0.1, "time_law": float(rng.choice([0.05, 1.0]))}, signed=True,
+            lambda rng, _at: {"change": 0.1, "time_law": float(rng.choice([0.05, 1.0]))}, signed=True,
         ),
         Kind(
             "body.subgroup", "body", "port", "compliance", _layer,
@@ -240,7 +245,7 @@ KINDS = {
         ),
         Kind(
             "outside.fractional_zener", "body", "beside", "coefficient",
-            lambda s, z, p: z + p["coefficient"] * s ** (p["exponent"] - 1) / (1 + (s * p["time_constant"]) ** p["exponent"]),
+            _fractional_zener,
             lambda rng, at: _beside_power(at, float(rng.uniform(0.3, 0.8))) | {"time_constant": _time(rng, at)},
         ),
     )
@@ -252,7 +257,12 @@ def _beside_power(at: Setting, exponent: float) -> dict[str, float]:
     return {"coefficient": at.level * at.middle ** (1 - exponent), "exponent": exponent}
 
 
-ELSEWHERE = {"rig.mains": "rig", "body.covariate": "body", "body.drift:repetitions": "body", "outside.stiffening": "body"}
+ELSEWHERE = {
+    "rig.mains": "rig",
+    "body.covariate": "body",
+    "body.drift:repetitions": "body",
+    "outside.stiffening": "body",
+}
 """Kinds with another way to act, and their sides (``drawn_worlds.py``)."""
 
 FIXED = ("middle",)

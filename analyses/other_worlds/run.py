@@ -17,7 +17,7 @@ from pathlib import Path
 
 import sealed_cases
 from blind import run
-from drawn_worlds import draw
+from drawing import draw
 from same_curve import same_curve
 from strict_scoring import Row, markdown, score
 

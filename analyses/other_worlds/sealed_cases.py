@@ -10,17 +10,18 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from drawn_worlds import Experiment, World, conduct, described, draw
+from drawing import draw
+from drawn_worlds import Experiment, World, conduct, described
 from tree_networks import notation
 from visible import visibilities
 
 ROOT = Path(__file__).resolve().parents[2]
-SEALED, SEAL, USED, VERDICTS = "sealed.json", "seal.txt", "used.txt", "verdicts.jsonl"
+SEALED, SEAL, USED, VERDICTS, AGAIN = "sealed.json", "seal.txt", "used.txt", "verdicts.jsonl", "again.txt"
 
 
 class SeedUsedError(ValueError):
@@ -76,15 +77,11 @@ def answer(world: World, folder: Path, case: str) -> dict[str, Any]:
     experiment = conduct(world)
     digest = write_dataset(world, experiment, folder, case)
     seen = visibilities(world, experiment)
-    members = [
-        None if row.all() else [f"S{i + 1:02d}" for i in np.flatnonzero(row)] for row in experiment.members
-    ]  # fmt: skip
+    members = [None if row.all() else [f"S{i + 1:02d}" for i in np.flatnonzero(row)] for row in experiment.members]
     return {"case": case, "data_sha256": digest, "visible": seen, "members": members, **described(world)}
 
 
-def prepare(
-    seed: int, n_cases: int, out: Path, worlds: Sequence[World] | None = None, names: Sequence[str] | None = None
-) -> str:
+def prepare(seed: int, n_cases: int, out: Path) -> str:
     """Write all datasets and seal the answers; returns the seal.
 
     Datasets that are there are written again from the seed, so that nothing on disk needs to be trusted.
@@ -92,9 +89,8 @@ def prepare(
     out.mkdir(parents=True, exist_ok=True)
     answers = []
     for i in range(n_cases):
-        case = names[i] if names else f"{seed}-{i + 1:03d}"
-        world = worlds[i] if worlds else draw(seed, i)
-        answers.append(answer(world, out / "datasets" / case, case))
+        case = f"{seed}-{i + 1:03d}"
+        answers.append(answer(draw(seed, i), out / "datasets" / case, case))
     content = json.dumps({"seed": seed, "cases": answers}, indent=1, sort_keys=True) + "\n"
     seal = hashlib.sha256(content.encode()).hexdigest()
     (out / SEALED).write_text(content, encoding="utf-8")
@@ -143,7 +139,7 @@ def may_run(out: Path, n_cases: int, again: bool) -> bool:
         return True
     if again:
         (out / VERDICTS).unlink(missing_ok=True)
-        (out / "again.txt").write_text("used more than once: its rates say nothing about new worlds\n", encoding="utf-8")
+        (out / AGAIN).write_text("used more than once: says nothing about new worlds\n", encoding="utf-8")
         return True
     answers, on_file = answers_of(out), verdicts_of(out)
     if len(answers) != n_cases:

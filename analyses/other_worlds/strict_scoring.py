@@ -16,11 +16,19 @@ from itertools import permutations
 from typing import Any
 
 from scipy.stats import beta
-
 from visible import VISIBLE
 
 MOST_UNDECIDED = 3
 """Names in a set that is left open: more say nothing."""
+
+LATER_NAMES = {
+    "outside.free_line": ("line",),
+    "outside.squeeze_film": ("film", "squeeze"),
+    "outside.stiffening": ("amplitude", "stiffening"),
+    "outside.semi_inductance": ("inductance",),
+}
+"""Words of an id that name physics which is outside of the catalogue today: right at the right place, if the catalogue
+comes to have such an entry."""
 
 Row = dict[str, Any]
 
@@ -50,8 +58,16 @@ def right(answer: Mapping[str, Any], entries: Sequence[Mapping[str, Any]], same_
     if group == "none":
         return not entries
     if group == "outside":
-        return bool(entries) and (same_curve or [e["id"] for e in entries] == ["unknown"])
+        return bool(entries) and (
+            same_curve or [e["id"] for e in entries] == ["unknown"] or _named_later(answer, entries)
+        )
     return matched(answer, entries) is not None
+
+
+def _named_later(answer: Mapping[str, Any], entries: Sequence[Mapping[str, Any]]) -> bool:
+    effect, entry = answer["effects"][0], entries[0]
+    words = LATER_NAMES.get(effect["id"], ())
+    return len(entries) == 1 and entry.get("place") == effect["place"] and any(w in entry["id"] for w in words)
 
 
 def matched(answer: Mapping[str, Any], entries: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]] | None:

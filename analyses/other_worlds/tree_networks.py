@@ -131,7 +131,7 @@ def random_tree(rng: np.random.Generator) -> Node:
         count = int(rng.integers(4, 8))
         numbers = {"m": 0, "n": 0, "r": 0}
         node = _grow(count, "|" if rng.random() < 0.6 else "-", rng, numbers)
-        if node is not None and len(set(name[0] for name in elements(node))) > 1:
+        if node is not None and len({name[0] for name in elements(node)}) > 1:
             return node
 
 

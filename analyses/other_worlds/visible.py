@@ -109,7 +109,7 @@ def _count(claims: Sequence[Claim]) -> int:
 
 
 def with_claims(world: World, claims: Sequence[Claim], x: np.ndarray) -> np.ndarray:
-    """Curves (..., F) of log elements followed by the logarithms of the claims' values over their start (..., P + Q)."""
+    """Curves (..., F) of log elements and of the logarithms of the claims' values over their start (..., P + Q)."""
     p = world.centre.size
     changes: dict[str, list[tuple[Kind, dict[str, np.ndarray], np.ndarray]]] = {}
     column = p
