@@ -21,9 +21,8 @@ import numpy as np
 import sealed_cases
 from blind import diagnosed
 from drawn_worlds import Effect, Noise, World
-from run import write
 from same_curve import same_curve
-from strict_scoring import Row, markdown, score
+from strict_scoring import Row, markdown, score, write
 from tree_networks import FAMILIES, elements
 
 HERE = Path(__file__).resolve().parent
@@ -78,9 +77,7 @@ def population(name: str, people: int = 71, points: int = 401) -> World:
         values["middle"] = float(2 * np.pi * np.sqrt(BAND_HZ[0] * BAND_HZ[1]))
     if effect.kind == "outside.stiffening":
         values["gain"] = -values["gain"] / (1 + values["gain"])  # of a compliance
-    return World(
-        **{**vars(world), "effects": (Effect(effect.kind, effect.place, values, effect.spreads, effect.share),)}
-    )
+    return replace(world, effects=(replace(effect, values=values),))
 
 
 def main(arguments: list[str] | None = None) -> int:

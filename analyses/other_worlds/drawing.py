@@ -22,11 +22,11 @@ SHARE_OF_SPREAD = (0.5, 0.9)
 repetitions is four times as large."""
 
 
-def draw(seed: int, index: int) -> World:
-    """The world of one case, everything from (seed, index)."""
+def draw(seed: int, index: int, small: bool = False) -> World:
+    """The world of one case, everything from (seed, index); `small` has 8 people and 41 frequencies, for a trial."""
     rng = np.random.default_rng([seed, index])
     for _ in range(1000):
-        world = _draw_people(rng, (seed, index))
+        world = _draw_people(rng, (seed, index), small)
         if _determined(world):
             break
     else:
@@ -39,12 +39,12 @@ def draw(seed: int, index: int) -> World:
     raise ValueError(f"no effect in a thousand drawings for seed {seed}, case {index}")
 
 
-def _draw_people(rng: np.random.Generator, seed: tuple[int, ...]) -> World:
+def _draw_people(rng: np.random.Generator, seed: tuple[int, ...], small: bool) -> World:
     family = str(rng.choice([*FAMILIES, "tree", "tree", "tree"]))
     network = random_tree(rng) if family == "tree" else FAMILIES[family]
     low = float(10 ** rng.uniform(-0.3, 1.5))
     high = float(low * 10 ** rng.uniform(1.5, 3.3))
-    n_points = int(rng.integers(51, 402))
+    n_points = 41 if small else int(rng.integers(51, 402))
     logarithmic = bool(rng.random() < 0.7)
     frequency = np.geomspace(low, high, n_points) if logarithmic else np.linspace(low, high, n_points)
     level = 10 ** rng.uniform(-1, 2)
@@ -78,7 +78,7 @@ def _draw_people(rng: np.random.Generator, seed: tuple[int, ...]) -> World:
         correlation=correlation,
         between_repetitions=np.where(moving, np.exp(rng.uniform(np.log(0.005), np.log(0.08), size=p)), 0.0),
         frequency_hz=frequency,
-        n_people=int(rng.integers(8, 72)),
+        n_people=8 if small else int(rng.integers(8, 72)),
         n_repetitions=n_repetitions,
         noise=noise,
         covariates=("contact_force_n",) if rng.random() < 0.5 else (),

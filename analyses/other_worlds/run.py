@@ -12,14 +12,14 @@ all seeds, diagnoses nothing, and writes ``results/table.csv`` and ``results/tab
 from __future__ import annotations
 
 import argparse
-import csv
+import json
 from pathlib import Path
 
 import sealed_cases
 from blind import run
 from drawing import draw
 from same_curve import same_curve
-from strict_scoring import Row, markdown, score
+from strict_scoring import Row, markdown, score, write
 
 HERE = Path(__file__).resolve().parent
 
@@ -30,6 +30,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--again", action="store_true", help="use a seed a second time; its results are marked")
+    parser.add_argument("--small", action="store_true", help="8 people and 41 frequencies, for a trial")
     parser.add_argument("--score", action="store_true", help="diagnose nothing: score what is on file")
     parser.add_argument("-o", "--out", type=Path, default=HERE / "results")
     options = parser.parse_args(arguments)
@@ -38,7 +39,7 @@ def main(arguments: list[str] | None = None) -> int:
         folder = out / f"seed_{options.seed}"
         try:
             if sealed_cases.may_run(folder, options.cases, options.again):
-                seal = sealed_cases.prepare(options.seed, options.cases, folder)
+                seal = sealed_cases.prepare(options.seed, options.cases, folder, options.small)
                 print(f"sealed {options.cases} cases: SHA-256 {seal}", flush=True)
         except sealed_cases.SeedUsedError as error:
             print(error)
@@ -58,7 +59,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 def rows_of(folder: Path) -> list[Row]:
     """Rows of a seed's cases that have a verdict; the seal is checked, and that each verdict is of the sealed data."""
-    seed = int(folder.name.removeprefix("seed_"))
+    sealed = json.loads((folder / sealed_cases.SEALED).read_text(encoding="utf-8"))
+    seed, small = sealed["seed"], sealed.get("small", False)
     on_file = sealed_cases.verdicts_of(folder)
     rows = []
     for i, answer in enumerate(sealed_cases.answers_of(folder)):
@@ -68,19 +70,8 @@ def rows_of(folder: Path) -> list[Row]:
         verdict = record["verdict"]
         if verdict is not None and verdict["data_sha256"] != answer["data_sha256"]:
             raise ValueError(f"the verdict filed under {answer['case']} is of other data")
-        rows.append(score(answer, record, lambda v, i=i: same_curve(draw(seed, i), v)))
+        rows.append(score(answer, record, lambda v, i=i: same_curve(draw(seed, i, small), v)))
     return rows
-
-
-def write(rows: list[Row], out: Path) -> None:
-    """The table as CSV and as Markdown."""
-    if not rows:
-        return
-    with (out / "table.csv").open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-    (out / "table.md").write_text(markdown(rows) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

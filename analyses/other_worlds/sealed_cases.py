@@ -81,7 +81,7 @@ def answer(world: World, folder: Path, case: str) -> dict[str, Any]:
     return {"case": case, "data_sha256": digest, "visible": seen, "members": members, **described(world)}
 
 
-def prepare(seed: int, n_cases: int, out: Path) -> str:
+def prepare(seed: int, n_cases: int, out: Path, small: bool = False) -> str:
     """Write all datasets and seal the answers; returns the seal.
 
     Datasets that are there are written again from the seed, so that nothing on disk needs to be trusted.
@@ -90,8 +90,8 @@ def prepare(seed: int, n_cases: int, out: Path) -> str:
     answers = []
     for i in range(n_cases):
         case = f"{seed}-{i + 1:03d}"
-        answers.append(answer(draw(seed, i), out / "datasets" / case, case))
-    content = json.dumps({"seed": seed, "cases": answers}, indent=1, sort_keys=True) + "\n"
+        answers.append(answer(draw(seed, i, small), out / "datasets" / case, case))
+    content = json.dumps({"seed": seed, "small": small, "cases": answers}, indent=1, sort_keys=True) + "\n"
     seal = hashlib.sha256(content.encode()).hexdigest()
     (out / SEALED).write_text(content, encoding="utf-8")
     (out / SEAL).write_text(seal + "\n", encoding="utf-8")

@@ -11,8 +11,10 @@ effect stands out by six standard errors (``visible.py``); rates are over visibl
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Callable, Mapping, Sequence
 from itertools import permutations
+from pathlib import Path
 from typing import Any
 
 from scipy.stats import beta
@@ -212,3 +214,14 @@ def markdown(rows: Sequence[Row]) -> str:
         said = "crash" if r["crashed"] else said
         lines.append(f"| {r['case']} | `{network}` | {size} | {effect} | {r['visible']:.0f} | {said} |")
     return "\n".join(lines)
+
+
+def write(rows: Sequence[Row], out: Path) -> None:
+    """The table as CSV and as Markdown."""
+    if not rows:
+        return
+    with (out / "table.csv").open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    (out / "table.md").write_text(markdown(rows) + "\n", encoding="utf-8")
