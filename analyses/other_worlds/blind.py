@@ -25,8 +25,8 @@ def diagnosed(folder: Path, seed: int = 1, quick: bool = True) -> dict[str, Any]
     Returns
     -------
     dict
-        ``case``, ``data_sha256``, ``seconds``, ``exit`` (None if given up), ``verdict`` (None if there is none),
-        ``crash`` (end of what was printed, if the command ended with a traceback or was given up), ``sources``.
+        ``case``, ``data_sha256``, ``seconds``, ``processor_seconds``, ``exit`` (None if given up), ``verdict`` (None if
+        there is none), ``crash`` (end of what was printed, if there is no verdict or a traceback), ``sources``.
     """
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     environment = os.environ | {"PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg"} | threads
@@ -34,14 +34,14 @@ def diagnosed(folder: Path, seed: int = 1, quick: bool = True) -> dict[str, Any]
         out = Path(room) / "out"
         command = [sys.executable, "-m", "bayes_impedance", "diagnose", str(folder), "-o", str(out), f"--seed={seed}"]
         started = time.perf_counter()
-        try:
-            done = subprocess.run(
-                [*command, *(["--quick"] if quick else [])], capture_output=True, text=True, check=False, cwd=room,
-                env=environment, timeout=LONGEST,
+        with (Path(room) / "printed").open("w+", encoding="utf-8") as printed_to:
+            child = subprocess.Popen(
+                [*command, *(["--quick"] if quick else [])], stdout=subprocess.DEVNULL, stderr=printed_to, cwd=room,
+                env=environment,
             )  # fmt: skip
-            status, printed = done.returncode, done.stderr
-        except subprocess.TimeoutExpired:
-            status, printed = None, f"given up after {LONGEST:.0f} s"
+            status, processor = _ended(child, started + LONGEST)
+            printed_to.seek(0)
+            printed = printed_to.read() if status is not None else f"given up after {LONGEST:.0f} s"
         seconds = time.perf_counter() - started
         file = out / "verdict.json"
         verdict = slim(json.loads(file.read_text(encoding="utf-8"))) if file.is_file() else None
@@ -50,11 +50,27 @@ def diagnosed(folder: Path, seed: int = 1, quick: bool = True) -> dict[str, Any]
         "case": folder.name,
         "data_sha256": digest_of(folder),
         "seconds": round(seconds, 2),
+        "processor_seconds": round(processor, 2),
         "exit": status,
         "verdict": verdict,
         "crash": printed.strip()[-1500:] if crashed else None,
         "sources": sources(),
     }
+
+
+def _ended(child: subprocess.Popen, latest: float) -> tuple[int | None, float]:
+    """Exit status, or None if given up; and the processor's seconds, which other work on the machine leaves alone."""
+    while True:
+        pid, status, used = os.wait4(child.pid, os.WNOHANG)
+        if pid:
+            child.returncode = os.waitstatus_to_exitcode(status)
+            return child.returncode, used.ru_utime + used.ru_stime
+        if time.perf_counter() > latest:
+            child.kill()
+            _, _, used = os.wait4(child.pid, 0)
+            child.returncode = -9
+            return None, used.ru_utime + used.ru_stime
+        time.sleep(0.1)
 
 
 def run(folders: Iterable[Path], out: Path, jobs: int) -> None:

@@ -15,6 +15,7 @@ import csv
 from collections.abc import Callable, Mapping, Sequence
 from itertools import permutations
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from scipy.stats import beta
@@ -127,6 +128,7 @@ def score(
         "visible": min(answer["visible"], default=0.0),
         "is_visible": group == "none" or min(answer["visible"]) >= VISIBLE,
         "seconds": record["seconds"],
+        "processor_seconds": record.get("processor_seconds"),
         "exit": record["exit"],
         "crashed": record["verdict"] is None or bool(record["crash"]),
         "reliable": None,
@@ -183,9 +185,7 @@ def rates(rows: Sequence[Row]) -> list[tuple[str, str]]:
     seen = [r for r in rows if r["group"] != "none" and r["is_visible"]]
     faint = [r for r in rows if not r["is_visible"]]
     judged = [r for r in seen if r["side"] is not None]
-    seconds = sorted(r["seconds"] for r in rows)
-    middle = seconds[len(seconds) // 2] if seconds else float("nan")
-    worst = seconds[-1] if seconds else float("nan")
+    timed = {k: [r[k] for r in rows if r.get(k) is not None] for k in ("seconds", "processor_seconds")}
     lines = [("strictly right, of visible", of(seen, lambda r: r["right"]))]
     for group in ("one", "two", "outside"):
         lines.append((f"... {group}", of([r for r in seen if r["group"] == group], lambda r: r["right"])))
@@ -196,7 +196,11 @@ def rates(rows: Sequence[Row]) -> list[tuple[str, str]]:
         ("side right or undecided", of(judged, lambda r: r["side"])),
         ("crashes and no verdict", of(rows, lambda r: r["crashed"])),
         ("must not be relied on", of([r for r in rows if r["reliable"] is not None], lambda r: not r["reliable"])),
-        ("seconds, median and worst", f"{middle:.0f}, {worst:.0f}"),
+    ]
+    lines += [
+        (f"{name.replace('_', ' ')}, median and worst", f"{median(found):.0f}, {max(found):.0f}")
+        for name, found in timed.items()
+        if found
     ]
     return lines
 
