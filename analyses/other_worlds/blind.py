@@ -53,7 +53,7 @@ def diagnosed(folder: Path, seed: int = 1, quick: bool = True) -> dict[str, Any]
         "processor_seconds": round(processor, 2),
         "exit": status,
         "verdict": verdict,
-        "crash": printed.strip()[-1500:] if crashed else None,
+        "crash": printed.strip().replace(f"{ROOT}{os.sep}", "")[-1500:] if crashed else None,
         "sources": sources(),
     }
 
