@@ -2,7 +2,8 @@
 
 - Something of the catalogue is missing: as many entries as effects, and each effect has an entry of its own that names
   it, or leaves it undecided: at most :data:`MOST_UNDECIDED` names, entry and aliases that are not separated.
-- Physics outside of the catalogue: ``unknown``, or entries that are the same curve in the band, and nothing else.
+- Physics outside of the catalogue: one entry, ``unknown`` or one that is the same curve in the band. Several names for
+  one thing are wrong, however well they fit together.
 - Nothing is missing: nothing is claimed.
 
 An entry about the noise is right where the noise has such tails, and is not counted. A case is *visible* if every
@@ -61,16 +62,15 @@ def right(answer: Mapping[str, Any], entries: Sequence[Mapping[str, Any]], same_
     if group == "none":
         return not entries
     if group == "outside":
-        return bool(entries) and (
-            same_curve or [e["id"] for e in entries] == ["unknown"] or _named_later(answer, entries)
-        )
+        if len(entries) != 1:
+            return False
+        return same_curve or entries[0]["id"] == "unknown" or _named_later(answer["effects"][0], entries[0])
     return matched(answer, entries) is not None
 
 
-def _named_later(answer: Mapping[str, Any], entries: Sequence[Mapping[str, Any]]) -> bool:
-    effect, entry = answer["effects"][0], entries[0]
+def _named_later(effect: Mapping[str, Any], entry: Mapping[str, Any]) -> bool:
     words = LATER_NAMES.get(effect["id"], ())
-    return len(entries) == 1 and entry.get("place") == effect["place"] and any(w in entry["id"] for w in words)
+    return entry.get("place") == effect["place"] and any(word in entry["id"] for word in words)
 
 
 def matched(answer: Mapping[str, Any], entries: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]] | None:

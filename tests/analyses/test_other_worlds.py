@@ -214,6 +214,12 @@ def test_strictly_right_is_the_right_set_of_names_and_nothing_else(
     assert scoring.right(_answer(*truth), said, same_curve=False) is right
 
 
+def test_one_name_of_the_same_curve_is_right_for_physics_outside_and_two_are_not() -> None:
+    answer, names = _answer("outside.echo"), [_entry("body.relaxation"), _entry("rig.lowpass")]
+    assert scoring.right(answer, names[:1], same_curve=True)
+    assert not scoring.right(answer, names, same_curve=True)
+
+
 def test_rows_count_intervals_sides_crashes_and_what_is_not_reliable() -> None:
     answer = _answer("rig.mass")
     answer["effects"][0]["values"] = {"mass": 2.0}
