@@ -153,6 +153,7 @@ def _spread(name: str, rng: np.random.Generator) -> float:
 
 
 def _place(kind: Kind, world: World, rng: np.random.Generator) -> tuple[str, Node] | None:
+    """One of the places at which the catalogue says that an entry may stand; physics outside of it stands anywhere."""
     if kind.where == "port":
         return "port", world.network
     if kind.where in ("beside", "spring_group"):
@@ -160,8 +161,10 @@ def _place(kind: Kind, world: World, rng: np.random.Generator) -> tuple[str, Nod
         if kind.where == "spring_group":
             found = [(p, n) for p, n in found if p != "port" and any(e[0] == "n" for e in elements(n))]
             found += [(e, e) for e in elements(world.network) if e[0] == "n" and (e, e) not in found]
-        elif kind.id == "body.mass":
+        elif kind.id in ("body.mass", "body.reflex"):
             found = [(p, n) for p, n in found if p == "port" or not isinstance(n, str)]
+        elif not kind.id.startswith("outside"):
+            found = [(p, n) for p, n in found if p == "port" or not isinstance(n, str) or n[0] != "m"]
         if not found:
             return None
         return found[int(rng.integers(len(found)))]

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from conftest import DATA
 
+from bayes_impedance.diagnosis.catalogue.effect import registered
 from bayes_impedance.network.notation import parse
 from bayes_impedance.recordings.files import read_recordings
 
@@ -112,6 +113,16 @@ def test_effects_have_the_strength_that_was_drawn() -> None:
             assert np.abs(clean / plain - 1).max() == pytest.approx(effect.strength, rel=1e-3)
             checked += 1
     assert checked > 15
+
+
+def test_entries_of_the_catalogue_stand_where_the_catalogue_has_them() -> None:
+    assert any(entry.id == "body.springpot" for entry in registered())
+    for i in range(120):
+        world = drawing.draw(11, i)
+        network = parse(trees.notation(world.network))
+        for effect in (e for e in world.effects if e.kind in left_out.KINDS and not e.id.startswith("outside")):
+            admitted = {place.name for entry in registered() if entry.id == effect.id for place in entry.sites(network)}
+            assert effect.place in admitted, (effect.kind, effect.place, trees.notation(world.network))
 
 
 def test_what_the_body_may_have_is_passive() -> None:
