@@ -53,9 +53,16 @@ def diagnosed(folder: Path, seed: int = 1, quick: bool = True) -> dict[str, Any]
         "processor_seconds": round(processor, 2),
         "exit": status,
         "verdict": verdict,
-        "crash": printed.strip().replace(f"{ROOT}{os.sep}", "")[-1500:] if crashed else None,
+        "crash": _without_machine(printed)[-1500:] if crashed else None,
         "sources": sources(),
     }
+
+
+def _without_machine(printed: str) -> str:
+    """What was printed, without where this machine keeps the package and Python."""
+    for folder in (ROOT, Path(sys.prefix), Path(sys.base_prefix)):
+        printed = printed.replace(f"{folder}{os.sep}", "")
+    return printed.strip()
 
 
 def _ended(child: subprocess.Popen, latest: float) -> tuple[int | None, float]:
