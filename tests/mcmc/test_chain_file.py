@@ -191,5 +191,5 @@ def test_files_written_grow_with_the_chain_not_with_its_square(tmp_path, monkeyp
 def test_chains_of_another_dimension_are_refused(tmp_path):
     run(checkpoint=tmp_path)
     target = Gaussian(4)
-    with pytest.raises(InputError, match=r"ensemble_0\.h5: is the chain of another fit \(5 parameters, not 4\); name another"):
+    with pytest.raises(InputError, match=r"ensemble_0\.h5: is the chain of another fit \(5 parameters, not 4\)"):
         sample(target, target.mean, target.sd, SHORT, np.random.SeedSequence(1), silent, tmp_path)
