@@ -31,9 +31,6 @@ _SHARE = 0.6
 _EQUAL = 1.0
 """Differences of log evidence below this one are rounding and convergence error; the catalogue's order decides then."""
 
-_RIVAL = 10.0
-"""A rival further behind the leader, in log evidence before both have converged, is not refitted again. By choice."""
-
 _ROUNDS = 40
 """Largest number of rounds of a refit that begins at the fit of another place: 11 of 12 converged."""
 
@@ -87,10 +84,8 @@ def _at_rest(
             model = with_pooling(trial.fit.model, len(trial.fit.model.additions) - 1, leader.pooling)
             grown = refitter.fit(model, leader.fit.u, leader.fit.population, _ROUNDS)
             result.append(_better_of(trial, _again(trial, grown, fit)))
-        elif trial.gain > ranked[0].gain - _RIVAL:  # the leader's gain before it had converged
-            result.append(_settled(refitter, fit, trial, seed, tries=2, rounds=1))
         else:
-            result.append(trial)
+            result.append(_settled(refitter, fit, trial, seed, tries=2, rounds=1))
     result = in_order(result, effects)
     if result[0] is not leader:
         result[0] = _settled(refitter, fit, result[0], seed, tries=3, rounds=2)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayes_impedance.diagnosis.catalogue.effect import Candidate, Effect
+from bayes_impedance.diagnosis.fit.cold_start import cold_start, driven_away
 from bayes_impedance.diagnosis.fit.extend import extended, extended_start, has_shapes, is_physical
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.refit import Refit
@@ -160,7 +161,16 @@ def try_candidate(
             model = extended(fit.model, candidate, pooling, size)
             grown = refitter.fit(model, *extended_start(trials[-1].fit, model), rounds)
             trials.append(_trial(candidate, pooling, grown, fit))
-    return [t for t in trials if t.pooling in poolings]
+    return [_from_cold(refitter, fit, t, rounds) for t in trials if t.pooling in poolings]
+
+
+def _from_cold(refitter: Refitter, fit: Refit, trial: Trial, rounds: int) -> Trial:
+    """The better of a trial and one from a cold start, if the model without the addition has driven elements away."""
+    if not driven_away(fit).any():
+        return trial
+    cold = refitter.fit(trial.fit.model, *cold_start(fit, trial.fit), rounds)
+    other = _trial(trial.candidate, trial.pooling, cold, fit)
+    return other if (other.physical, other.gain) > (trial.physical, trial.gain) else trial
 
 
 def own_shapes(
@@ -195,7 +205,7 @@ def own_shapes(
         u[:, column] = values[fit.owner]
         mu[int(np.flatnonzero(varying == column)[0])] = values.mean()
     grown = refitter.fit(model, u, replace(population, mu=mu), rounds)
-    return _trial(chosen, "free", grown, fit)
+    return _from_cold(refitter, fit, _trial(chosen, "free", grown, fit), rounds)
 
 
 def try_shortlist(refitter: Refitter, fit: Refit, screening: Screening, begin: Refit | None = None) -> list[Trial]:
