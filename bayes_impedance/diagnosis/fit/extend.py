@@ -76,10 +76,12 @@ def is_physical(fit: Refit) -> bool:
     """Whether every coefficient has an admissible sign, and is absent in some people if the effect claims that."""
     for i, addition in enumerate(fit.model.additions):
         effect = addition.effect
-        if effect.signed or not effect.operation:
+        if not effect.operation:
             continue
-        if effect.pooling == "some" and not members(fit, i).only_some:
+        if addition.only_in_some and not members(fit, i).only_some:
             return False
+        if effect.signed:
+            continue
         linear = [c for c, k in zip(fit.model.columns(i), effect.coefficients, strict=True) if k.link == "linear"]
         values = fit.u[:, linear].mean(axis=0)
         if not effect.traits.allows(values):

@@ -62,6 +62,11 @@ class Addition:
     correlation: float = 0.0
 
     @property
+    def only_in_some(self) -> bool:
+        """Whether it is claimed of some people only: a rig does not differ between people, but sessions and rigs do."""
+        return self.effect.pooling == "some" or (self.effect.side == "rig" and self.pooling != "shared")
+
+    @property
     def key(self) -> tuple[str, str, str]:
         """Identity of the addition: effect and place, whatever the pooling."""
         return self.effect.id, self.effect.form, self.place

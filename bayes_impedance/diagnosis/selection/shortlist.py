@@ -16,7 +16,7 @@ from bayes_impedance.diagnosis.fit.cold_start import cold_start, driven_away
 from bayes_impedance.diagnosis.fit.extend import extended, extended_start, has_shapes, is_physical
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.refit import Refit
-from bayes_impedance.diagnosis.selection.compare import FEWEST_TO_VARY, log_evidence
+from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, FEWEST_TO_VARY, log_evidence
 from bayes_impedance.diagnosis.selection.score_scan import Screening
 
 ALPHA = 0.01
@@ -216,9 +216,10 @@ def try_shortlist(refitter: Refitter, fit: Refit, screening: Screening, begin: R
     trials: list[Trial] = []
     for k in shortlist(screening):
         candidate = screening.candidates[k]
-        poolings = poolings_for(candidate.effect, len(refitter.data))
+        differs = bool(screening.log_p_spread[k] < _CLEARLY_VARIES)
+        poolings = poolings_for(candidate.effect, len(refitter.data), differs)
         trials += try_candidate(refitter, fit, candidate, float(screening.size[k]), poolings, _FIRST_ROUNDS, begin)
-        if "varying" in poolings and has_shapes(candidate.effect) and screening.log_p_spread[k] < _CLEARLY_VARIES:
+        if candidate.effect.side == "body" and "varying" in poolings and has_shapes(candidate.effect) and differs:
             trials.append(own_shapes(refitter, fit, screening, k, _FIRST_ROUNDS, begin))
     trials = _continued(refitter, fit, trials)
     possible = [t for t in trials if t.physical and np.isfinite(t.gain)]
@@ -252,8 +253,13 @@ def _continued(refitter: Refitter, fit: Refit, trials: list[Trial]) -> list[Tria
     return result
 
 
-def poolings_for(effect: Effect, n_people: int) -> tuple[str, ...]:
-    """Pooling of a coefficient: that of the rig is shared, that of the body varies."""
+def poolings_for(effect: Effect, n_people: int, differs: bool = False) -> tuple[str, ...]:
+    """Pooling of a coefficient: that of the rig is shared, that of the body varies.
+
+    Where a coefficient of the rig clearly differs between people, some of them may have been recorded otherwise.
+    """
+    if effect.side == "rig" and differs and effect.operation and n_people >= FEWEST_PEOPLE:
+        return ("shared", "varying")
     return ("shared",) if effect.side == "rig" or n_people < FEWEST_TO_VARY else ("varying",)
 
 

@@ -75,7 +75,7 @@ def effect_entry(
     model = found.final.model
     item = model.additions[addition]
     effect = item.effect
-    who = members(found.final, addition) if effect.pooling == "some" else None
+    who = members(found.final, addition) if item.only_in_some else None
     if who is not None:  # the coefficient among those who have it
         posterior = _of_members(posterior, model.columns(addition)[0] - model.n_elements, who)
     elements = posterior.elements
@@ -94,7 +94,7 @@ def effect_entry(
     side: str | None = effect.side
     if few_people:
         side = None
-    elif item.pooling != "shared" and verdict_on_side(dispersion) == "body":
+    elif who is None and item.pooling != "shared" and verdict_on_side(dispersion) == "body":
         side = "body"
     step = found.step_of(item)
     z = _score_of(step, item.key) if step else float("nan")
@@ -110,7 +110,7 @@ def effect_entry(
         place=item.place,
         side=side,
         side_decided=side is not None and verdict_on_side(dispersion) == side,
-        pooling=effect.pooling if effect.pooling == "some" else "shared" if item.pooling == "shared" else "varying",
+        pooling="some" if who is not None else "shared" if item.pooling == "shared" else "varying",
         subjects=people,
         parameters=parameters,
         evidence=EvidenceOfEffect(
