@@ -163,7 +163,9 @@ class Refitter:
         )
 
     def settle(self, fit: Refit, seed: int, tries: int = 6, rounds: int = 3, hold: bool = False) -> Refit:
-        """Look for better optima of every person, from draws of the population, until none is found.
+        """Look for better optima of every person, from the median person and draws of the population.
+
+        This is repeated until none is found.
 
         One person in a local optimum looks like missing physics.
 
@@ -172,7 +174,7 @@ class Refitter:
         fit : Refit
         seed : int
         tries : int
-            Draws per person and round.
+            Starts per person and round.
         rounds : int
             Largest number of rounds.
         hold : bool
@@ -184,10 +186,13 @@ class Refitter:
         for _ in range(rounds):
             best_u, best_evidence = fit.u.copy(), fit.evidence.copy()
             factor = np.linalg.cholesky(fit.population.covariance)
-            for _ in range(tries):
+            for k in range(tries):
                 start = fit.u.copy()
-                draw = fit.population.mu + rng.normal(size=(n, factor.shape[0])) @ factor.T
-                start[:, varying] = draw[self.owner]
+                if k == 0:  # of most people: the median is not drawn away by those in another optimum
+                    start[:, varying] = np.median(fit.persons, axis=0)
+                else:
+                    draw = fit.population.mu + rng.normal(size=(n, factor.shape[0])) @ factor.T
+                    start[:, varying] = draw[self.owner]
                 trial = self.fit(fit.model, start, fit.population, 15, hold_population=True, hold_additions=True)
                 better = trial.evidence > best_evidence + 0.2
                 best_evidence = np.where(better, trial.evidence, best_evidence)

@@ -239,16 +239,23 @@ def try_shortlist(refitter: Refitter, fit: Refit, screening: Screening, begin: R
 
 
 def _continued(refitter: Refitter, fit: Refit, trials: list[Trial]) -> list[Trial]:
-    """The trials, with more rounds for those that are not far behind after the first ones."""
+    """The trials that are not far behind, with people started at the median person, and with more rounds.
+
+    People whom the model without the addition has left in another optimum than most stay there otherwise, and the order
+    of the trials would be that of how many stay.
+    """
     gains = [t.gain for t in trials if np.isfinite(t.gain) and t.physical]
     if not gains:
         return trials
     enough = max(gains) - max(_FAR_BEHIND, (1 - _LEAST_SHARE) * max(gains))
     result = []
     for trial in trials:
-        if trial.gain > enough and not trial.fit.settled:
-            grown = refitter.fit(trial.fit.model, trial.fit.u, trial.fit.population, _MORE_ROUNDS)
-            trial = _trial(trial.candidate, trial.pooling, grown, fit)
+        if trial.gain > enough:
+            grown = refitter.settle(trial.fit, 0, tries=1, rounds=1)  # the median person: nothing is drawn
+            if not grown.settled:
+                grown = refitter.fit(grown.model, grown.u, grown.population, _MORE_ROUNDS)
+            if grown is not trial.fit:
+                trial = _trial(trial.candidate, trial.pooling, grown, fit)
         result.append(trial)
     return result
 
