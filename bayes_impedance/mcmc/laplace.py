@@ -36,6 +36,8 @@ _STEP = 0.5
 _GROWTH = 4.0
 """Most by which the variance along an axis grows in one iteration. By choice: the next differences then reach as far as
 one standard deviation of this one."""
+_NARROWEST = 1e-6
+"""Least ratio of two lengths of the approximation's axes: the covariance stays positive definite when rounded."""
 _HALVINGS = 6
 """Lengths of a step that are tried, each half of the one before. By choice: with a wrong curvature a step is at most
 four times too long, and the shape changes within some standard deviations."""
@@ -92,7 +94,8 @@ def normal_approximation(
 def _limited(factor: np.ndarray, smallest_precision: float) -> np.ndarray:
     """A factor (D, D) of the nearest covariance with eigenvalues of the precision above a limit."""
     axes, lengths, _ = np.linalg.svd(factor)
-    return np.asarray(axes * np.minimum(lengths, smallest_precision**-0.5))
+    longest = min(lengths[0], smallest_precision**-0.5)
+    return np.asarray(axes * np.clip(lengths, _NARROWEST * longest, longest))
 
 
 def _differences(

@@ -279,7 +279,7 @@ def test_bad_input_gives_one_sentence_and_status_2(
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (["report", "{tmp}"], "result.nc: not found"),
+        (["report", "{tmp}"], "result.nc: there is no such file"),
         (["simulate", "-o", "{tmp}/s", "--population", "{tmp}/none.json"], "there is no such file"),
         (["simulate", "-o", "{tmp}/s", "--population", "{tmp}/text.json"], "cannot be read as JSON"),
         (["simulate", "-o", "{tmp}/s", "--population", "{tmp}/empty.json"], 'key "elements" is missing'),

@@ -110,7 +110,7 @@ def test_an_interruption_while_drawing_says_that_the_fit_is_there(
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(jobs, "_write_pages", interrupted)
+    monkeypatch.setattr(jobs, "write_pages", interrupted)
     assert main(["run", *fit_arguments(tiny / "data", tmp_path / "out")[1:]]) == 1
     said = capsys.readouterr().err
     assert "interrupted; the fit is finished: 'bayes-impedance report" in said

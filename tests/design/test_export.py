@@ -153,7 +153,7 @@ def test_what_is_no_fit_is_refused(finished: Path, tmp_path: Path, capsys: pytes
 
 def test_elements_that_nobody_saw_need_an_assumption() -> None:
     result = make_result(unidentified=("n3",))
-    with pytest.raises(InputError, match="do not determine n3: assume a value"):
+    with pytest.raises(InputError, match="do not determine n3: give a value with --assume"):
         population_of(result)
     population = population_of(result, {"n3": 1e-7})
     users = population.draw(50, seed=1)

@@ -167,7 +167,7 @@ def test_what_the_simulation_leaves_of_itself_is_no_difference(same_people: bool
     assert first.id == "rig.delay"
     # What is left of other people is not quite what is left of these.
     assert first.parameters["delay"].median == pytest.approx(DELAY, rel=0.1 if same_people else 0.3)
-    assert any("taken off" in remark for remark in verdict.remarks)
+    assert any("subtracted" in remark for remark in verdict.remarks)
     if same_people:
         assert [entry.id for entry in verdict.physics] == ["rig.delay"]
 

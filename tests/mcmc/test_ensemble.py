@@ -204,7 +204,7 @@ class TwoModes:
 def ensembles_in(places, distance, steps=300):
     result = []
     for place, child in zip(places, np.random.SeedSequence(5).spawn(len(places)), strict=True):
-        ensemble = _Ensemble(TwoModes(distance), np.full(6, place), np.eye(6), child, None)
+        ensemble = _Ensemble(TwoModes(distance), np.full(6, place), np.eye(6), child, None, np.zeros(6, dtype=bool))
         ensemble.prepare((30, 30), lambda n: None)
         ensemble.run_to(steps, lambda n: None)
         result.append(ensemble)

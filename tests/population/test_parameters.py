@@ -70,6 +70,7 @@ def test_pack_and_unpack_round_trip(setting, seed):
     c = coordinates(**setting)
     vector = np.random.default_rng(seed).normal(0, 0.7, (3, c.n_dimensions))
     p = c.unpack(vector)
+    vector[:, c.even] = np.abs(vector[:, c.even])  # the sign of a dispersion's coordinate has no meaning
     for w in range(3):
         packed = c.pack(p.mu[w], p.covariance[w], p.between_repetitions[w], p.slopes[w])
         np.testing.assert_allclose(packed, vector[w], rtol=1e-8, atol=1e-8)
@@ -100,7 +101,9 @@ def test_blocks_are_in_the_stated_order():
     c = coordinates(3, covariates=2)
     zero = c.unpack(np.zeros((1, c.n_dimensions)))
     np.testing.assert_allclose(zero.mu[0], c.prior.centre)
-    np.testing.assert_allclose(zero.between_persons[0], halfnorm.median(), rtol=1e-12)
+    assert zero.between_persons.max() < 1e-8
+    names = np.repeat(["mu", "tau", "rho", "b", "c"], c.sizes[:5])
+    np.testing.assert_array_equal(c.even, np.isin(names, ["tau", "rho"]))
     moved = c.unpack(np.eye(c.n_dimensions))
     for row in range(c.n_dimensions):
         changed = {
@@ -206,16 +209,13 @@ def test_log_prior_is_the_lkj_density_times_the_jacobian(n, concentration):
 
 
 @pytest.mark.parametrize("dispersion_sd", [1.0, 0.2])
-def test_log_prior_is_the_half_normal_density_times_the_jacobian(dispersion_sd):
+def test_log_prior_is_the_half_normal_density_whatever_the_sign(dispersion_sd):
     c = coordinates(1, correlated=False, repetitions=False, covariates=0, dispersion_sd=dispersion_sd)
-
-    def dispersion(u):
-        return c.unpack(np.column_stack([np.zeros_like(u), u])).between_persons[:, 0]
-
     u = np.linspace(-4, 4, 33)
-    slope = (dispersion(u + 1e-4) - dispersion(u - 1e-4)) / 2e-4
-    expected = halfnorm(scale=dispersion_sd).logpdf(dispersion(u)) + np.log(slope)
-    difference = c.log_prior(np.column_stack([np.zeros_like(u), u])) - expected
+    vectors = np.column_stack([np.zeros_like(u), u])
+    dispersion = c.unpack(vectors).between_persons[:, 0]
+    np.testing.assert_allclose(dispersion, dispersion_sd * np.abs(u), atol=1e-8)
+    difference = c.log_prior(vectors) - halfnorm(scale=dispersion_sd).logpdf(dispersion)
     np.testing.assert_allclose(difference, difference[0], atol=1e-6)
 
 
@@ -250,4 +250,4 @@ def test_far_out_coordinates_stay_finite():
         assert np.all(np.isfinite(p.covariance))
         assert np.isfinite(c.log_prior(np.full((1, c.n_dimensions), 50 * u)))[0]
     large = c.unpack(np.full((1, c.n_dimensions), 7.0)).between_persons[0, 0]
-    assert large == pytest.approx(halfnorm.isf(norm.sf(7.0)), rel=1e-10)
+    assert large == 7.0
