@@ -14,9 +14,11 @@ from bayes_impedance.diagnosis.claimed_simulation import Claim, claim_of
 from bayes_impedance.diagnosis.extended_network import ExtendedNetwork, extended_network
 from bayes_impedance.diagnosis.extended_posterior import extended_posterior
 from bayes_impedance.diagnosis.fit.baseline import Fitted, fit_network
+from bayes_impedance.diagnosis.fit.majority import joined
 from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.heterogeneity.compare_populations import compare_populations
+from bayes_impedance.diagnosis.heterogeneity.subgroups import Subgroup
 from bayes_impedance.diagnosis.heterogeneity.tests import find_structures
 from bayes_impedance.diagnosis.hum.leakage import find_skirts
 from bayes_impedance.diagnosis.hum.line import Hum, find_mains, without_hum
@@ -159,7 +161,7 @@ def _diagnose(
         look = _look_again(look, first.fitted, base, job, clock)
     with clock.measure("confirm"):
         evidence = _confirm(first, look, claimed, job)
-    extended = extended_network(look.final.model, first.fitted.shared) if evidence.changed else None
+    extended = extended_network(evidence.final.model, first.fitted.shared) if evidence.changed else None
     fit = None
     if extended is not None and not job.quick:
         with clock.measure("posterior"):
@@ -234,12 +236,19 @@ def _look_again(look: _Look, fitted: Fitted, base: Refit, job: _Job, clock: Cloc
 
 def _confirm(first: _First, look: _Look, claimed: Claim | None, job: _Job) -> Evidence:
     """Evidence for the findings from held-out recordings and from tests of the population."""
-    seed, clean, fitted, found, final = job.seed, first.clean, first.fitted, look.found, look.final
-    changed = final is not found.base
+    seed, clean, fitted = job.seed, first.clean, first.fitted
     job.progress("confirming", 0, 3)
+    structures, remarks = find_structures(look.final, clean, job.diagonal, seed)
+    group = next((s for s in structures if isinstance(s, Subgroup)), None)
+    if group is not None:
+        again = joined(fitted.refitter, look.final, group.membership > 0.5)
+        if again is not look.final:  # they were in another optimum, or some of them were
+            look = look.with_final(again)
+            structures, remarks = find_structures(again, clean, job.diagonal, seed)
+    found, final = look.found, look.final
+    changed = final is not found.base
     gains = _gains(fitted, found, seed)
     job.progress("confirming", 1, 3)
-    structures, remarks = find_structures(final, clean, job.diagonal, seed)
     gain = held_out(fitted.refitter, found.base, final, seed, blocks=not job.quick) if changed else None
     job.progress("confirming", 2, 3)
     before = snapshot("before", clean, found.base, found.steps[0].residuals, seed)
@@ -346,6 +355,15 @@ class _Look:
     def final(self) -> Refit:
         """Fit with all additions, including unknown physics."""
         return self.found.final if self.unknown is None else self.unknown.trial.fit
+
+    def with_final(self, fit: Refit) -> _Look:
+        """The same findings with another fit of the final model."""
+        if self.unknown is not None:
+            unknown = replace(self.unknown, trial=replace(self.unknown.trial, fit=fit))
+            return replace(self, unknown=unknown)
+        if self.found.final is self.found.base:
+            return replace(self, found=replace(self.found, base=fit, final=fit))
+        return replace(self, found=replace(self.found, final=fit))
 
     @property
     def evidence(self) -> float:

@@ -31,7 +31,7 @@ _LEAST_SHARE = 0.4
 _PLACES_EACH = 2
 """Places at which one effect is tried in the first round. By choice: the leader is tried at all others afterwards."""
 
-_BY_SPREAD = 2
+_BY_SPREAD = 4
 """Candidates that are refitted because their coefficients differ between people. By choice, as `SHORTLIST`."""
 
 _CLEARLY_VARIES = -10.0
@@ -104,9 +104,9 @@ def best_shapes(screening: Screening, physical_only: bool = True, by_spread: boo
 def shortlist(screening: Screening, n: int = SHORTLIST) -> list[int]:
     """Candidates worth a refit.
 
-    These are the candidates that explain a large part of what the best one explains, each effect at two places at most,
-    and the two whose coefficients differ most between people: a resonance at a different frequency in each person has
-    no common score.
+    These are the candidates that explain a large part of what the best one explains, and those of the others whose
+    coefficients differ most between people, each effect at two places at most: a resonance at a different frequency in
+    each person has no common score.
     """
     order = best_shapes(screening)
     strength = np.abs(screening.z)
@@ -119,11 +119,14 @@ def shortlist(screening: Screening, n: int = SHORTLIST) -> list[int]:
         if places.get(effect, 0) < _PLACES_EACH:
             places[effect] = places.get(effect, 0) + 1
             chosen.append(k)
+    tried = {(screening.candidates[k].effect, screening.candidates[k].place) for k in chosen}
+    by_spread: dict[Effect, int] = {}
     for k in best_shapes(screening, by_spread=True):
-        if len(chosen) >= n + _BY_SPREAD or screening.log_p_spread[k] > _CLEARLY_VARIES:
+        candidate = screening.candidates[k]
+        if sum(by_spread.values()) == _BY_SPREAD or screening.log_p_spread[k] > _CLEARLY_VARIES:
             break
-        if screening.candidates[k].effect not in places:
-            places[screening.candidates[k].effect] = 1
+        if (candidate.effect, candidate.place) not in tried and by_spread.get(candidate.effect, 0) < _PLACES_EACH:
+            by_spread[candidate.effect] = by_spread.get(candidate.effect, 0) + 1
             chosen.append(k)
     return chosen
 

@@ -1,0 +1,61 @@
+"""People who seem to form a group, started where the others are: a group may be no more than a second optimum.
+
+One person's recordings may be described nearly as well by quite other elements. Whoever was left there differs from
+everybody else, and several of them look like a group. Under the population of the others alone, their starts at its
+centre tell: if a person's evidence is larger there than it was, the person belongs to the others. The population is
+then fitted anew, and kept if the evidence of all people is larger.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bayes_impedance.diagnosis.fit.fitter import Refitter
+from bayes_impedance.diagnosis.fit.normal_equations import Population
+from bayes_impedance.diagnosis.fit.refit import Refit
+
+_FEWEST = 3
+"""People from whom a centre and dispersions are taken. By choice: of two the covariance says nothing."""
+
+_SMALLEST_DISPERSION = 0.1
+"""Least standard deviation between the people who are joined. By choice: a few people who happen to be alike must not
+exclude others; people differ by 0.2 to 0.5."""
+
+_ROUNDS = 30
+"""Rounds of the refit under the others' population. By choice: each person has a few parameters."""
+
+
+def joined(refitter: Refitter, fit: Refit, group: np.ndarray) -> Refit:
+    """The fit with people of a group moved to the others, or the reverse, where that is better; else the fit itself.
+
+    Parameters
+    ----------
+    refitter : Refitter
+    fit : Refit
+    group : ndarray of bool, shape (N,)
+    """
+    for movers in (group, ~group):
+        if movers.any() and (~movers).sum() >= _FEWEST:
+            fit = _moved(refitter, fit, movers)
+    return fit
+
+
+def _moved(refitter: Refitter, fit: Refit, movers: np.ndarray) -> Refit:
+    elements = np.arange(fit.model.n_elements)
+    others = fit.persons[~movers][:, elements]
+    mu, covariance = fit.population.mu.copy(), fit.population.covariance.copy()
+    mu[elements] = np.median(others, axis=0)
+    variance = np.maximum(others.var(axis=0, ddof=1), _SMALLEST_DISPERSION**2)
+    covariance[elements], covariance[:, elements] = 0.0, 0.0
+    covariance[elements, elements] = variance
+    start = fit.u.copy()
+    rows = np.flatnonzero(movers[fit.owner])
+    start[np.ix_(rows, elements)] = mu[elements]
+    population = Population(mu, covariance, fit.population.rho)
+    trial = refitter.fit(fit.model, start, population, _ROUNDS, hold_population=True, hold_additions=True)
+    better = movers & (trial.evidence > fit.evidence)
+    if not better.any():
+        return fit
+    u = np.where(better[fit.owner, None], trial.u, fit.u)
+    again = refitter.fit(fit.model, u, fit.population)
+    return again if again.evidence.sum() > fit.evidence.sum() else fit
