@@ -120,6 +120,9 @@ class Chains:
     walkers: int
 
 
+_HALVINGS = 10
+"""Most times that the distance of a walker from the centre is halved at the start, while the density is zero there."""
+
 _CLEARLY_NOT_ZERO = 2.0
 """Mean of a coordinate's absolute value, in its standard deviations, above which it is clearly not zero: 1.3 of a
 normal distribution about zero, 5 where the normal distribution is five standard deviations away. By choice."""
@@ -228,7 +231,7 @@ class _Ensemble:
         rng = np.random.RandomState(np.random.MT19937(self.seed))
         mean, covariance = self.centre, self.covariance
         normal = rng.standard_normal((self.n_walkers, self.n_dimensions))
-        coordinates = mean + normal @ np.linalg.cholesky(covariance).T
+        coordinates = self._inside(mean, normal @ np.linalg.cholesky(covariance).T)
         random_state = rng.get_state()
         for n_steps in stages:
             sampler = self._sampler(mean, covariance, None)
@@ -245,6 +248,15 @@ class _Ensemble:
             recent = np.where(one_sided, np.abs(recent), recent)
             mean, covariance = recent.mean(axis=0), _refined(covariance, np.atleast_2d(np.cov(recent.T)))
         return {"mean": mean, "covariance": covariance, "coordinates": coordinates, "random_state": random_state}
+
+    def _inside(self, mean: np.ndarray, away: np.ndarray) -> np.ndarray:
+        """Walkers (W, D) at `away` from the mean, nearer where the density is zero: there no proposal is compared."""
+        for _ in range(_HALVINGS):
+            outside = ~np.isfinite(self.log_probability(mean + away))
+            if not outside.any():
+                break
+            away[outside] *= 0.5
+        return np.asarray(mean + away)
 
     def _one_sided(self, recent: np.ndarray) -> np.ndarray:
         """Even coordinates that are clearly not zero: walkers at the mirrored peak are brought to the other."""

@@ -76,7 +76,10 @@ def test_reported_effective_size_is_right(name):
     z = []
     for seed in range(40):
         rng = np.random.SeedSequence(100 + seed)
-        ensembles = [_Ensemble(target, target.mean, np.diag(target.sd**2), child, None) for child in rng.spawn(2)]
+        ensembles = [
+            _Ensemble(target, target.mean, np.diag(target.sd**2), child, None, np.zeros(target.mean.size, dtype=bool))
+            for child in rng.spawn(2)
+        ]
         for ensemble in ensembles:
             ensemble.prepare(settings.burn_in, lambda n: None)
             ensemble.run_to(300, lambda n: None)

@@ -22,10 +22,13 @@ from itertools import combinations
 import numpy as np
 
 from bayes_impedance.diagnosis.catalogue.effect import Effect
+from bayes_impedance.diagnosis.fit.coefficient_posterior import coefficient_posterior
+from bayes_impedance.diagnosis.fit.extend import rebuilt, shrunk
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.model import Addition
-from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
+from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
+from bayes_impedance.diagnosis.residuals.missing_impedance import missing_one_ports
 from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, compare, log_evidence
 from bayes_impedance.diagnosis.selection.cross_validation import people_gain
 from bayes_impedance.diagnosis.selection.stepwise import Found, rivals
@@ -74,7 +77,8 @@ def names_that_hold(
     found : Found
         Without named effects, if they are not identified.
     unknown : Realised or None
-        Network for the unnamed physics: for all that is missing if no named effect is identified.
+        Network for the unnamed physics: for all that is missing if no named effect is identified, and for the part of
+        those that may be one with an earlier one.
     """
     own = found.final.model.additions[len(found.base.model.additions) :]
     named = log_evidence(found.final) - log_evidence(found.base)
@@ -84,6 +88,12 @@ def names_that_hold(
             return _without_names(found), alone
     doubtful = _of_one_thing(found, own, residuals, remains)
     if doubtful and len(refitter.data) >= FEWEST_PEOPLE:
+        fewer = _without(refitter, found, doubtful)
+        if log_evidence(fewer.final) - log_evidence(found.base) >= _NAMED_SHARE * named:
+            # The later one of two that cannot be told apart adds little: the earlier one keeps its name.
+            remaining = tuple(person_residuals(fewer.final, [r.name for r in residuals], executor))
+            ports = missing_one_ports(fewer.final, remaining)
+            return fewer, stand_in_network(refitter, fewer.final, remaining, ports, seed, executor)
         trial = rest.trial if rest is not None else next(s.chosen for s in reversed(found.steps) if s.chosen)
         whole = rest.trial.fit if rest is not None else found.final
         total, se = people_gain(refitter, found.base, whole, seed)
@@ -93,20 +103,25 @@ def names_that_hold(
     return found, rest
 
 
-def _of_one_thing(found: Found, own: Sequence[Addition], residuals: Sequence[PersonResiduals], remains: bool) -> bool:
-    """Whether two effects overlap in frequency, and are series terms with structure left, or may be at one place."""
-    model = found.final.model
+def _of_one_thing(
+    found: Found, own: Sequence[Addition], residuals: Sequence[PersonResiduals], remains: bool
+) -> tuple[Addition, ...]:
+    """Effects that may be one with an earlier one.
+
+    They overlap in frequency, and both are series terms with structure left, or both may be at one place.
+    """
+    model, later = found.final.model, dict[int, Addition]()
     power = [felt(found.final, model.columns(model.additions.index(a)), residuals)[1] ** 2 for a in own]
     for i, k in combinations(range(len(own)), 2):
         one, other = own[i], own[k]
         if _overlap(power[i], power[k]) < _SAME_BAND:
             continue
         if remains and _is_series_term(one.effect) and _is_series_term(other.effect):
-            return True
+            later[k] = other
         both = _is_one_port(one.effect) and _is_one_port(other.effect) and one.effect.id != other.effect.id
         if both and _possible_places(found, one) & _possible_places(found, other):
-            return True
-    return False
+            later[k] = other
+    return tuple(later.values())
 
 
 def _is_series_term(effect: Effect) -> bool:
@@ -145,6 +160,17 @@ def _possible_places(found: Found, addition: Addition) -> set[str]:
     step = found.step_of(addition)
     others = [] if step is None else rivals(step)
     return {addition.place} | {trial.candidate.place for trial, _, separated in others if not separated}
+
+
+def _without(refitter: Refitter, found: Found, additions: Sequence[Addition]) -> Found:
+    """What was found without some of the named effects."""
+    model = found.final.model
+    kept = [i for i, addition in enumerate(model.additions) if addition not in additions]
+    smaller = rebuilt(model, [model.additions[i] for i in kept], kept)
+    final = shrunk(refitter, found.final, smaller, kept)
+    if not kept:
+        return _without_names(found)
+    return replace(found, final=final, posterior=coefficient_posterior(final, 1))
 
 
 def _without_names(found: Found) -> Found:

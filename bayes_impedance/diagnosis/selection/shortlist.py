@@ -31,7 +31,7 @@ _LEAST_SHARE = 0.4
 _PLACES_EACH = 2
 """Places at which one effect is tried in the first round. By choice: the leader is tried at all others afterwards."""
 
-_BY_SPREAD = 4
+BY_SPREAD = 4
 """Candidates that are refitted because their coefficients differ between people. By choice, as `SHORTLIST`."""
 
 _CLEARLY_VARIES = -10.0
@@ -123,7 +123,7 @@ def shortlist(screening: Screening, n: int = SHORTLIST) -> list[int]:
     by_spread: dict[Effect, int] = {}
     for k in best_shapes(screening, by_spread=True):
         candidate = screening.candidates[k]
-        if sum(by_spread.values()) == _BY_SPREAD or screening.log_p_spread[k] > _CLEARLY_VARIES:
+        if sum(by_spread.values()) == BY_SPREAD or screening.log_p_spread[k] > _CLEARLY_VARIES:
             break
         if (candidate.effect, candidate.place) not in tried and by_spread.get(candidate.effect, 0) < _PLACES_EACH:
             by_spread[candidate.effect] = by_spread.get(candidate.effect, 0) + 1
