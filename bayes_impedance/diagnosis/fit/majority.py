@@ -34,7 +34,7 @@ def joined(refitter: Refitter, fit: Refit, group: np.ndarray) -> Refit:
     fit : Refit
     group : ndarray of bool, shape (N,)
     """
-    for movers in (group, ~group):
+    for movers in sorted((group, ~group), key=np.sum):  # the fewer first
         if movers.any() and (~movers).sum() >= _FEWEST:
             fit = _moved(refitter, fit, movers)
     return fit

@@ -1,0 +1,94 @@
+"""Starts that forget where a wrong model has left people, and people who belong where the others are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from experiments import TOY, Experiment, entry, toy
+
+from bayes_impedance.diagnosis.fit.cold_start import cold_start, driven_away
+from bayes_impedance.diagnosis.fit.extend import extended_start
+from bayes_impedance.diagnosis.fit.majority import joined
+from bayes_impedance.diagnosis.fit.model import Addition
+from bayes_impedance.diagnosis.fit.refit import Refit
+from bayes_impedance.network.elements import band_scale
+
+# Another optimum: the two branches change places. A dispersion of 0.1 tells them apart where everybody agrees.
+TWINS = ("(n1-r1)|(n2-r2)", {"n1": 3e-5, "r1": 2.0, "n2": 1e-3, "r2": 1.0})
+
+
+@cache
+def toys() -> Experiment:
+    return toy(*TOY, seed=3)
+
+
+@cache
+def twins() -> Experiment:
+    return toy(*TWINS, seed=4, tau=0.1)
+
+
+def with_sd(fit: Refit, sd: tuple[float, ...]) -> Refit:
+    return replace(fit, population=replace(fit.population, covariance=np.diag(np.square(sd))))
+
+
+def test_elements_are_driven_away_if_people_differ_more_than_people_do() -> None:
+    fit = toys().fit()
+    assert not driven_away(fit).any()
+    assert driven_away(with_sd(fit, (0.9, 0.3))).tolist() == [True, False]
+
+
+def test_a_cold_start_is_the_median_person_and_the_middle_of_the_band() -> None:
+    experiment = toys()
+    fit = with_sd(experiment.fit(), (1.2, 0.3))
+    model = experiment.grown(Addition(effect=entry("rig.delay"), place="port", pooling="shared"))
+    grown = experiment.refitter.fit(model, *extended_start(fit, model), 5)
+    u, population = cold_start(fit, grown)
+    scales = model.scales
+    expected = [band_scale("n1", scales.z_middle, scales.middle / (2 * np.pi)), np.median(fit.persons[:, 1])]
+    np.testing.assert_allclose(u[:, :2], np.tile(expected, (len(u), 1)))
+    np.testing.assert_array_equal(u[:, 2], grown.u[:, 2])  # the addition stays where it is
+    np.testing.assert_allclose(population.mu, expected)
+    assert np.all(np.diag(population.covariance) > 0)
+    again = experiment.refitter.fit(model, u, population, 80)
+    assert again.evidence.sum() == pytest.approx(grown.evidence.sum(), abs=3)
+
+
+def in_the_other_optimum(fit: Refit, people: np.ndarray) -> Refit:
+    """The fit with the branches of some people exchanged: the same curves from elements that nobody else has."""
+    names = fit.model.network.elements
+    other = [names.index(name) for name in ("n2", "r2", "n1", "r1")]
+    own = [names.index(name) for name in ("n1", "r1", "n2", "r2")]
+    u = fit.u.copy()
+    rows = people[fit.owner]
+    u[np.ix_(rows, own)] = fit.u[np.ix_(rows, other)]
+    return twins().refitter.fit(fit.model, u, fit.population, 80)
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["the group is told", "the others are told"])
+def test_people_in_another_optimum_are_no_group(known: bool) -> None:
+    good = twins().fit()
+    some = np.arange(20) < 5
+    apart = in_the_other_optimum(good, some)
+    assert apart.evidence.sum() < good.evidence.sum() - 20
+    assert np.ptp(apart.persons[:, 0]) > 2  # they look like a group
+    together = joined(twins().refitter, apart, some if known else ~some)
+    assert together.evidence.sum() == pytest.approx(good.evidence.sum(), abs=1)
+    assert np.ptp(together.persons[:, 0]) < 1
+
+
+def test_people_who_do_differ_stay_apart() -> None:
+    def changed(s: np.ndarray, z: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        group = np.arange(len(z)) < 6
+        z = z.copy()
+        z[group] += 10.0  # a much larger damper
+        return z, group.astype(float)
+
+    experiment = toy(*TOY, seed=5, hidden=changed)
+    fit = experiment.fit()
+    group = np.arange(20) < 6
+    after = joined(experiment.refitter, fit, group)
+    assert after.evidence.sum() >= fit.evidence.sum()
+    np.testing.assert_allclose(after.persons, fit.persons, atol=0.01)
