@@ -44,7 +44,7 @@ def prepared(recordings: Recordings, network: str, seed: int) -> Posterior:
         likelihoods = initial_likelihoods(recordings, first, p, executor)
         nothing = np.zeros((n, 0))
         point = estimate(Pooling(kernel), likelihoods, first, prior, nothing, True, seeds[1], quiet)
-        posterior = Posterior(repetitions, kernel, prior, True, _PER_PERSON, point, nothing)
+        posterior = Posterior(repetitions, prior, True, _PER_PERSON, point, nothing)
         posterior.draw(seeds[3], executor, quiet)
     return posterior
 
