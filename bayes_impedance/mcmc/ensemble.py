@@ -28,6 +28,7 @@ from typing import Any
 
 import numpy as np
 
+from bayes_impedance.mcmc.autocorrelation import autocorrelation_time
 from bayes_impedance.mcmc.chain_file import read_chain, write_chain
 from bayes_impedance.runtime.progress import Progress
 
@@ -150,34 +151,6 @@ def crank_nicolson_move(mean: np.ndarray, covariance: np.ndarray) -> Any:
         return mean + new @ factor.T, half * (np.log(np.sum(new**2, axis=1)) - np.log(square))
 
     return MHMove(propose)
-
-
-def autocorrelation_time(chain: np.ndarray) -> np.ndarray:
-    """Integrated autocorrelation time of an ensemble, in steps.
-
-    emcee's own estimate subtracts each walker's mean, and so misses slow differences between walkers: in 300 steps it
-    finds half of the true time or less. Here the mean over all walkers is subtracted.
-
-    Parameters
-    ----------
-    chain : ndarray, shape (S, W, D)
-
-    Returns
-    -------
-    ndarray, shape (D,)
-        With Sokal's window of five times the result; infinite for a coordinate that does not move.
-    """
-    steps = chain.shape[0]
-    centred = chain - chain.mean(axis=(0, 1))
-    transformed = np.fft.rfft(centred, n=2 * steps, axis=0)
-    covariance = np.fft.irfft(np.mean(np.abs(transformed) ** 2, axis=1), axis=0)[:steps]
-    covariance /= np.arange(steps, 0, -1)[:, None]
-    result = np.full(chain.shape[2], np.inf)
-    for d in np.flatnonzero(covariance[0] > 0):
-        times = 2 * np.cumsum(covariance[:, d] / covariance[0, d]) - 1
-        enough = np.arange(steps) >= 5 * times
-        result[d] = max(times[int(np.argmax(enough))] if enough.any() else times[-1], 1.0)
-    return result
 
 
 class _Ensemble:

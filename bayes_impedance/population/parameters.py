@@ -18,8 +18,9 @@ half-normal prior is the absolute value of a normal variable, which is sampled w
 an even, smooth function of it. Where the data cannot distinguish a dispersion from zero it is close to a normal
 distribution about zero, of the width to which the data limit the dispersion; a logarithm, or the probit of the prior
 probability, has a tail without end there. Where the data determine a dispersion the density has two equal peaks, of
-which a chain sees one; their distance does not matter, because the sign has no meaning. Partial correlations are
-transformed by atanh.
+which a chain sees one; their distance does not matter, because the sign has no meaning. The dispersion of few people
+is skewed, and its logarithm less so: with a bend :math:`s_0` the coordinate is :math:`u = \operatorname{asinh}(s/s_0)`,
+linear below the bend and logarithmic above. Partial correlations are transformed by atanh.
 """
 
 from __future__ import annotations
@@ -160,6 +161,9 @@ class Coordinates:
         Those of them that have coordinates.
     held_shared : ndarray, shape (S,), optional
         Values of the others.
+    bend_persons, bend_repetitions : ndarray, shape (P,), optional
+        Where the coordinate of a dispersion bends from linear to logarithmic, in units of the prior's scale; linear
+        everywhere if not given.
     """
 
     prior: Prior
@@ -172,6 +176,8 @@ class Coordinates:
     shared_prior: Prior | None = None
     shared_free: tuple[int, ...] = ()
     held_shared: np.ndarray | None = None
+    bend_persons: np.ndarray | None = None
+    bend_repetitions: np.ndarray | None = None
 
     @property
     def n_elements(self) -> int:
@@ -206,11 +212,11 @@ class Coordinates:
         mu = np.tile(self.held_mu, (w, 1))
         mu[:, free] = self.prior.centre[free] + self.prior.centre_sds[free] * centre
         tau = np.tile(self.held_dispersion, (w, 1))
-        tau[:, free] = self._dispersion(persons)
+        tau[:, free] = self._dispersion(persons, self.bend_persons)
         rho = np.zeros((w, p))
         if self.repetitions:
             rho[:] = self.held_dispersion
-            rho[:, free] = self._dispersion(repetitions)
+            rho[:, free] = self._dispersion(repetitions, self.bend_repetitions)
         b = np.zeros((w, p, self.n_covariates))
         b[:, free] = self.prior.slope_sd * slopes.reshape(w, len(free), self.n_covariates)
         cholesky = np.tile(np.eye(p), (w, 1, 1))
@@ -229,8 +235,11 @@ class Coordinates:
 
     def log_prior(self, vector: np.ndarray) -> np.ndarray:
         """Log prior density of sampled vectors, shape (W, D), up to a constant: shape (W,)."""
-        *normal, partial, shared = self._blocks(vector)
-        value = -0.5 * sum(np.sum(block**2, axis=-1) for block in (*normal, shared))
+        centre, persons, repetitions, slopes, partial, shared = self._blocks(vector)
+        value = -0.5 * sum(np.sum(block**2, axis=-1) for block in (centre, slopes, shared))
+        value = value + self._log_prior_of(persons, self.bend_persons)
+        if self.repetitions:
+            value = value + self._log_prior_of(repetitions, self.bend_repetitions)
         if self.correlated:
             # In u = atanh(r) the density (1 - r^2)^(b - 1) becomes (1 - r^2)^b = sech(u)^(2 b).
             value = value - 2 * np.sum(self._levels() * _log_cosh(partial), axis=-1)
@@ -256,9 +265,12 @@ class Coordinates:
         """
         free = list(self.free)
         tau = np.sqrt(np.diag(covariance))[free]
-        parts = [(mu[free] - self.prior.centre[free]) / self.prior.centre_sds[free], tau / self.prior.dispersion_sd]
+        parts = [
+            (mu[free] - self.prior.centre[free]) / self.prior.centre_sds[free],
+            self._coordinate(tau, self.bend_persons),
+        ]
         if self.repetitions:
-            parts.append(between_repetitions[free] / self.prior.dispersion_sd)
+            parts.append(self._coordinate(between_repetitions[free], self.bend_repetitions))
         parts.append(slopes[free].ravel() / self.prior.slope_sd)
         if self.correlated:
             correlation = covariance[np.ix_(free, free)] / np.outer(tau, tau)
@@ -275,8 +287,20 @@ class Coordinates:
         position = np.arange(self.n_dimensions)
         return np.asarray((position >= centre) & (position < centre + persons + repetitions))
 
-    def _dispersion(self, u: np.ndarray) -> np.ndarray:
-        return np.asarray(self.prior.dispersion_sd * np.maximum(np.abs(u), _SMALLEST))
+    def _dispersion(self, u: np.ndarray, bend: np.ndarray | None) -> np.ndarray:
+        s = np.abs(u) if bend is None else bend[list(self.free)] * np.sinh(np.abs(u))
+        return np.asarray(self.prior.dispersion_sd * np.maximum(s, _SMALLEST))
+
+    def _coordinate(self, dispersion: np.ndarray, bend: np.ndarray | None) -> np.ndarray:
+        s = np.asarray(dispersion) / self.prior.dispersion_sd
+        return s if bend is None else np.arcsinh(s / bend[list(self.free)])
+
+    def _log_prior_of(self, u: np.ndarray, bend: np.ndarray | None) -> np.ndarray:
+        """Normal in s, with the Jacobian of s(u)."""
+        if bend is None:
+            return np.asarray(-0.5 * np.sum(u**2, axis=-1))
+        s = bend[list(self.free)] * np.sinh(u)
+        return np.asarray(np.sum(_log_cosh(u) - 0.5 * s**2, axis=-1))
 
     def _levels(self) -> np.ndarray:
         """Parameter b of the Beta(b, b) prior of each partial correlation, by rows of the lower triangle."""

@@ -49,9 +49,10 @@ _BEYOND_CHAIN = 2.0
 _PILOT = SamplerSettings(ensembles=2, burn_in=(60, 60), chunk=60, longest=60)
 """Short chains that give the mean and the covariance to which the reference is moved. By choice: convergence is not
 required."""
-_LEAST_DISPERSION = 0.05
-"""Dispersion whose relative standard error is the first guess of how well a smaller one is known. By choice: the steps
-in which the posterior's curvature is measured begin within the range that it has on common recordings."""
+_BEND, _LEAST_DISPERSION = 1 / 3, 1e-4
+"""Bend of a dispersion's coordinate, relative to the point estimate, and least estimate that counts. By choice: a
+dispersion that few people determine to 30 % lies on the logarithmic part, one that may be zero within or near the
+linear part."""
 _LARGEST_COORDINATE = 8.0
 """Limit on the coordinates. Most are standard normal under the prior, with a probability of 1e-15 beyond eight."""
 _SPREAD_ALLOWED = 1.2
@@ -134,11 +135,17 @@ class Posterior:
             shared_prior=prior.of(self.pooling.shared) if self.pooling.names else None,
             shared_free=tuple(np.flatnonzero(point.shared_determined)),
             held_shared=point.shared,
+            bend_persons=self._bend(np.sqrt(np.diag(self.covariance)), prior),
+            bend_repetitions=self._bend(point.between_repetitions, prior),
         )
         if not (self.coordinates.free or self.coordinates.shared_free):
             raise InputError(
                 "the recordings determine no element of the network: check the unit, the frequencies and the network"
             )
+
+    @staticmethod
+    def _bend(dispersion: np.ndarray, prior: Prior) -> np.ndarray:
+        return np.asarray(_BEND * np.maximum(dispersion, _LEAST_DISPERSION) / prior.dispersion_sd)
 
     def log_probability(self, u: np.ndarray) -> np.ndarray:
         """Log posterior density of coordinates (W, D), up to a constant: shape (W,)."""
@@ -184,14 +191,8 @@ class Posterior:
         sizes = self.coordinates.sizes
         prior, free = self.coordinates.prior, list(self.coordinates.free)
         centre = self.point.mu_sd[free] / prior.centre_sds[free]
-        tau = np.maximum(np.sqrt(np.diag(self.covariance))[free], _LEAST_DISPERSION) / prior.dispersion_sd
-        rho = np.maximum(self.point.between_repetitions[free], _LEAST_DISPERSION) / prior.dispersion_sd
-        blocks = [
-            few * tau,
-            repetitions * rho[: sizes[2]],
-            np.full(sizes[3], few / prior.slope_sd),
-            np.full(sizes[4], few),
-        ]
+        widths = (few, repetitions, few / prior.slope_sd, few)
+        blocks = [np.full(k, w) for k, w in zip(sizes[1:-1], widths, strict=True)]
         if self.coordinates.shared_prior is not None:
             sd = np.sqrt(np.diag(self.shared_covariance)) / self.coordinates.shared_prior.centre_sds
             blocks.append(sd[list(self.coordinates.shared_free)])

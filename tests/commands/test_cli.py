@@ -316,10 +316,12 @@ def test_real_recordings_run_to_the_end_and_say_how_bad_the_fit_is(
 ) -> None:
     names = [f"B{i:03d}" for i in range(0, 130, 13)]
     arguments = [a for name in names for a in ("--subject", name)]
-    assert main(["fit", str(real_data / "battery_130"), "-o", str(tmp_path), "--quick", *arguments]) == 0
+    status = main(["fit", str(real_data / "battery_130"), "-o", str(tmp_path), "--quick", *arguments])
     text = capsys.readouterr().out
     assert "The network does not describe these recordings" in text
     summary = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
+    # Elements known to 0.01 % need more draws than --quick has: the fit may say so, and then ends with status 1.
+    assert status == (0 if summary["reliable"] else 1)
     assert summary["unit"] == "ohm"
     assert summary["elements"]["n1"]["unit"] == "F"
     assert summary["errors"]["subjects"]["relative_rms_median"] > 0.1

@@ -12,11 +12,11 @@ from scipy.stats import loggamma, norm, t
 from short_chains import SHORT, D, Gaussian, as_bytes, changed, run, silent
 
 import bayes_impedance
+from bayes_impedance.mcmc.autocorrelation import autocorrelation_time
 from bayes_impedance.mcmc.ensemble import (
     SamplerSettings,
     _collect,
     _Ensemble,
-    autocorrelation_time,
     crank_nicolson_move,
     sample,
 )
