@@ -12,6 +12,9 @@ u and eta, in which the posterior would be standard normal if the impedance were
 .. math:: x_i = m_i(\cdot) + Q_i^{-T/2} u_i, \qquad e_{ij} = n_{ij}(\cdot) + K_{ij}^{-T/2} \eta_{ij} .
 
 That is a change of coordinates with its exact Jacobian: a poor expansion point makes NUTS slow, not wrong.
+
+A dispersion with a half-normal prior is the absolute value of a standard normal variable, and that variable is what
+NUTS moves: in the logarithm a dispersion that may be zero has a lower tail without end, which is seldom visited.
 """
 
 from __future__ import annotations
@@ -126,8 +129,8 @@ def model(data: Data) -> None:
     """The joint posterior."""
     n, j, p = data.pull.shape
     mu = numpyro.sample("mu", dist.Normal(data.centre, 3.0).to_event(1))
-    tau = numpyro.sample("tau", dist.HalfNormal(1.0).expand([p]).to_event(1))
-    rho = numpyro.sample("rho", dist.HalfNormal(1.0).expand([p]).to_event(1))
+    tau = jnp.abs(numpyro.sample("signed tau", dist.Normal().expand([p]).to_event(1)))
+    rho = jnp.abs(numpyro.sample("signed rho", dist.Normal().expand([p]).to_event(1)))
     correlation = numpyro.sample("correlation", dist.LKJCholesky(p, 2.0))
     s2 = numpyro.sample("s2", dist.InverseGamma(2.0, 2.0).expand([n]).to_event(1))
     u = numpyro.sample("u", dist.Normal().expand([n, p]).to_event(2))
@@ -179,8 +182,8 @@ def run_nuts(fit: PopulationFit, warmup: int = 800, draws: int = 2400, seed: int
         some = fit.parameters
         start = {
             "mu": 2 * some.mu[row] - some.mu.mean(axis=0),
-            "tau": some.between_persons[row] ** 2 / some.between_persons.mean(axis=0),
-            "rho": np.maximum(some.between_repetitions[row], 1e-3),
+            "signed tau": some.between_persons[row] ** 2 / some.between_persons.mean(axis=0),
+            "signed rho": np.maximum(some.between_repetitions[row], 1e-3),
             "correlation": some.correlation_cholesky[row],
             "s2": rng.uniform(0.5, 2, n),
             "u": rng.normal(size=(n, p)),
@@ -188,14 +191,15 @@ def run_nuts(fit: PopulationFit, warmup: int = 800, draws: int = 2400, seed: int
         }
         starts.append(unconstrain_fn(model, (data,), {}, {name: jnp.asarray(v) for name, v in start.items()}))
     stacked = {name: jnp.stack([s[name] for s in starts]) for name in starts[0]}
-    kernel = NUTS(model, dense_mass=[("mu", "tau", "rho", "correlation")], target_accept_prob=0.8)
+    kernel = NUTS(model, dense_mass=[("mu", "signed tau", "signed rho", "correlation")], target_accept_prob=0.8)
     mcmc = MCMC(
         kernel, num_warmup=warmup, num_samples=draws, num_chains=4, chain_method="vectorized", progress_bar=False
     )
     mcmc.run(jax.random.PRNGKey(seed), data, init_params=stacked, extra_fields=("diverging",))
     found: dict[str, Any] = {name: np.asarray(v) for name, v in mcmc.get_samples(group_by_chain=True).items()}
     factor = found["correlation"]
-    values = _named(found["mu"], found["tau"], found["rho"], factor @ np.swapaxes(factor, -1, -2), found["mean"])
+    tau, rho = np.abs(found["signed tau"]), np.abs(found["signed rho"])
+    values = _named(found["mu"], tau, rho, factor @ np.swapaxes(factor, -1, -2), found["mean"])
     divergences = int(mcmc.get_extra_fields()["diverging"].sum())
     return Samples(values, time.perf_counter() - started, divergences)
 
@@ -212,8 +216,8 @@ def _named(
     mu: np.ndarray, tau: np.ndarray, rho: np.ndarray, correlation: np.ndarray, mean: np.ndarray
 ) -> dict[str, np.ndarray]:
     values = {f"mu {e}": mu[..., p] for p, e in enumerate(ELEMENTS)}
-    values |= {f"log tau {e}": np.log(tau[..., p]) for p, e in enumerate(ELEMENTS)}
-    values |= {f"log rho {e}": np.log(rho[..., p]) for p, e in enumerate(ELEMENTS)}
+    values |= {f"tau {e}": tau[..., p] for p, e in enumerate(ELEMENTS)}
+    values |= {f"rho {e}": rho[..., p] for p, e in enumerate(ELEMENTS)}
     for p in range(len(ELEMENTS)):
         values |= {f"corr {ELEMENTS[q]} {ELEMENTS[p]}": correlation[..., p, q] for q in range(p)}
     for i in range(mean.shape[2]):

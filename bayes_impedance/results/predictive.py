@@ -135,10 +135,11 @@ def predict(fit: PopulationFit, *, n_draws: int = 1000, n_replicates: int = 200,
     rows = np.linspace(0, total - 1, min(n_draws, total)).astype(int)
 
     centre = Band.of(kernel.impedance(fit.parameters.mu[rows], frequency))
-    person = Band.of(kernel.impedance(_people(fit, rows, rng, with_repetitions=False), frequency))
+    # The recordings are those of the same people: what the bands differ by is then repetitions and noise, not chance.
+    people = _people(fit, rows, rng)
+    person = Band.of(kernel.impedance(people, frequency))
     noise = _relative_noise(fit, frequency)
-    recorded = _recordings(fit, rows, frequency, noise, rng)
-    recording = Band.of(recorded)
+    recording = Band.of(_recordings(fit, rows, people, frequency, noise, rng))
 
     network = kernel.impedance(np.median(fit.parameters.mu, axis=0), frequency)
     magnitude, phase = np.abs(network), np.angle(network, deg=True)
@@ -170,11 +171,8 @@ def predict(fit: PopulationFit, *, n_draws: int = 1000, n_replicates: int = 200,
     )
 
 
-def _people(fit: PopulationFit, rows: np.ndarray, rng: np.random.Generator, with_repetitions: bool) -> np.ndarray:
-    """Log elements of one new person for each given posterior draw, (S, P); of the only person if there is one.
-
-    With repetitions it is the mean over a number of repetitions taken at random from the measured persons.
-    """
+def _people(fit: PopulationFit, rows: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Log elements of one new person for each given posterior draw, (S, P); of the only person if there is one."""
     parameters = fit.parameters[rows]
     if fit.one_person:
         return parameters.mu
@@ -184,18 +182,28 @@ def _people(fit: PopulationFit, rows: np.ndarray, rng: np.random.Generator, with
     if fit.settings.covariates:
         values = rng.normal(size=(rows.size, len(fit.settings.covariates)))  # standardised, as in the fit
         theta = theta + np.einsum("spq,sq->sp", parameters.slopes, values)
-    if with_repetitions:
-        counts = np.array([len(s.repetitions) for s in fit.recordings.subjects])
-        spread = parameters.between_repetitions / np.sqrt(rng.choice(counts, rows.size))[:, None]
-        theta = theta + spread * rng.normal(size=theta.shape)
     return np.asarray(theta)
 
 
 def _recordings(
-    fit: PopulationFit, rows: np.ndarray, frequency: np.ndarray, noise: np.ndarray, rng: np.random.Generator
+    fit: PopulationFit,
+    rows: np.ndarray,
+    people: np.ndarray,
+    frequency: np.ndarray,
+    noise: np.ndarray,
+    rng: np.random.Generator,
 ) -> np.ndarray:
-    """Mean recordings of new people, complex, (S, F), with relative noise (N, F) of measured people."""
-    z = fit.kernel.impedance(_people(fit, rows, rng, with_repetitions=True), frequency)
+    """Mean recordings of new people with given log elements (S, P), complex, (S, F).
+
+    Each is the mean over a number of repetitions taken at random from the measured persons, with the relative noise
+    (N, F) of a measured person.
+    """
+    theta = people
+    if not fit.one_person:
+        counts = np.array([len(s.repetitions) for s in fit.recordings.subjects])
+        spread = fit.parameters[rows].between_repetitions / np.sqrt(rng.choice(counts, rows.size))[:, None]
+        theta = people + spread * rng.normal(size=people.shape)
+    z = fit.kernel.impedance(theta, frequency)
     who = rng.integers(len(fit.recordings.subjects), size=rows.size)
     sd = np.abs(z) * noise[who]
     return np.asarray(z + sd * (rng.normal(size=z.shape) + 1j * rng.normal(size=z.shape)))
@@ -226,7 +234,8 @@ def _replicate(
     total = fit.parameters.mu.shape[0]
     errors = []
     for row in rng.choice(total, n_replicates, replace=total < n_replicates):
-        z = _recordings(fit, np.full(n, row), frequency, noise, rng)
+        rows = np.full(n, row)
+        z = _recordings(fit, rows, _people(fit, rows, rng), frequency, noise, rng)
         z[missing] = np.nan
         errors.append(error_curves(magnitude, phase, z))
     m, p = np.array([e.magnitude for e in errors]), np.array([e.phase_deg for e in errors])
