@@ -13,8 +13,8 @@ u and eta, in which the posterior would be standard normal if the impedance were
 
 That is a change of coordinates with its exact Jacobian: a poor expansion point makes NUTS slow, not wrong.
 
-A dispersion with a half-normal prior is the absolute value of a standard normal variable, and that variable is what
-NUTS moves: in the logarithm a dispersion that may be zero has a lower tail without end, which is seldom visited.
+Dispersions are compared themselves, not their logarithms: a dispersion that may be zero has a lower tail without end in
+the logarithm, which both samplers visit seldom and which decides the moments there.
 """
 
 from __future__ import annotations
@@ -129,8 +129,8 @@ def model(data: Data) -> None:
     """The joint posterior."""
     n, j, p = data.pull.shape
     mu = numpyro.sample("mu", dist.Normal(data.centre, 3.0).to_event(1))
-    tau = jnp.abs(numpyro.sample("signed tau", dist.Normal().expand([p]).to_event(1)))
-    rho = jnp.abs(numpyro.sample("signed rho", dist.Normal().expand([p]).to_event(1)))
+    tau = numpyro.sample("tau", dist.HalfNormal(1.0).expand([p]).to_event(1))
+    rho = numpyro.sample("rho", dist.HalfNormal(1.0).expand([p]).to_event(1))
     correlation = numpyro.sample("correlation", dist.LKJCholesky(p, 2.0))
     s2 = numpyro.sample("s2", dist.InverseGamma(2.0, 2.0).expand([n]).to_event(1))
     u = numpyro.sample("u", dist.Normal().expand([n, p]).to_event(2))
@@ -182,8 +182,8 @@ def run_nuts(fit: PopulationFit, warmup: int = 800, draws: int = 2400, seed: int
         some = fit.parameters
         start = {
             "mu": 2 * some.mu[row] - some.mu.mean(axis=0),
-            "signed tau": some.between_persons[row] ** 2 / some.between_persons.mean(axis=0),
-            "signed rho": np.maximum(some.between_repetitions[row], 1e-3),
+            "tau": some.between_persons[row] ** 2 / some.between_persons.mean(axis=0),
+            "rho": np.maximum(some.between_repetitions[row], 1e-3),
             "correlation": some.correlation_cholesky[row],
             "s2": rng.uniform(0.5, 2, n),
             "u": rng.normal(size=(n, p)),
@@ -191,15 +191,14 @@ def run_nuts(fit: PopulationFit, warmup: int = 800, draws: int = 2400, seed: int
         }
         starts.append(unconstrain_fn(model, (data,), {}, {name: jnp.asarray(v) for name, v in start.items()}))
     stacked = {name: jnp.stack([s[name] for s in starts]) for name in starts[0]}
-    kernel = NUTS(model, dense_mass=[("mu", "signed tau", "signed rho", "correlation")], target_accept_prob=0.8)
+    kernel = NUTS(model, dense_mass=[("mu", "tau", "rho", "correlation")], target_accept_prob=0.8)
     mcmc = MCMC(
         kernel, num_warmup=warmup, num_samples=draws, num_chains=4, chain_method="vectorized", progress_bar=False
     )
     mcmc.run(jax.random.PRNGKey(seed), data, init_params=stacked, extra_fields=("diverging",))
     found: dict[str, Any] = {name: np.asarray(v) for name, v in mcmc.get_samples(group_by_chain=True).items()}
     factor = found["correlation"]
-    tau, rho = np.abs(found["signed tau"]), np.abs(found["signed rho"])
-    values = _named(found["mu"], tau, rho, factor @ np.swapaxes(factor, -1, -2), found["mean"])
+    values = _named(found["mu"], found["tau"], found["rho"], factor @ np.swapaxes(factor, -1, -2), found["mean"])
     divergences = int(mcmc.get_extra_fields()["diverging"].sum())
     return Samples(values, time.perf_counter() - started, divergences)
 

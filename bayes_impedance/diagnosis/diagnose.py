@@ -13,6 +13,7 @@ from bayes_impedance.diagnosis.catalogue.effect import Effect, registered
 from bayes_impedance.diagnosis.claimed_simulation import Claim, claim_of
 from bayes_impedance.diagnosis.extended_network import ExtendedNetwork, extended_network
 from bayes_impedance.diagnosis.extended_posterior import extended_posterior
+from bayes_impedance.diagnosis.findings import Findings, find
 from bayes_impedance.diagnosis.fit.baseline import Fitted, fit_network
 from bayes_impedance.diagnosis.fit.majority import joined
 from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
@@ -22,15 +23,10 @@ from bayes_impedance.diagnosis.heterogeneity.subgroups import Subgroup
 from bayes_impedance.diagnosis.heterogeneity.tests import find_structures
 from bayes_impedance.diagnosis.hum.leakage import find_skirts
 from bayes_impedance.diagnosis.hum.line import Hum, find_mains, without_hum
-from bayes_impedance.diagnosis.residuals.locate import Location, locate
-from bayes_impedance.diagnosis.residuals.missing_impedance import missing_one_ports
-from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, log_evidence
-from bayes_impedance.diagnosis.selection.cross_validation import held_out, people_gain
-from bayes_impedance.diagnosis.selection.identifiability import names_that_hold
+from bayes_impedance.diagnosis.selection.compare import log_evidence
+from bayes_impedance.diagnosis.selection.cross_validation import held_out
 from bayes_impedance.diagnosis.selection.restart import another_beginning
-from bayes_impedance.diagnosis.selection.stepwise import Found, search
-from bayes_impedance.diagnosis.selection.unnamed import Realised, stand_in_network, structure_remains
-from bayes_impedance.diagnosis.types import Diagnosis, OnePort, Snapshot
+from bayes_impedance.diagnosis.types import Diagnosis, Snapshot
 from bayes_impedance.diagnosis.verdict.model_bands import snapshot
 from bayes_impedance.diagnosis.verdict.ranking import ranking
 from bayes_impedance.diagnosis.verdict.verdict import Evidence, make_verdict
@@ -156,7 +152,7 @@ def _diagnose(
     with clock.measure("fit"):
         first = _fit_without_hum(compared, network, job)
         base, begin = _start(claimed, first.fitted, job)
-    look = _look(first.fitted, base, begin, job, clock)
+    look = find(first.fitted, base, begin, job.effects, job.seed, job.executor, job.progress, clock)
     if look.nameless:
         look = _look_again(look, first.fitted, base, job, clock)
     with clock.measure("confirm"):
@@ -177,7 +173,7 @@ def _diagnose(
         before=evidence.before,
         after=evidence.after,
         observed=on_grid(first.clean, evidence.before.frequency_hz),
-        ranking=ranking(look.found.steps[0]),
+        ranking=ranking(look.found.steps[0], evidence.remaining),
         one_ports=look.one_ports,
         differences=evidence.differences or (),
         fit=fit,
@@ -224,17 +220,18 @@ def _start(claimed: Claim | None, fitted: Fitted, job: _Job) -> tuple[Refit, Ref
     return claimed.start(fitted, job.seed)
 
 
-def _look_again(look: _Look, fitted: Fitted, base: Refit, job: _Job, clock: Clock) -> _Look:
+def _look_again(look: Findings, fitted: Fitted, base: Refit, job: _Job, clock: Clock) -> Findings:
     """The better of this search and one from a second start, if all that was found is unnamed."""
     with clock.measure("search"):
         known = look.evidence - log_evidence(base)
         begin = another_beginning(fitted, look.found.steps[0], known, job.seed, job.executor, job.progress)
     if begin is None:
         return look
-    return max(look, _look(fitted, base, begin, job, clock), key=lambda k: k.evidence)
+    again = find(fitted, base, begin, job.effects, job.seed, job.executor, job.progress, clock)
+    return max(look, again, key=lambda k: k.evidence)
 
 
-def _confirm(first: _First, look: _Look, claimed: Claim | None, job: _Job) -> Evidence:
+def _confirm(first: _First, look: Findings, claimed: Claim | None, job: _Job) -> Evidence:
     """Evidence for the findings from held-out recordings and from tests of the population."""
     seed, clean, fitted = job.seed, first.clean, first.fitted
     job.progress("confirming", 0, 3)
@@ -247,19 +244,20 @@ def _confirm(first: _First, look: _Look, claimed: Claim | None, job: _Job) -> Ev
             structures, remarks = find_structures(again, clean, job.diagonal, seed)
     found, final = look.found, look.final
     changed = final is not found.base
-    gains = _gains(fitted, found, seed)
     job.progress("confirming", 1, 3)
     gain = held_out(fitted.refitter, found.base, final, seed, blocks=not job.quick) if changed else None
     job.progress("confirming", 2, 3)
     before = snapshot("before", clean, found.base, found.steps[0].residuals, seed)
-    after = None
+    after, remaining = None, tuple(found.steps[0].residuals)
     if changed:
-        after = snapshot("after", clean, final, person_residuals(final, clean.names, job.executor), seed)
+        remaining = tuple(person_residuals(final, clean.names, job.executor))
+        after = snapshot("after", clean, final, remaining, seed)
     job.progress("confirming", 3, 3)
     return Evidence(
         found=found,
-        gains=gains,
+        gains=look.gains,
         unknown=look.unknown,
+        remaining=remaining if look.remains else (),
         structures=structures,
         hum=first.hum,
         location=look.first,
@@ -268,7 +266,7 @@ def _confirm(first: _First, look: _Look, claimed: Claim | None, job: _Job) -> Ev
         after=after,
         spoilt=first.spoilt,
         differences=None if claimed is None else compare_populations(claimed.found.final, final, clean.unit),
-        remarks=(*remarks, *_remarks(found, final, claimed)),
+        remarks=(*remarks, *_remarks(look, claimed)),
         quick=job.quick,
     )
 
@@ -298,24 +296,16 @@ def _measured(
     return replace(evidence, posterior=extended_posterior(named, extended, fit)), fit
 
 
-def _gains(fitted: Fitted, found: Found, seed: int) -> tuple[tuple[float, float | None] | None, ...]:
-    """Gain of each addition on held-out people; None with too few people, or if no step of the search has chosen it."""
-    if found.posterior is None:
-        return ()
-    gains: list[tuple[float, float | None] | None] = []
-    for addition in found.final.model.additions[len(found.base.model.additions) :]:
-        step = found.step_of(addition)
-        if step is None or step.chosen is None or len(fitted.refitter.data) < FEWEST_PEOPLE:
-            gains.append(None)
-        else:
-            gains.append(people_gain(fitted.refitter, step.before, step.chosen.fit, seed))
-    return tuple(gains)
-
-
-def _remarks(found: Found, final: Refit, claimed: Claim | None) -> list[str]:
+def _remarks(look: Findings, claimed: Claim | None) -> list[str]:
     """Caveats that a reader must know before relying on the numbers."""
     remarks = []
-    if not final.settled and final is not found.base:
+    changed = look.final is not look.found.base
+    if changed and look.remains and look.unknown is None:
+        remarks.append(
+            "Something else is missing: structure remains in the residuals that nothing named here describes. Points "
+            "that go up and down together count as one where explanations are compared."
+        )
+    if changed and not look.final.settled:
         remarks.append("The fit with the missing effects did not converge; its numbers are approximate.")
     if claimed is not None and claimed.rest:
         remarks.append(
@@ -323,78 +313,3 @@ def _remarks(found: Found, final: Refit, claimed: Claim | None) -> list[str]:
             "recordings."
         )
     return remarks
-
-
-@dataclass(frozen=True)
-class _Look:
-    """Result of one search.
-
-    Attributes
-    ----------
-    found : Found
-        Named effects that are identified.
-    unknown : Realised or None
-        Network for the unnamed physics.
-    first : Location
-        Mismatch of the network alone.
-    one_ports : tuple of OnePort
-        Missing one-port at each place before anything was added.
-    """
-
-    found: Found
-    unknown: Realised | None
-    first: Location
-    one_ports: tuple[OnePort, ...]
-
-    @property
-    def nameless(self) -> bool:
-        """Whether only unnamed physics was found."""
-        return self.unknown is not None and self.found.final is self.found.base
-
-    @property
-    def final(self) -> Refit:
-        """Fit with all additions, including unknown physics."""
-        return self.found.final if self.unknown is None else self.unknown.trial.fit
-
-    def with_final(self, fit: Refit) -> _Look:
-        """The same findings with another fit of the final model."""
-        if self.unknown is not None:
-            unknown = replace(self.unknown, trial=replace(self.unknown.trial, fit=fit))
-            return replace(self, unknown=unknown)
-        if self.found.final is self.found.base:
-            return replace(self, found=replace(self.found, base=fit, final=fit))
-        return replace(self, found=replace(self.found, final=fit))
-
-    @property
-    def evidence(self) -> float:
-        """Log evidence of the final model, which also counts a better fit of the network itself."""
-        return log_evidence(self.final)
-
-
-def _look(fitted: Fitted, base: Refit, begin: Refit | None, job: _Job, clock: Clock) -> _Look:
-    """Search for named effects, locate the remaining structure, and remove effects that are not identified."""
-    seed, executor, progress = job.seed, job.executor, job.progress
-    names = fitted.recordings.names
-    with clock.measure("search"):
-        found = search(fitted.refitter, base, names, job.effects, seed, executor, progress, begin)
-    with clock.measure("locate"):
-        progress("locating", 0, 2)
-        residuals = found.steps[0].residuals
-        first = locate(residuals, seed)
-        progress("locating", 1, 2)
-        last = first
-        if found.final.model.additions:
-            residuals = tuple(person_residuals(found.final, names, executor))
-            last = locate(residuals, seed)
-        one_ports = missing_one_ports(found.base, found.steps[0].residuals)
-        progress("locating", 2, 2)
-    unknown = None
-    with clock.measure("unknown"):
-        remains = structure_remains(found, last.p_value)
-        if remains:
-            progress("unknown physics", 0, 1)
-            ports = missing_one_ports(found.final, residuals)
-            unknown = stand_in_network(fitted.refitter, found.final, residuals, ports, seed, executor)
-        found, unknown = names_that_hold(fitted.refitter, found, unknown, remains, residuals, one_ports, seed, executor)
-        progress("unknown physics", 1, 1)
-    return _Look(found, unknown, first, one_ports)

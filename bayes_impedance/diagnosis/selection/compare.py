@@ -20,7 +20,9 @@ better of the two counts.
 
 A is better than B if the difference exceeds :data:`LEAST_GAIN` and :data:`SCATTERS` times its standard error over
 people: a gain in one person only is a local optimum of that person and not physics. Both fits must have converged; the
-caller ensures it (:mod:`bayes_impedance.diagnosis.selection.finalists`).
+caller ensures it (:mod:`bayes_impedance.diagnosis.selection.finalists`). Where physics is still missing in both, the
+difference is first divided by the number of points that count as one
+(:mod:`bayes_impedance.diagnosis.selection.misfit`).
 """
 
 from __future__ import annotations
@@ -76,29 +78,35 @@ class Comparison:
         Of log evidence (natural logarithm).
     standard_error : float
         Over people; 0 if there are too few.
+    dependence : float
+        Number of points that count as one, because structure remains in the residuals.
     """
 
     difference: float
     standard_error: float
+    dependence: float = 1.0
 
     @property
     def decided(self) -> bool:
         """Whether the first is better, by both limits."""
-        return bool(self.difference > LEAST_GAIN and self.difference > SCATTERS * self.standard_error)
+        enough = self.difference / self.dependence > LEAST_GAIN
+        return bool(enough and self.difference > SCATTERS * self.standard_error)
 
 
-def compare(one: Refit, other: Refit) -> Comparison:
+def compare(one: Refit, other: Refit, dependence: float = 1.0) -> Comparison:
     """Compare two explanations of the same recordings.
 
     Parameters
     ----------
     one, other : Refit
         Of the same people.
+    dependence : float
+        Number of points that count as one.
     """
     own = one.evidence - other.evidence
     n = own.size
     error = float(np.sqrt(n) * own.std(ddof=1)) if n >= FEWEST_PEOPLE else 0.0
-    return Comparison(log_evidence(one) - log_evidence(other), error)
+    return Comparison(log_evidence(one) - log_evidence(other), error, dependence)
 
 
 def log_evidence(fit: Refit) -> float:

@@ -88,7 +88,7 @@ def names_that_hold(
             return _without_names(found), alone
     doubtful = _of_one_thing(found, own, residuals, remains)
     if doubtful and len(refitter.data) >= FEWEST_PEOPLE:
-        fewer = _without(refitter, found, doubtful)
+        fewer = without(refitter, found, doubtful)
         if log_evidence(fewer.final) - log_evidence(found.base) >= _NAMED_SHARE * named:
             # The later one of two that cannot be told apart adds little: the earlier one keeps its name.
             remaining = tuple(person_residuals(fewer.final, [r.name for r in residuals], executor))
@@ -162,7 +162,7 @@ def _possible_places(found: Found, addition: Addition) -> set[str]:
     return {addition.place} | {trial.candidate.place for trial, _, separated in others if not separated}
 
 
-def _without(refitter: Refitter, found: Found, additions: Sequence[Addition]) -> Found:
+def without(refitter: Refitter, found: Found, additions: Sequence[Addition]) -> Found:
     """What was found without some of the named effects."""
     model = found.final.model
     kept = [i for i, addition in enumerate(model.additions) if addition not in additions]

@@ -22,6 +22,7 @@ from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, pers
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN, compare, log_evidence
 from bayes_impedance.diagnosis.selection.finalists import finalists
+from bayes_impedance.diagnosis.selection.misfit import dependence
 from bayes_impedance.diagnosis.selection.score_scan import Screening, screen
 from bayes_impedance.diagnosis.selection.shortlist import ALPHA, Trial, try_shortlist
 from bayes_impedance.runtime.progress import Progress
@@ -169,7 +170,7 @@ def search(
             break
         fit = step.chosen.fit
         number += 1
-    final = _backward(refitter, base, fit)
+    final = _backward(refitter, base, fit, seed)
     if final is not fit and final.model.additions:
         final, posterior = measured(refitter, final, seed)
     progress("looking for what is missing", most + 1, most + 1)
@@ -183,7 +184,7 @@ def _without_last(refitter: Refitter, fit: Refit, grown: Refit) -> Refit | None:
     return again if again.evidence.sum() > fit.evidence.sum() + LEAST_GAIN else None
 
 
-def _backward(refitter: Refitter, base: Refit, fit: Refit) -> Refit:
+def _backward(refitter: Refitter, base: Refit, fit: Refit, seed: int) -> Refit:
     """Remove additions that later ones have made superfluous."""
     first = len(base.model.additions)
     while len(fit.model.additions) > first + 1:
@@ -194,7 +195,11 @@ def _backward(refitter: Refitter, base: Refit, fit: Refit) -> Refit:
             smaller.append(shrunk(refitter, fit, model, kept))
         best = max(smaller, key=log_evidence)
         if compare(fit, best).decided:
-            return fit
+            best = refitter.settle(
+                best, seed, tries=3, rounds=1
+            )  # a person in another optimum looks like the need of one more effect
+            if compare(fit, best).decided:
+                return fit
         fit = best
     return fit
 
@@ -203,8 +208,16 @@ _MOST_ALIASES = 12
 """Largest number of rivals in a verdict. By choice: a reader will not go through more."""
 
 
-def rivals(step: Step) -> list[tuple[Trial, float, bool]]:
-    """Rivals of a step's choice, each with its deficit of log evidence and whether the choice is decidedly better."""
+def rivals(step: Step, remaining: Sequence[PersonResiduals] = ()) -> list[tuple[Trial, float, bool]]:
+    """Rivals of a step's choice, each with its deficit of log evidence and whether the choice is decidedly better.
+
+    Parameters
+    ----------
+    step : Step
+        With a choice, or there are none.
+    remaining : sequence of PersonResiduals
+        Of the final model, if structure remains in them.
+    """
     assert step.chosen is not None  # steps without a choice have no rivals
     chosen = step.chosen
     best: dict[tuple[str, str, str], Trial] = {}
@@ -218,5 +231,6 @@ def rivals(step: Step) -> list[tuple[Trial, float, bool]]:
             best[key] = trial
     result = []
     for trial in best.values():
-        result.append((trial, float(chosen.gain - trial.gain), compare(chosen.fit, trial.fit).decided))
+        alike = dependence(chosen.fit, trial.fit, remaining) if remaining else 1.0
+        result.append((trial, float(chosen.gain - trial.gain), compare(chosen.fit, trial.fit, alike).decided))
     return sorted(result, key=lambda row: row[1])[:_MOST_ALIASES]

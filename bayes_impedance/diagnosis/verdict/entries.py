@@ -18,6 +18,7 @@ from bayes_impedance.diagnosis.fit.coefficient_posterior import (
 )
 from bayes_impedance.diagnosis.fit.extend import dispersion_of_shared
 from bayes_impedance.diagnosis.fit.model import Model
+from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
 from bayes_impedance.diagnosis.fit.spike_slab import Members, members
 from bayes_impedance.diagnosis.heterogeneity.correlations import CorrelationTest
 from bayes_impedance.diagnosis.heterogeneity.subgroups import Subgroup
@@ -54,6 +55,7 @@ def effect_entry(
     names: Sequence[str],
     few_people: bool,
     quick: bool,
+    remaining: Sequence[PersonResiduals] = (),
 ) -> Physics:
     """Entry for an effect of the catalogue.
 
@@ -70,6 +72,7 @@ def effect_entry(
     few_people : bool
         Whether there are too few people to distinguish rig and body.
     quick : bool
+    remaining : sequence of PersonResiduals
         As for :func:`aliases_of`.
     """
     model = found.final.model
@@ -119,7 +122,7 @@ def effect_entry(
             elpd_gain=None if gain is None else gain[0],
             elpd_gain_se=None if gain is None else gain[1],
         ),
-        aliases=() if step is None else aliases_of(step, quick),
+        aliases=() if step is None else aliases_of(step, quick, remaining),
         story=effect.story,
         formula=effect.formula,
         look_for=effect.look_for,
@@ -154,7 +157,7 @@ def _score_of(step: Step, key: tuple[str, str, str]) -> float:
     return float(z.max(initial=0.0))
 
 
-def aliases_of(step: Step, quick: bool) -> tuple[Alias, ...]:
+def aliases_of(step: Step, quick: bool, remaining: Sequence[PersonResiduals] = ()) -> tuple[Alias, ...]:
     """Rivals of a step's choice, the closest first, and the measurements that would separate them.
 
     A rival of the other side may be ahead (``elpd_behind`` below zero), because rig or body is decided by dispersion.
@@ -164,10 +167,12 @@ def aliases_of(step: Step, quick: bool) -> tuple[Alias, ...]:
     step : Step
     quick : bool
         Quote the catalogue's measurement; otherwise the best separating one is computed for the closest rivals.
+    remaining : sequence of PersonResiduals
+        Of the final model, if structure remains in them.
     """
     assert step.chosen is not None
     rows = []
-    for k, (trial, behind, separated) in enumerate(rivals(step)):
+    for k, (trial, behind, separated) in enumerate(rivals(step, remaining)):
         remedy = trial.effect.separates
         if not separated and k < _PROPOSALS and not quick:
             remedy = f"{best_sentence(separation(step.chosen.fit, trial.fit))}; in general: {remedy}"
@@ -187,6 +192,8 @@ def aliases_of(step: Step, quick: bool) -> tuple[Alias, ...]:
 def unknown_entry(unknown: Realised, named: int) -> Physics:
     """Entry for unnamed physics: the network that stands for it, in addition to the named effects."""
     terms = unknown.trial.fit.model.additions[named:]
+    if not terms:
+        return _whole_network(unknown)
     addition = terms[0]
     branches = unknown.trial.fit.model.branches[named:]  # with names that are free in the network
     joined = "in parallel with" if addition.effect.connection == "beside" else "in series with"
@@ -207,6 +214,28 @@ def unknown_entry(unknown: Realised, named: int) -> Physics:
         connection=addition.effect.connection,
         formula=formula,
         story="No effect of the catalogue explains what is missing. A small passive network represents it.",
+    )
+
+
+def _whole_network(unknown: Realised) -> Physics:
+    """Entry for a claimed network that lacks elements: the network that describes the recordings."""
+    network = str(unknown.trial.fit.model.network)
+    return Physics(
+        kind="unknown",
+        id="unknown",
+        name="elements that the network lacks",
+        place="port",
+        side=None,
+        pooling="varying",
+        parameters={},
+        evidence=EvidenceOfEffect(None, None, unknown.gain, unknown.gain_se),
+        network=network,
+        connection="instead",
+        formula=f"the network {network} instead",
+        story=(
+            "No effect of the catalogue explains what is missing as well as more elements do: the claimed network was "
+            "grown element by element, and elements that do not improve predictions were removed."
+        ),
     )
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from bayes_impedance.diagnosis.catalogue.coefficient import Coefficient
 from bayes_impedance.diagnosis.catalogue.effect import Candidate, Effect
 from bayes_impedance.diagnosis.fit.model import Model
+from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
 from bayes_impedance.diagnosis.selection.score_scan import Screening
 from bayes_impedance.diagnosis.selection.shortlist import ALPHA, best_shapes
 from bayes_impedance.diagnosis.selection.stepwise import Step, rivals
@@ -72,8 +75,15 @@ def critical_z(screening: Screening) -> float:
     return float(grid[np.argmax(screening.log_p(grid) < np.log(ALPHA))])
 
 
-def ranking(step: Step) -> tuple[Ranked, ...]:
-    """All effects at all places, each with its best shape, the strongest evidence first."""
+def ranking(step: Step, remaining: Sequence[PersonResiduals] = ()) -> tuple[Ranked, ...]:
+    """All effects at all places, each with its best shape, the strongest evidence first.
+
+    Parameters
+    ----------
+    step : Step
+    remaining : sequence of PersonResiduals
+        Of the final model, if structure remains in them.
+    """
     s = step.screening
     order = best_shapes(s, physical_only=False)[:_RANKED]
     if not order:
@@ -81,7 +91,7 @@ def ranking(step: Step) -> tuple[Ranked, ...]:
     notes = {}
     if step.chosen is not None:
         notes[step.chosen.fit.model.additions[-1].key] = "found"
-        for trial, behind, separated in rivals(step):
+        for trial, behind, separated in rivals(step, remaining):
             key = (trial.effect.id, trial.effect.form, trial.candidate.place)
             notes[key] = f"{'' if separated else 'alias, '}behind by {behind:.1f}"
     rows = []

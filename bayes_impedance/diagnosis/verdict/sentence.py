@@ -60,6 +60,8 @@ def _clause_of(sentence: str) -> str:
 
 
 def _clause(entry: Physics) -> str:
+    if entry.connection == "instead":
+        return f"that the network lacks elements: {entry.network} describes the recordings"
     if entry.kind == "unknown":
         return f"an unknown effect at {_place(entry.place)}, represented by {entry.formula}"
     size = ""

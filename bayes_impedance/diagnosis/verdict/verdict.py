@@ -60,10 +60,12 @@ def change_of(after: Refit, residuals: Sequence[PersonResiduals]) -> tuple[str, 
         rows = slice(start, start + len(person.white))
         start = rows.stop
         z = after.model.kernel.impedance(after.u[rows], person.frequency_hz)
-        without = after.u[rows].copy()
-        linear = [after.model.n_elements + i for i, p in enumerate(after.model.parameters) if p.is_coefficient]
-        without[:, linear] = 0.0
-        bare = after.model.kernel.impedance(without, person.frequency_hz)
+        bare = person.model
+        if after.model.additions:
+            without = after.u[rows].copy()
+            linear = [after.model.n_elements + i for i, p in enumerate(after.model.parameters) if p.is_coefficient]
+            without[:, linear] = 0.0
+            bare = after.model.kernel.impedance(without, person.frequency_hz)
         relative = np.log(z / bare) * np.abs(z) / person.sd
         parts += [float(np.sum(relative.real**2)), float(np.sum(relative.imag**2))]
         change = (z - person.model) / person.sd
@@ -153,6 +155,8 @@ class Evidence:
     remarks : tuple of str
     quick : bool
         Quote the catalogue's separating measurements instead of computing them.
+    remaining : tuple of PersonResiduals
+        Of the final model, if structure remains that no named effect explains.
     posterior : CoefficientPosterior or None
         Of all parameters that were added, from the population's posterior; the normal approximation of the search
         counts where there is none.
@@ -171,6 +175,7 @@ class Evidence:
     differences: tuple[ParameterDifference, ...] | None
     remarks: tuple[str, ...]
     quick: bool
+    remaining: tuple[PersonResiduals, ...] = ()
     posterior: CoefficientPosterior | None = None
 
     @property
@@ -220,7 +225,7 @@ def make_verdict(
         data_sha256=recordings.sha256,
         title=recordings.title,
         unit=recordings.unit,
-        reliable=bool(found.base.settled) and not gross,
+        reliable=_at_rest(evidence) and not gross,
         remarks=(
             *gross,
             *partial,
@@ -238,6 +243,16 @@ def make_verdict(
         extended_network=None if extended is None else str(extended.network),
     )
     return replace(verdict, summary=sentence(verdict, len(recordings.subjects)))
+
+
+def _at_rest(evidence: Evidence) -> bool:
+    """Whether the fit that the verdict describes has converged.
+
+    The network alone need not, if something is missing: a wrong model drives elements towards zero or infinity.
+    """
+    if evidence.found.base.settled:
+        return True
+    return evidence.changed and (evidence.final.settled or evidence.posterior is not None)
 
 
 def _left_out(evidence: Evidence) -> tuple[str, ...]:
@@ -272,8 +287,8 @@ def _physics(recordings: Recordings, evidence: Evidence) -> tuple[Physics, ...]:
         few = len(names) < FEW_PEOPLE
         first = len(found.base.model.additions)
         for i, gain in enumerate(evidence.gains, first):
-            entries.append(effect_entry(found, i, posterior, gain, names, few, evidence.quick))
-    elements = found.base.model.network.elements
+            entries.append(effect_entry(found, i, posterior, gain, names, few, evidence.quick, evidence.remaining))
+    elements = evidence.final.model.network.elements
     entries += [structure_entry(structure, elements, names) for structure in evidence.structures]
     if evidence.hum is not None:
         entries.append(hum_entry(evidence.hum, recordings.unit))
