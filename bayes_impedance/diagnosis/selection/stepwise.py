@@ -23,7 +23,7 @@ from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN, compare, log_evidence
 from bayes_impedance.diagnosis.selection.finalists import finalists
 from bayes_impedance.diagnosis.selection.score_scan import Screening, screen
-from bayes_impedance.diagnosis.selection.shortlist import ALPHA, Trial, try_shortlist
+from bayes_impedance.diagnosis.selection.shortlist import ALPHA, Trial, from_afar, try_shortlist
 from bayes_impedance.runtime.progress import Progress
 
 MOST_ADDITIONS = 4
@@ -142,7 +142,7 @@ def search(
             screening = screen(begin, person_residuals(begin, names, executor), effects, seed, executor)
         step = Step(fit, residuals, screening, (), None)
         if number < most and step.log_p < np.log(ALPHA):
-            trials = try_shortlist(refitter, fit, screening, begin)
+            trials = [*try_shortlist(refitter, fit, screening, begin), *from_afar(refitter, fit, effects, seed)]
             ranked = finalists(refitter, fit, trials, effects, seed)
             chosen, better = None, None
             for trial in ranked[:_SECOND_CHANCES]:
