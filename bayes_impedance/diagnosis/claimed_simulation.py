@@ -6,8 +6,8 @@ two. With the fit Z of each person's simulated z',
 
 .. math:: 1 + \varrho(f) = \langle z'(f)/Z(f) \rangle, \qquad z(f) \to z(f)/(1 + \varrho(f)),
 
-the mean being over a person's repetitions where the simulation is of the same people, over all people otherwise. The
-simulation's own noise comes with it.
+the mean being over a person's repetitions, weighted by their noise if it is given, where the simulation is of the same
+people, over all people otherwise. The simulation's own noise comes with it.
 
 If the people are the same, the search starts at the simulation's elements: an effect that the elements of the
 recordings' own fit partly absorb is more visible there.
@@ -168,5 +168,8 @@ def claim_of(
         return Claim(simulation, found, ())
     rest = []
     for i, s in enumerate(simulation.subjects):
-        rest.append(np.mean(s.z / final.model.kernel.impedance(final.u[final.owner == i], s.frequency_hz), axis=0))
+        fitted_z = final.model.kernel.impedance(final.u[final.owner == i], s.frequency_hz)
+        # Repetitions count by their stated noise: a disturbed one would put its disturbance into all recordings.
+        weight = None if s.noise_sd is None else (np.abs(fitted_z) / s.noise_sd) ** 2
+        rest.append(np.average(s.z / fitted_z, axis=0, weights=weight))
     return Claim(simulation, found, tuple(rest))

@@ -38,7 +38,7 @@ from bayes_impedance.runtime.progress import Progress
 Result = TypeVar("Result")
 
 
-_PROVISIONAL_NOISE = 0.05
+PROVISIONAL_NOISE = 0.05
 """Relative noise assumed in the searches. By choice: larger than in most recordings, so that optima are wide enough to
 be found."""
 _THINNED_POINTS = 64
@@ -233,7 +233,7 @@ def _common_solutions(ends: np.ndarray, regret: np.ndarray) -> np.ndarray:
 def _averaged(subject: Subject, n_elements: int, points: slice | np.ndarray) -> Likelihood:
     """The person's mean recording with provisional noise."""
     z = subject.mean[None, points]
-    return Likelihood.make(subject.frequency_hz[points], z, _PROVISIONAL_NOISE * np.abs(z), np.zeros((1, n_elements)))
+    return Likelihood.make(subject.frequency_hz[points], z, PROVISIONAL_NOISE * np.abs(z), np.zeros((1, n_elements)))
 
 
 def _thinned(subject: Subject, n_elements: int) -> Likelihood:

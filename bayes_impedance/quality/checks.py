@@ -18,6 +18,7 @@ from bayes_impedance.network.notation import parse
 from bayes_impedance.quality import point_anomalies
 from bayes_impedance.quality.curve_anomalies import duplicates, odd_subjects, repetition_spreads, suspect_units
 from bayes_impedance.quality.marks import Mark, marks
+from bayes_impedance.quality.negative_real_part import Explanation, explain, sentence
 from bayes_impedance.recordings.dataset import Recordings, Subject
 
 COMMON = 0.5
@@ -62,6 +63,7 @@ class _Event:
     repetition: str
     band_hz: tuple[float, float]
     detail: str
+    because: Explanation | None = None
 
 
 def check_recordings(recordings: Recordings) -> tuple[Finding, ...]:
@@ -194,9 +196,11 @@ def _check_curves(recordings: Recordings) -> Iterator[Finding]:
             size = f"a factor of {np.exp(step[j, i].real):.3g} and {np.rad2deg(step[j, i].imag):.3g} deg"
             jumps.append(_Event(subject.name, names[j], (float(f[i]), float(f[i + 1])), size))
         for j, runs in enumerate(point_anomalies.not_passive(f, clean)):
+            because = explain(f, clean[j]) if runs else None
             for first, last in runs:
                 part = float(np.mean(clean[j, first : last + 1].real / np.abs(clean[j, first : last + 1])))
-                stretches.append(_Event(subject.name, names[j], (float(f[first]), float(f[last])), f"{part:.2g}"))
+                band = float(f[first]), float(f[last])
+                stretches.append(_Event(subject.name, names[j], band, f"{part:.2g}", because))
     total = sum(len(subject.repetitions) for subject in recordings.subjects)
     yield from _group("not_passive", stretches, total, lambda _: "all", _not_passive_message)
     yield from _group("jump", jumps, total, lambda event: event.band_hz, _jump_message)
@@ -259,10 +263,8 @@ def _band(band_hz: tuple[float, float]) -> str:
 
 def _not_passive_message(whose: str, where: str, events: list[_Event]) -> str:
     worst = min(events, key=lambda event: float(event.detail)).detail
-    return (
-        f"{whose}: Re z is negative {where} beyond its scatter (down to {worst} of |z|), which a passive load cannot "
-        "have; check the delay between the channels, the mass correction and the sign there"
-    )
+    by_recording = {(e.subject, e.repetition): e.because for e in events if e.because is not None}
+    return sentence(whose, where, worst, list(by_recording.values()))
 
 
 def _jump_message(whose: str, where: str, events: list[_Event]) -> str:

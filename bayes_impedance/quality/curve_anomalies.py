@@ -9,6 +9,7 @@ import numpy as np
 
 from bayes_impedance.recordings.csv_table import ComplexArray, FloatArray
 from bayes_impedance.recordings.dataset import Subject
+from bayes_impedance.recordings.phase_relation import BODE_CONTRAST, BODE_MINIMUM_DEG, LEAST_BAND, bode_phase
 
 COPY_LIMIT = 1e-6
 """Relative difference of |z| below which recordings count as copies: rounding of an export with six or seven digits."""
@@ -25,17 +26,8 @@ ODD_FACTOR, ODD_PHASE_DEG, SPREAD_FACTOR = 2.0, 20.0, 4.0
 choice: for very similar subjects the robust standard deviation is small, and a harmless difference has a large
 score."""
 
-BODE_MINIMUM_DEG = 8.0
-"""Smallest rms difference between measured and computed phase that is reported. By choice: within a limited band a few
-degrees are usual."""
-BODE_CONTRAST = 2.5
-"""Smallest ratio of this difference before and after conversion of the unit. By choice: the conversion must explain the
-difference."""
-
 _BODE_POINTS = 60
 """Points of the grid of ln f for Bode's relation. By choice: a sixth of an octave for three decades."""
-_BODE_REACH = 5.0
-"""Range of integration on either side, in ln f: it contains 99.7 % of the kernel's integral."""
 _COMPARED_POINTS = 40
 """Frequencies in the first comparison of all pairs of curves. By choice, to save time: close pairs are then compared at
 all frequencies."""
@@ -242,7 +234,7 @@ def suspect_units(subjects: Sequence[Subject], polar: bool = True) -> tuple[str,
     phases, linear, decibel = [], [], []
     for subject in subjects:
         own, z = np.log(subject.frequency_hz), subject.mean
-        if own[-1] - own[0] < np.log(4.0):
+        if own[-1] - own[0] < np.log(LEAST_BAND):
             continue
         x = np.linspace(own[0], own[-1], _BODE_POINTS)
         step = float(x[1] - x[0])
@@ -266,41 +258,6 @@ def suspect_units(subjects: Sequence[Subject], polar: bool = True) -> tuple[str,
         misfit["phase_in_radians", "magnitude_in_db"] = _rms(in_radians - from_decibel)
     best = min(misfit, key=lambda suspects: misfit[suspects])
     return best if misfit[()] > max(BODE_MINIMUM_DEG, BODE_CONTRAST * misfit[best]) else ()
-
-
-def bode_phase(log_magnitude: FloatArray, step: float) -> FloatArray:
-    r"""Return the phase that belongs to a magnitude by Bode's relation.
-
-    .. math:: \varphi(u_0) = \frac1\pi \int \frac{d \ln|z|}{du} \ln\coth\frac{|u - u_0|}2\,du,
-              \qquad u = \ln f
-
-    Outside the band the slope is extrapolated as constant.
-
-    Parameters
-    ----------
-    log_magnitude : ndarray of float, shape (F,)
-        ln|z| at equal steps of ln f.
-    step : float
-        Step of ln f.
-
-    Returns
-    -------
-    ndarray of float, shape (F,)
-        Phase in radians.
-
-    References
-    ----------
-    H. W. Bode, Network Analysis and Feedback Amplifier Design, Van Nostrand, 1945, chapter 14.
-    """
-    half = max(1, round(_BODE_REACH / step))
-    distance = np.abs(np.arange(-half, half + 1)) * step
-    # The kernel has an integrable singularity at the centre: that cell uses its value at a quarter of the step.
-    distance[half] = step / 4
-    kernel = -np.log(np.tanh(distance / 2))
-    kernel *= np.pi / 2 / kernel.sum()
-    slope = np.pad(np.gradient(log_magnitude, step), half, "edge")
-    phase: FloatArray = np.convolve(slope, kernel, "valid")
-    return phase
 
 
 def _rms(values: FloatArray) -> float:

@@ -24,6 +24,7 @@ from bayes_impedance.recordings.long_table import CARTESIAN, KNOWN, RecordingTab
 from bayes_impedance.recordings.metadata import SIGNS, Metadata, parse_metadata
 from bayes_impedance.recordings.out_of_core import StoredRows, StoredSubject
 from bayes_impedance.recordings.parquet import SUFFIX, parquet_table, partitions
+from bayes_impedance.recordings.phase_relation import excess_phase
 from bayes_impedance.recordings.repetitions import signed_factor, subjects_of
 from bayes_impedance.runtime.atomic_files import write_together
 from bayes_impedance.runtime.input_files import LARGEST_DESCRIPTION, read_bytes
@@ -34,8 +35,11 @@ RECORDINGS_FILES = ("recordings.csv", "recordings.csv.gz", "recordings.parquet")
 SUBJECTS_FILE = "subjects.csv"
 METADATA_FILE = "dataset.toml"
 WRONG_SIGN = 0.6
-"""Fraction of points with Re z of the wrong sign above which the sign convention is taken to be wrong. By choice: above
-one half, the largest fraction that noise around zero gives."""
+"""Fraction of points with Re z of the wrong sign above which the sign convention may be wrong. By choice: above one
+half, the largest fraction that noise around zero gives."""
+NEARLY_ALL = 0.95
+"""The same for curves of few points or a narrow band, and those of which the phase does not say whether they are
+turned. By choice: a wrong sign turns all points, up to those around zero; a lag, those of an inertial load."""
 
 
 def read_recordings(path: str | os.PathLike[str]) -> Recordings:
@@ -132,7 +136,7 @@ class _Reading:
         if metadata.sign != SIGNS[0]:
             self.of_subjects.append(f'{file}: z was multiplied by -1 because the sign is "{metadata.sign}"')
         self.polar, self.first_row = False, 0
-        self.rows = self.negative = self.positive = 0
+        self.rows = self.points = self.wrong = self.turned = 0
 
     def add(self, table: RecordingTable, folder: Path | None = None, digest: str = "") -> None:
         """Add all subjects of a table; if a folder is given, their data are not kept but read from there again."""
@@ -149,9 +153,10 @@ class _Reading:
             self.named[table.subject_names[i]] = f"{table.file}, row {row}"
         self.first_row = self.first_row or int(table.row[:1].sum())
         self.rows += table.z.size
-        self.negative += int(np.sum(table.z.real < 0))
-        self.positive += int(np.sum(table.z.real > 0))
         for subject, rows, warning in subjects_of(table, self.metadata, self.covariates):
+            wrong = int(np.sum(subject.z.real < 0))
+            self.points, self.wrong = self.points + subject.z.size, self.wrong + wrong
+            self.turned += subject.z.size if _is_turned(subject, wrong / subject.z.size) else 0
             self.of_subjects += [warning] if warning else []
             self.subjects.append(subject if folder is None else self._stored(subject, table, rows, folder, digest))
 
@@ -200,12 +205,18 @@ class _Reading:
         return (f"{file}: there are no recordings of {', '.join(surplus[:5])}{more}; their covariates are not used",)
 
     def check_sign(self, metadata_file: str) -> None:
-        """Refuse data that contradict their declared sign: a negated impedance would fail only later, in the fit."""
+        """Refuse data that contradict their declared sign: a negated impedance would fail only later, in the fit.
+
+        Negative real parts alone are no contradiction: a lag or a filter of a channel causes them on an inertial load,
+        at nearly all frequencies. A wrong sign turns the phase of every point by 180 degrees, and Bode's relation
+        between phase and magnitude shows it (:mod:`.phase_relation`). Refused are recordings of which more than
+        `WRONG_SIGN` have negative real parts and most are turned.
+        """
         if not self.rows:
             raise InputError(f"{self.file}: no partition has a row with a finite number in every column; fill them in")
-        declared_positive = self.metadata.sign == SIGNS[0]
-        wrong = (self.negative if declared_positive else self.positive) / self.rows
-        if wrong > WRONG_SIGN:
+        wrong = self.wrong / max(self.points, 1)
+        if wrong > WRONG_SIGN and self.turned > 0.5 * self.points:
+            declared_positive = self.metadata.sign == SIGNS[0]
             remedy = SIGNS[1] if declared_positive else SIGNS[0]
             kind = "negative" if declared_positive else "positive"
             raise InputError(
@@ -213,6 +224,16 @@ class _Reading:
                 f'although the sign is "{self.metadata.sign}"; write sign = "{remedy}" in {metadata_file}, beside a '
                 "file named recordings.csv"
             )
+
+
+def _is_turned(subject: Subject, wrong: float) -> bool:
+    """Whether the impedance of a subject has the wrong sign, of whose points a fraction `wrong` has Re z < 0."""
+    if wrong <= WRONG_SIGN:
+        return False
+    found = excess_phase(subject.frequency_hz, subject.mean)
+    if found is None or found.cause is None:
+        return wrong > NEARLY_ALL
+    return found.cause == "sign"
 
 
 def _recordings_file(folder: Path) -> Path:

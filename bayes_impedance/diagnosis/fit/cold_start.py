@@ -52,10 +52,16 @@ def cold_start(without: Refit, grown: Refit) -> tuple[np.ndarray, Population]:
     centre = np.median(without.persons[:, :n], axis=0)
     for k in np.flatnonzero(driven_away(without)).tolist():
         centre[k] = band_scale(grown.model.network.elements[k], scales.z_middle, scales.middle / (2 * np.pi))
-    u, population = grown.u.copy(), grown.population
+    u = grown.u.copy()
     u[:, :n] = centre
+    return u, population_around(grown.population, centre)
+
+
+def population_around(population: Population, centre: np.ndarray) -> Population:
+    """The population with its first elements at a centre (n,), with typical dispersions and without correlations."""
+    n = centre.size
     mu, covariance, rho = population.mu.copy(), population.covariance.copy(), population.rho.copy()
     mu[:n], rho[:n] = centre, _TYPICAL_REPETITIONS
     covariance[:n], covariance[:, :n] = 0.0, 0.0
     covariance[np.arange(n), np.arange(n)] = _TYPICAL**2
-    return u, Population(mu, covariance, rho)
+    return Population(mu, covariance, rho)

@@ -77,7 +77,7 @@ def held_out(refitter: Refitter, before: Refit, after: Refit, seed: int, blocks:
         people, people_se = float(difference.sum()), _se(difference)
     if folds and not blocks:
         return HeldOut(people, people_se, None, None, f"{FOLDS} subject folds")
-    difference_blocks = _blocks(refitter, after) - _blocks(refitter, before)
+    difference_blocks = block_gains(refitter, before, after).sum(axis=1)
     described = f"{FOLDS} subject folds, {BLOCKS} frequency blocks" if folds else f"{BLOCKS} frequency blocks"
     return HeldOut(people, people_se, float(difference_blocks.sum()), _se(difference_blocks), described)
 
@@ -87,6 +87,11 @@ def people_gain(refitter: Refitter, before: Refit, after: Refit, seed: int) -> t
     fold = person_folds(len(refitter.data), seed)
     difference = _people(refitter, after, fold) - _people(refitter, before, fold)
     return float(difference.sum()), _se(difference)
+
+
+def block_gains(refitter: Refitter, before: Refit, after: Refit) -> np.ndarray:
+    """Gain of log predictive density of each person and each block of frequencies that was held out, (N, BLOCKS)."""
+    return _blocks(refitter, after) - _blocks(refitter, before)
 
 
 def _se(difference: np.ndarray) -> float | None:
@@ -107,8 +112,8 @@ def _people(refitter: Refitter, fit: Refit, fold: np.ndarray) -> np.ndarray:
 
 
 def _blocks(refitter: Refitter, fit: Refit) -> np.ndarray:
-    """Log predictive density of the blocks of each person, summed over blocks, shape (N,)."""
-    total = np.zeros(len(refitter.data))
+    """Log predictive density of each person's blocks, shape (N, BLOCKS)."""
+    density = np.zeros((len(refitter.data), BLOCKS))
     low = np.log(min(d.omega[0] for d in refitter.data))
     high = np.log(max(d.omega[-1] for d in refitter.data))
     edges = np.linspace(low, high + 1e-9, BLOCKS + 1)
@@ -116,8 +121,8 @@ def _blocks(refitter: Refitter, fit: Refit) -> np.ndarray:
         kept = [_without(d, edges[k], edges[k + 1]) for d in refitter.data]
         rest = Refitter(kept, refitter.executor, refitter.one_person)
         trained = rest.fit(fit.model, fit.u, fit.population, _ROUNDS)
-        total += _under(refitter, fit, trained, trained.u) - trained.evidence
-    return total
+        density[:, k] = _under(refitter, fit, trained, trained.u) - trained.evidence
+    return density
 
 
 def _under(refitter: Refitter, fit: Refit, trained: Refit, u: np.ndarray) -> np.ndarray:

@@ -16,6 +16,7 @@ from bayes_impedance.diagnosis.fit.cold_start import cold_start, driven_away
 from bayes_impedance.diagnosis.fit.extend import extended, extended_start, has_shapes, is_physical
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.refit import Refit
+from bayes_impedance.diagnosis.selection import far_starts
 from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, FEWEST_TO_VARY, log_evidence
 from bayes_impedance.diagnosis.selection.score_scan import Screening
 
@@ -171,7 +172,10 @@ def _from_cold(refitter: Refitter, fit: Refit, trial: Trial, rounds: int) -> Tri
     """The better of a trial and one from a cold start, if the model without the addition has driven elements away."""
     if not driven_away(fit).any():
         return trial
-    cold = refitter.fit(trial.fit.model, *cold_start(fit, trial.fit), rounds)
+    u, population = cold_start(fit, trial.fit)
+    if refitter.one_person:  # no population: mean and covariance are those of the prior, and stay so
+        population = trial.fit.population
+    cold = refitter.fit(trial.fit.model, u, population, rounds)
     other = _trial(trial.candidate, trial.pooling, cold, fit)
     return other if (other.physical, other.gain) > (trial.physical, trial.gain) else trial
 
@@ -238,6 +242,17 @@ def try_shortlist(refitter: Refitter, fit: Refit, screening: Screening, begin: R
             else:
                 size = float(screening.size[k])
                 trials.append(try_candidate(refitter, fit, other, size, (leader.pooling,), begin=begin)[-1])
+    return trials
+
+
+def from_afar(refitter: Refitter, fit: Refit, effects: Sequence[Effect], seed: int) -> list[Trial]:
+    """Trials that do not begin at the network, if it does not describe the recordings at all (:mod:`.far_starts`)."""
+    if not far_starts.wholly_off(fit):
+        return []
+    trials = []
+    for candidate in far_starts.of_the_chain(fit, effects):
+        grown = far_starts.refits_from_afar(refitter, fit, candidate, seed, _FIRST_ROUNDS + _MORE_ROUNDS)
+        trials.append(max((_trial(candidate, "shared", g, fit) for g in grown), key=lambda t: (t.physical, t.gain)))
     return trials
 
 

@@ -21,17 +21,19 @@ from bayes_impedance.diagnosis.fit.model import Addition
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN, compare, log_evidence
+from bayes_impedance.diagnosis.selection.few_people import holds_beside
 from bayes_impedance.diagnosis.selection.finalists import finalists
 from bayes_impedance.diagnosis.selection.misfit import dependence
 from bayes_impedance.diagnosis.selection.score_scan import Screening, screen
-from bayes_impedance.diagnosis.selection.shortlist import ALPHA, Trial, try_shortlist
+from bayes_impedance.diagnosis.selection.shortlist import ALPHA, Trial, from_afar, try_shortlist
 from bayes_impedance.runtime.progress import Progress
 
 MOST_ADDITIONS = 4
 """Largest number of additions of one search. By choice: a mismatch that needs more is not a list of effects."""
 
 _PEOPLE_PER_ADDITION = 8
-"""People required per addition, which has a mean, a dispersion and often a shape to be estimated. By choice."""
+"""People required per addition, which has a mean, a dispersion and often a shape to be estimated. By choice. With fewer
+only effects of the measurement chain are added, which are one number for everybody (:mod:`.few_people`)."""
 
 _REPEATS = 3
 """Largest number of times that a step is repeated because the model without the addition had not converged. By
@@ -131,20 +133,23 @@ def search(
     begin : Refit, optional
         Fit of the same model as `base`, at which the first step screens and starts its refits.
     """
-    most = min(MOST_ADDITIONS, max(1, len(refitter.data) // _PEOPLE_PER_ADDITION))
+    most, of_any_kind = MOST_ADDITIONS, max(1, len(refitter.data) // _PEOPLE_PER_ADDITION)
+    of_the_chain = tuple(effect for effect in effects if effect.side == "rig" and effect.operation)
     fit, steps, posterior = base, list[Step](), None
     number = repeats = 0
     while number <= most:
         progress("looking for what is missing", number, most + 1)
+        few = number >= of_any_kind
+        possible = of_the_chain if few else effects
         residuals = tuple(person_residuals(fit, names, executor))
         if begin is None:
-            screening = screen(fit, residuals, effects, seed, executor)
+            screening = screen(fit, residuals, possible, seed, executor)
         else:
-            screening = screen(begin, person_residuals(begin, names, executor), effects, seed, executor)
+            screening = screen(begin, person_residuals(begin, names, executor), possible, seed, executor)
         step = Step(fit, residuals, screening, (), None)
         if number < most and step.log_p < np.log(ALPHA):
-            trials = try_shortlist(refitter, fit, screening, begin)
-            ranked = finalists(refitter, fit, trials, effects, seed)
+            trials = [*try_shortlist(refitter, fit, screening, begin), *from_afar(refitter, fit, possible, seed)]
+            ranked = finalists(refitter, fit, trials, possible, seed)
             chosen, better = None, None
             for trial in ranked[:_SECOND_CHANCES]:
                 grown, measure = measured(refitter, trial.fit, seed)
@@ -152,7 +157,7 @@ def search(
                 if better is not None:
                     break
                 better_than_without = compare(grown, fit)
-                if better_than_without.decided:
+                if better_than_without.decided and not (few and not holds_beside(refitter, fit, grown, seed)):
                     chosen, posterior = replace(trial, fit=grown, gain=better_than_without.difference), measure
                     break
             if better is not None:  # no physics was missing: the smaller model had not converged

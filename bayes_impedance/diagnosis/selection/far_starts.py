@@ -1,0 +1,132 @@
+r"""Refits that begin far from the network, for recordings that it does not describe at all.
+
+The scan of the candidates (:mod:`.score_scan`) is a derivative at the network's best fit with the effect at zero. It
+says what a *small* effect would do. A low-pass in the middle of the band, or a lag of a quarter of a period, changes
+the recordings by more than their magnitude: a mass then looks like a negative resistance, the best fit of the network
+is no description of it at all, and the derivative there says nothing about the right effect.
+
+If the network is that far off, effects of the measurement chain with one coefficient x are therefore also fitted from
+many random starts, as a network is (:mod:`bayes_impedance.population.starting_fits`): the elements of a typical person
+together with x, at sizes of either sign from the smallest that the band shows to the largest. Everybody begins at the
+best of these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from bayes_impedance.diagnosis.catalogue.effect import Candidate, Effect
+from bayes_impedance.diagnosis.fit.cold_start import population_around
+from bayes_impedance.diagnosis.fit.extend import extended, extended_start
+from bayes_impedance.diagnosis.fit.fitter import Refitter
+from bayes_impedance.diagnosis.fit.model import Model
+from bayes_impedance.diagnosis.fit.refit import Refit
+from bayes_impedance.diagnosis.residuals.absolute_fit import GROSS_ERROR
+from bayes_impedance.network.elements import KINDS, band_scale
+from bayes_impedance.person.likelihood import Likelihood
+from bayes_impedance.population.parameters import Prior
+from bayes_impedance.population.starting_fits import PROVISIONAL_NOISE, search_modes, thinned_points
+
+_SIZES = 8
+"""Sizes of the coefficient of each sign. By choice: over three decades a factor of 2.7, which a search bridges."""
+
+_SMALLEST, _LARGEST = 0.1, 3.0
+"""Smallest size in units of the coefficient's scale, at which an effect changes one end of the band by its magnitude;
+and the largest, in units of what changes the other end. By choice: a smaller effect is seen by the scan."""
+
+_STARTS = 48
+"""Random starts of the elements for each size: with two signs 768 in all, as many as for the network."""
+
+_START_SPREAD = 2.5
+"""Standard deviation of the starts' log elements: that of the network's own search."""
+
+_ELEMENT_SD = 3.0
+"""Prior standard deviation of a log element: that of the network's own fit."""
+
+_ENDS = 3
+"""Best end points of the search from which all people are refitted. By choice: a search is of thinned recordings."""
+
+
+def wholly_off(fit: Refit) -> bool:
+    """Whether the model describes so little of the recordings that its derivatives do not say what is missing.
+
+    This is so if the relative error of most people exceeds
+    :data:`~bayes_impedance.diagnosis.residuals.absolute_fit.GROSS_ERROR`.
+    """
+    errors, row = [], 0
+    for d in fit.data:
+        z = d.z[:, 0] + 1j * d.z[:, 1]
+        model = fit.model.kernel.impedance(np.ascontiguousarray(fit.u[row : row + len(z)]), d.omega / (2 * np.pi))
+        errors.append(float(np.sqrt(np.mean(np.abs(model - z) ** 2 / np.abs(z) ** 2))))
+        row += len(z)
+    return bool(np.median(errors) > GROSS_ERROR)
+
+
+def of_the_chain(fit: Refit, effects: Sequence[Effect]) -> list[Candidate]:
+    """Effects of the measurement chain with one coefficient, at the port, that the model has not."""
+    taken = {addition.key for addition in fit.model.additions}
+    return [
+        Candidate(effect, place.name, {})
+        for effect in effects
+        if effect.side == "rig" and effect.operation and len(effect.coefficients) == 1 and effect.pooling == "shared"
+        for place in effect.sites(fit.model.network)
+        if (effect.id, effect.form, place.name) not in taken
+    ]
+
+
+def refits_from_afar(refitter: Refitter, fit: Refit, candidate: Candidate, seed: int, rounds: int) -> list[Refit]:
+    """Refits of everybody with an effect, from the best end points of the search.
+
+    Parameters
+    ----------
+    refitter : Refitter
+    fit : Refit
+        Without the effect.
+    candidate : Candidate
+        Of :func:`of_the_chain`.
+    seed : int
+        For the random starts.
+    rounds : int
+        Of each refit.
+    """
+    model = extended(fit.model, candidate, "shared", 1.0)
+    u, population = extended_start(fit, model)
+    typical = _typical_person(fit)
+    refits = []
+    for end in _search(model, u, typical, candidate.effect.signed, seed):
+        begin = np.tile(end, (len(u), 1))
+        around = population if refitter.one_person else population_around(population, end[: model.n_elements])
+        refits.append(refitter.fit(model, begin, around, rounds))
+    return refits
+
+
+def _typical_person(fit: Refit) -> Likelihood:
+    """Mean recording, at few frequencies and with provisional noise, of the person of median magnitude."""
+    size = [float(np.mean(np.log(np.hypot(d.z[:, 0], d.z[:, 1])))) for d in fit.data]
+    d = fit.data[int(np.argsort(size)[len(size) // 2])]
+    points = thinned_points(d.omega.size)
+    z = (d.z[:, 0] + 1j * d.z[:, 1]).mean(axis=0)[None, points]
+    deviations = np.zeros((1, fit.u.shape[1] + 1))
+    return Likelihood.make(d.omega[points] / (2 * np.pi), z, PROVISIONAL_NOISE * np.abs(z), deviations)
+
+
+def _search(model: Model, u: np.ndarray, typical: Likelihood, signed: bool, seed: int) -> np.ndarray:
+    """Best end points of searches from random elements and all sizes of the last addition, shape (_ENDS, P)."""
+    n, scales = model.n_elements, model.scales
+    centre, sd = np.median(u, axis=0), np.ones(u.shape[1])
+    for k, name in enumerate(model.network.elements):
+        if name[:1] in KINDS:
+            centre[k] = band_scale(name, scales.z_middle, scales.middle / (2 * np.pi))
+            sd[k] = _ELEMENT_SD
+    sd[n:] = [p.prior_sd for p in model.parameters]
+    (coefficient,) = model.columns(len(model.additions) - 1)
+    sizes = np.geomspace(_SMALLEST, _LARGEST * scales.high / scales.low, _SIZES)
+    if signed:
+        sizes = np.concatenate([sizes, -sizes])
+    spread = np.where(sd == _ELEMENT_SD, _START_SPREAD, 0.0)
+    starts = centre + spread * np.random.default_rng(seed).normal(size=(sizes.size, _STARTS, centre.size))
+    starts[..., coefficient] = sizes[:, None]
+    centre[coefficient] = 0.0
+    return search_modes(model.kernel, typical, starts.reshape(-1, centre.size), Prior(centre, sd), _ENDS)

@@ -1,0 +1,67 @@
+r"""A further effect in the recordings of few people, from whom no standard error over people can be taken.
+
+An effect of the body has a mean, a dispersion and often a shape, which take people to be estimated. One of the
+measurement chain is one number for everybody, and one recording of enough frequencies can hold two of them: a low-pass
+and a lag. What is in doubt is then not the number of people but that of independent facts. Where the better model
+leaves structure, neighbouring residuals err together, and so do those of all repetitions, while a difference of log
+evidence counts each as a fact of its own. With the whitened residuals :math:`w_{jf}` of J repetitions, their mean
+:math:`\bar w_f` and its autocorrelation :math:`\rho_k` k points apart,
+
+.. math:: \kappa = \Bigl(1 + 2 \sum_{k < K} \rho_k\Bigr)
+          \max\Bigl(1, \frac{J \sum_f |\bar w_f|^2}{\frac1J \sum_{jf} |w_{jf}|^2}\Bigr)
+
+residuals say one thing: 1 for noise, J for a structure that all repetitions share. (K is the first k with
+:math:`\rho_k \le 0`.) A further effect counts if its difference of log evidence, divided by the kappa of the better
+model, exceeds :data:`~bayes_impedance.diagnosis.selection.compare.LEAST_GAIN`, and if it predicts blocks of frequencies
+that were held out better than the model without it does.
+
+In a motor's recordings a lag of 0.1 ms had 76 to 3000 nats, of which this leaves 43 to 67; after it a high-pass and a
+resonance that the motor has not had 55 and 72 nats, of which it leaves 2.6 and 3.6.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bayes_impedance.diagnosis.fit.fitter import Refitter
+from bayes_impedance.diagnosis.fit.refit import Refit
+from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN, log_evidence
+from bayes_impedance.diagnosis.selection.cross_validation import held_out
+
+
+def holds_beside(refitter: Refitter, fit: Refit, grown: Refit, seed: int) -> bool:
+    """Whether a further effect is in the recordings.
+
+    Parameters
+    ----------
+    refitter : Refitter
+    fit, grown : Refit
+        Without it and with it.
+    seed : int
+        Of the division into folds, if there are people enough.
+    """
+    if (log_evidence(grown) - log_evidence(fit)) / residuals_that_say_one_thing(grown) <= LEAST_GAIN:
+        return False
+    gain = held_out(refitter, fit, grown, seed).blocks
+    return gain is not None and gain > 0
+
+
+def residuals_that_say_one_thing(fit: Refit) -> float:
+    """Kappa of the module's docstring, people together; at least 1."""
+    products, shared, own, row = np.zeros(max(d.omega.size for d in fit.data)), 0.0, 0.0, 0
+    for d in fit.data:
+        rows = slice(row, row + d.z.shape[0])
+        row = rows.stop
+        model = fit.model.kernel.impedance(np.ascontiguousarray(fit.u[rows]), d.omega / (2 * np.pi))
+        white = (d.z[:, 0] + 1j * d.z[:, 1] - model) * np.sqrt(d.weight)
+        mean = white.mean(axis=0)
+        spectrum = np.abs(np.fft.fft(mean, 2 * mean.size)) ** 2
+        products[: mean.size] += np.fft.ifft(spectrum).real[: mean.size]
+        shared += len(white) * float(np.sum(np.abs(mean) ** 2))
+        own += float(np.sum(np.abs(white) ** 2)) / len(white)
+    if products[0] <= 0:
+        return 1.0
+    rho = products[1:] / products[0]
+    ends = np.flatnonzero(rho <= 0)
+    neighbours = 1.0 + 2.0 * float(rho[: ends[0] if ends.size else rho.size].sum())
+    return neighbours * max(1.0, shared / own)

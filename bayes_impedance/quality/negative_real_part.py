@@ -1,0 +1,110 @@
+"""What makes the real part of an impedance negative, in words.
+
+A passive load has Re z >= 0. Recordings of one need not: a lag or a filter of a channel turns the phase of an inertial
+load beyond 90 degrees, at nearly all frequencies, and is what a diagnosis is to find. A sentence says which causes
+the curve allows, by :mod:`bayes_impedance.recordings.phase_relation`:
+
+=====================================  ==================================================================
+recordings                             what is said
+=====================================  ==================================================================
+sign of force or motion turned         turned by 180 degrees at every frequency: correct the sign
+lag, visible beyond the noise of       an angle that grows with frequency, and the lag; keep the points,
+Bode's relation                        a diagnosis measures it
+error of the phase                     the same angle at every frequency; correct the phase
+low-pass or high-pass of a channel,    phase and magnitude belong together, so the sign is right: a filter, a
+small lag, mass subtracted in excess   small lag or an excess of mass correction; keep the points
+accelerance, dynamic stiffness, ...    the same, and that another quantity would be passive
+part of the band only, noise           what to check there
+=====================================  ==================================================================
+
+An error of the gain and noise around Re z = 0 are not reported at all, conjugated recordings by
+:func:`~bayes_impedance.quality.curve_anomalies.suspect_units`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayes_impedance.recordings.csv_table import ComplexArray, FloatArray
+from bayes_impedance.recordings.files import WRONG_SIGN
+from bayes_impedance.recordings.phase_relation import excess_phase
+from bayes_impedance.units import number_with_unit
+
+_HARDLY_NEGATIVE = 0.05
+"""Fraction of points with Re < 0 up to which a quantity counts as passive: noise around zero at an end of the band."""
+
+_DIAGNOSE = "keep the points, they take part in fits, and 'bayes-impedance diagnose'"
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Cause of negative real parts of one recording.
+
+    Attributes
+    ----------
+    cause : str
+        ``sign``, ``lag``, ``angle``, ``filter``, ``quantity``, or nothing if the curve does not say.
+    size : float
+        Of a lag in s, positive if the motion is late; of an angle in degrees.
+    """
+
+    cause: str
+    size: float = 0.0
+
+
+def explain(frequency_hz: FloatArray, z: ComplexArray) -> Explanation:
+    """Find the cause for one recording.
+
+    Parameters
+    ----------
+    frequency_hz : ndarray of float, shape (F,)
+    z : ndarray of complex, shape (F,)
+    """
+    found = excess_phase(frequency_hz, z)
+    if found is None or found.cause is None:
+        return Explanation("")
+    if found.cause != "none":
+        return Explanation(found.cause, found.size)
+    s = 1j * frequency_hz
+    negative, other = np.mean(z.real < 0), min(np.mean((z / s).real < 0), np.mean((z * s).real < 0))
+    return Explanation("quantity" if negative > WRONG_SIGN and other < _HARDLY_NEGATIVE else "filter")
+
+
+def sentence(whose: str, where: str, depth: str, explanations: Sequence[Explanation]) -> str:
+    """What is reported of recordings with negative real parts.
+
+    Parameters
+    ----------
+    whose, where : str
+        The recordings and the band.
+    depth : str
+        Smallest real part, as a fraction of the magnitude.
+    explanations : sequence of Explanation
+        Of each recording; the most frequent cause is reported.
+    """
+    cause = Counter(e.cause for e in explanations).most_common(1)[0][0]
+    size = float(np.median([e.size for e in explanations if e.cause == cause]))
+    late, other = ("motion", "force") if size > 0 else ("force", "motion")
+    because = {
+        "sign": "the phase is turned by 180 degrees at every frequency, as by a wrong sign of force or motion: correct "
+        "the sign of these recordings",
+        "lag": "the phase is off by an angle that grows with frequency, as by a delay between the channels: the "
+        f"{late} is about {number_with_unit(abs(size), 's', 2)} later than the {other}; {_DIAGNOSE} measures it",
+        "angle": f"the phase is off by about {size:.0f} degrees at every frequency, as by an error of calibration: "
+        "correct the phase",
+        "filter": "phase and magnitude belong together, so that the sign is right: a low-pass or high-pass of one "
+        "channel, a small delay between the channels, or a mass correction in excess does this to an inertial or "
+        f"elastic load; {_DIAGNOSE} says which",
+        "quantity": "phase and magnitude belong together, so that the sign is right, and they are those of a passive "
+        "load if divided or multiplied by jw: check that the motion is a velocity, and not an acceleration or a "
+        f"displacement, and that this is no accelerance; if it is a velocity behind a filter, {_DIAGNOSE} finds that",
+        "": "check the delay between the channels, the mass correction and the sign there",
+    }[cause]
+    return (
+        f"{whose}: Re z is negative {where} beyond its scatter (down to {depth} of |z|), which a passive load cannot "
+        f"have; {because}"
+    )
