@@ -19,6 +19,10 @@ LARGEST_ELEMENT = 1e15
 LOWEST_HZ, HIGHEST_HZ = 1e-12, 1e15
 """Frequencies: a period of thirty thousand years, and light. Powers of s as high as networks have stay finite."""
 
+NORMAL_Q95 = 1.6448536269514722
+"""Half the width of a 90 % interval, the level of all intervals here, in standard errors: the 95 % quantile of the
+standard normal distribution."""
+
 _PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G", 12: "T"}
 # A prefix on a unit with a power would be raised to it as well, so such units get a power of ten instead.
 _FIRST_UNIT = re.compile(r"(kg|rad|ohm|Pa|N|m|s|H|F|V|A)(?![\w^])")

@@ -2,6 +2,7 @@
 
 import ast
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -10,7 +11,8 @@ import pytest
 
 import bayes_impedance
 
-ROOT = Path(bayes_impedance.__file__).parents[1]
+PACKAGE = Path(bayes_impedance.__file__).parent
+ROOT = PACKAGE.parent
 FOLDERS = ("bayes_impedance", "analyses", "benchmarks", "tests")
 LONGEST = 400
 """Lines of a file: what one reading takes in; the packages that this one learns from stay below it."""
@@ -36,6 +38,34 @@ def test_no_test_file_imports_another() -> None:
             modules = [a.name for a in node.names] if isinstance(node, ast.Import) else []
             modules += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             assert not [module for module in modules if module.startswith("test_")], file.name
+
+
+@pytest.mark.parametrize("room", [f.parent for f in sorted(PACKAGE.rglob("*/__init__.py"))], ids=lambda room: room.name)
+def test_a_room_says_what_comes_in_what_goes_out_and_what_to_open_first(room: Path) -> None:
+    said = ast.get_docstring(ast.parse((room / "__init__.py").read_text(encoding="utf-8"))) or ""
+    assert "Input: " in said
+    assert "Output: " in said
+    assert re.search(r"Open (:mod:`\.[a-z_]+`|this file) first", " ".join(said.split()))
+
+
+def test_modules_that_docstrings_name_exist() -> None:
+    named = 0
+    for file in sorted(PACKAGE.rglob("*.py")):
+        for name in re.findall(r":mod:`~?(?:[^`<]*<)?([\w.]+)>?`", file.read_text(encoding="utf-8")):
+            absolute = name.removeprefix("bayes_impedance.").split(".") if not name.startswith(".") else None
+            target = PACKAGE.joinpath(*absolute) if absolute else file.parent / name[1:]
+            assert target.with_suffix(".py").exists() or (target / "__init__.py").exists(), f"{file}: {name}"
+            named += 1
+    assert named > 100
+
+
+def test_files_on_the_map_exist() -> None:
+    """CONTRIBUTING leads a reader along files; each stands in the room that is named with it, or in some room."""
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    named = re.findall(r"`((?:[a-z_0-9]+/)*[a-z_0-9]+\.py)`", text)
+    files = ["/" + file.relative_to(ROOT).as_posix() for folder in FOLDERS for file in (ROOT / folder).rglob("*.py")]
+    assert len(named) > 50
+    assert not [name for name in named if not any(file.endswith("/" + name) for file in files)]
 
 
 def test_importing_the_command_line_loads_nothing_heavy() -> None:

@@ -1,5 +1,8 @@
 """The paper's methods: fits of single curves, look-up tables, rational functions, and the mapping onto a network.
 
+Input: recordings, or one curve. Output: elements, rational functions and tables, each method's own. Open
+:mod:`.methods` first, which applies all of them to one dataset:
+
 ==========================  =======================================================================================
 :mod:`.elementwise`         each subject's elements from magnitudes, phases or complex values; their mean or median
 :mod:`.system_identification`  a rational function of given orders by complex least squares (SIT)

@@ -53,9 +53,7 @@ from bayes_impedance.population.em import DETERMINED_SD
 from bayes_impedance.population.natural_scales import default_prior
 from bayes_impedance.population.starting_fits import search_modes
 from bayes_impedance.recordings.files import Recordings, Subject
-
-_NORMAL_95 = 1.6448536269514722
-"""95 % quantile of the normal distribution: the limits of a central 90 % interval."""
+from bayes_impedance.units import NORMAL_Q95
 
 _HELD_BY = 4
 """Number of coefficients reported for each element, those with the largest sensitivities. By choice."""
@@ -295,7 +293,7 @@ def _described(
     inverse = np.linalg.pinv(sensitivity)
     elements = {}
     for p, name in enumerate(names):
-        width = _NORMAL_95 * standard_error[p]
+        width = NORMAL_Q95 * standard_error[p]
         known = standard_error[p] < DETERMINED_SD
         limits = np.exp(log_elements[p] + np.array([-width, 0, width])).tolist() if known else (None, None, None)
         low, middle, high = limits

@@ -13,6 +13,7 @@ from bayes_impedance.commands.terminal import complain, prepare_streams, sentenc
 from bayes_impedance.errors import BusyError, InputError, WorkerError
 
 if TYPE_CHECKING:
+    from bayes_impedance.diagnosis.verdict_types import Verdict
     from bayes_impedance.results.result import Result
 
 DONE, FAILED, BAD_INPUT = 0, 1, 2
@@ -140,14 +141,23 @@ def _diagnose(options: argparse.Namespace) -> int:
     )
     with Bars() as bars:
         diagnosis = diagnose_dataset(options.dataset, options.out, chosen, options.simulation, options.resume, bars)
-    verdict = diagnosis.verdict
-    for remark in verdict.remarks:
-        tell(f"note: {remark}")
+    _tell_verdict(diagnosis.verdict)
+    tell(f"report: {options.out / 'diagnosis.html'}, verdict: {options.out / 'verdict.json'}")
+    return DONE if diagnosis.verdict.reliable else FAILED
+
+
+def _tell_verdict(verdict: Verdict) -> None:
+    """Print a verdict. What was found is listed only if it can be relied on; `verdict.json` has it for the search."""
     if not verdict.reliable:
         tell(f"NOT RELIABLE: {verdict.shortcomings[0] if verdict.shortcomings else 'the fit did not converge'}")
+    for remark in verdict.remarks:
+        if verdict.reliable or remark not in verdict.shortcomings[:1]:
+            tell(f"note: {remark}")
     tell()
     tell(f"{verdict.summary}")
     tell()
+    if not verdict.reliable:
+        return
     for entry in verdict.physics:
         tell(f"{entry.id} at {entry.place} ({entry.side or 'rig or body not decided'}): {entry.name}")
         for name, row in entry.parameters.items():
@@ -156,8 +166,6 @@ def _diagnose(options: argparse.Namespace) -> int:
             tell(f"    not separated from {alias.id} at {alias.place}; this would: {alias.would_separate}")
     if verdict.physics:
         tell()
-    tell(f"report: {options.out / 'diagnosis.html'}, verdict: {options.out / 'verdict.json'}")
-    return DONE if verdict.reliable else FAILED
 
 
 def _report(options: argparse.Namespace) -> int:
@@ -296,11 +304,11 @@ def _finish(result: Result, last: str) -> int:
             continue
         cells = [_interval(element["central"], ".3g")]
         cells += [_interval(element[f"dispersion_between_{level}"], ".2f") for level in ("persons", "repetitions")]
-        marked = name + ("*" if element["marked"] else "")
+        marked = name + ("*" if _is_marked(element) else "")
         tell(f"{marked:6}{element['unit']:9}{cells[0]:32}{cells[1]:24}{cells[2]}".rstrip())
     tell()
-    if any(element["marked"] for element in summary["elements"].values()):
-        tell("* would change by more than its interval if the missing physics were modelled")
+    if any(_is_marked(element) for element in summary["elements"].values()):
+        tell("* may be wrong by more than its interval because of the misfit that is named above")
     tell("dispersions are standard deviations of the natural logarithm")
     tell()
     tell(f"{'error of one curve for all (eq. 5)':36}{'|z|, ' + summary['unit']:>16}{'phase, deg':>14}")
@@ -320,6 +328,11 @@ def _interval(values: dict[str, float | None], style: str) -> str:
     if values["median"] is None:
         return "-"
     return "{} ({} to {})".format(*(format(values[k], style) for k in ("median", "q05", "q95")))
+
+
+def _is_marked(element: dict[str, Any]) -> bool:
+    """Whether a number is shown that depends on the misfit: what is withheld needs no mark."""
+    return bool(element["marked"] and element["central"]["median"] is not None)
 
 
 def _is_range(value: object) -> bool:

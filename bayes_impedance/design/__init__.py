@@ -1,9 +1,9 @@
 """Design inputs: virtual users, circuits and stability limits from a population, for the design of haptic devices.
 
-The input is a result; the output is users, circuits, stability limits and files. Open :mod:`.users` first (virtual
-users, and the posterior draws of the population; :mod:`.body` takes the rig out of the network), then
-:mod:`.representatives` (a few representative users), ``circuits`` (a user as a circuit), ``loop`` (a device held by a
-user), :mod:`.answer` (a summary in one sentence) and :mod:`.files` (the output files).
+Input: a result. Output: users, circuits, stability limits and files. Open :mod:`.users` first (virtual users, and the
+posterior draws of the population; :mod:`.body` takes the rig out of the network), then :mod:`.representatives` (a few
+representative users), ``circuits`` (a user as a circuit), ``loop`` (a device held by a user), :mod:`.answer` (a summary
+in one sentence) and :mod:`.files` (the output files).
 """
 
 from bayes_impedance.design.answer import DesignAnswer, design_answer

@@ -97,7 +97,8 @@ def examine(
 
 def _examine(fit: PopulationFit, effects: tuple[Effect, ...], executor: Executor) -> Adequacy:
     recordings, n = fit.recordings, len(fit.recordings.subjects)
-    gross = [*copies(recordings), *far_off(_error(fit), fit.noise_scale)]
+    far = [f"{why}, then the network with 'bayes-impedance diagnose'" for why in far_off(_error(fit), fit.noise_scale)]
+    gross = [*copies(recordings), *far]
     if gross:
         return Adequacy(gross=tuple(gross))
     refitter, base, names_of = _refitted(fit, executor)
@@ -195,7 +196,7 @@ def _consequences(
 def _missing(fit: PopulationFit, p: float, bent: dict[str, float]) -> str:
     factor = float(np.median(fit.noise_scale))
     text = (
-        f"The network leaves out something that the recordings show (p {'below 1e-300' if p <= 0 else f'= {p:.1g}'}; "
+        f"The network leaves out something that the recordings show ({_p_value(p)}; "
         f"residuals are {factor:.2g} times the estimated noise): run 'bayes-impedance diagnose' to see what."
     )
     if len(bent) == int(fit.identified.sum()):
@@ -203,6 +204,11 @@ def _missing(fit: PopulationFit, p: float, bent: dict[str, float]) -> str:
     if bent:
         return f"{text} If it were modelled, {', '.join(bent)} would change by more than the interval."
     return f"{text} No element would change by more than its interval if it were modelled."
+
+
+def _p_value(p: float) -> str:
+    """A p-value for a sentence; one that is below the smallest number is not zero."""
+    return f"p = {p:.1g}" if p > 0 else "p below 1e-300"
 
 
 def _error(fit: PopulationFit) -> np.ndarray:
@@ -244,9 +250,8 @@ def _outliers(fit: PopulationFit) -> list[str]:
     if not far.size:
         return []
     names = ", ".join(fit.recordings.names[i] for i in far[np.argsort(p[far])][:5])
+    who, it, s = ("Subjects", "them", "") if far.size > 1 else ("Subject", "it", "s")
     return [
-        f"{'Subjects' if far.size > 1 else 'Subject'} {names} lie{'' if far.size > 1 else 's'} far outside the "
-        f"population of the others (p = {p.min():.1g}) and bias{'' if far.size > 1 else 'es'} its central values and "
-        f"dispersions; check the recording{'s' if far.size > 1 else ''}, or leave {'them' if far.size > 1 else 'it'} "
-        "out."
+        f"{who} {names} lie{s} far outside the population of the others ({_p_value(float(p.min()))}) and bias"
+        f"{'es' if s else ''} its central values and dispersions; check the recording{'' if s else 's'}, or leave {it} out."
     ]

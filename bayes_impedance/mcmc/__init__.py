@@ -1,8 +1,9 @@
 """Sampling a density with emcee, and the files of chains.
 
-In comes a log-density of a few dozen coordinates; out come chains of several independent ensembles with diagnostics.
-Open :mod:`.ensemble` first; :mod:`.laplace` finds starting values, :mod:`.chain_file` saves chains so that a
-killed run can be resumed, :mod:`.arviz_file` is the only module that uses ArviZ.
+Input: a log-density of a few dozen coordinates. Output: chains of several independent ensembles with diagnostics.
+Open :mod:`.ensemble` first; :mod:`.laplace` finds starting values, :mod:`.autocorrelation` estimates the correlation
+time, :mod:`.chain_file` saves chains so that a killed run can be resumed, :mod:`.arviz_file` is the only module that
+uses ArviZ.
 """
 
 from bayes_impedance.mcmc.ensemble import Chains, sample

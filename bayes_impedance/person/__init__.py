@@ -1,8 +1,9 @@
 """One person: noise, likelihood, mode, exact posterior draws.
 
-In come one person's recordings and a kernel; out come log-likelihoods over log elements and draws from the posterior.
+Input: one person's recordings and a kernel. Output: log-likelihoods over log elements, and draws from the posterior.
 Open :mod:`.likelihood` first, then :mod:`.noise` (its size), :mod:`.mode` (the maximum of the posterior),
-:mod:`.marginal_likelihood` (repetitions integrated out) and :mod:`.importance_draws` (draws with weights).
+:mod:`.marginal_likelihood` (repetitions integrated out; :mod:`.absolute_density` has the constants) and
+:mod:`.importance_draws` (draws with weights; :mod:`.valley` draws along a curved posterior).
 """
 
 from bayes_impedance.person.importance_draws import draw

@@ -1,5 +1,9 @@
 """Pictures of a finished run. They show the numbers of the result and compute no new ones.
 
+Input: a result or a diagnosis. Output: matplotlib figures, and files of them. Open :mod:`.access` first (what pictures
+read from a result), then :mod:`.parameters`, :mod:`.joint` (elements), :mod:`.spectra` (curves and errors),
+:mod:`.missing_physics`, :mod:`.comparison`, :mod:`.design`, :mod:`.paper`; :mod:`.style` holds colours and axes.
+
 Each picture is a function that draws into the matplotlib Figure or Axes it is given, and returns it. Draw inside
 :func:`style`, which sets their common style and restores matplotlib's settings afterwards::
 

@@ -1,9 +1,12 @@
 """The population: centres and dispersions of the elements, from the likelihoods of all persons.
 
-The input is recordings and a network; the output is :class:`PopulationFit`: chains of the population's parameters, and
-draws of each person's elements. Open :mod:`.fit` first: it calls, in order, :mod:`.starting_fits`, :mod:`.em` (with
-:mod:`.e_step`), :mod:`.sharded_likelihood` (on :mod:`.importance_likelihood`), :mod:`.posterior` and
-:mod:`.diagnostics`. :mod:`.simulate` simulates virtual persons.
+Input: recordings and a network. Output: :class:`PopulationFit`: chains of the population's parameters, and draws of
+each person's elements. Open :mod:`.fit` first: it calls, in order, :mod:`.requirements`, :mod:`.starting_fits`,
+:mod:`.em` (with :mod:`.e_step`), :mod:`.sampling` (of :mod:`.posterior`, whose likelihood is :mod:`.sharded_likelihood`
+on :mod:`.importance_likelihood`; :mod:`.draw_error` decides whether to draw anew) and :mod:`.diagnostics`. The
+population's parameters are :mod:`.parameters`, and :mod:`.shared` what is the same for everybody.
+:mod:`.person_densities` and :mod:`.held_out_person` serve the comparison of networks; :mod:`.simulate` simulates
+virtual persons.
 """
 
 from bayes_impedance.population.fit import FitSettings, PopulationFit, fit_population

@@ -28,6 +28,7 @@ from scipy.special import ndtri
 
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.sharded_likelihood import KeptDraws
+from bayes_impedance.units import NORMAL_Q95
 
 ERROR_WANTED = 0.08
 """Standard error of the ends of 90 % intervals by the draws, in posterior standard deviations, up to which draws hold.
@@ -38,9 +39,6 @@ to 71 persons; 0.1 to 0.45 in narrow bands, where it is met by draws made anew."
 POPULATIONS = 256
 """Populations of the chain over which covariances are taken. By choice: as many independent ones find 0.1 of the
 standard deviation of the log likelihood's error even if nothing goes with it; that is 0.01 where the error is met."""
-
-_END = 1.645
-"""End of a 90 % interval in standard deviations (normal distribution)."""
 
 _RARELY = 0.05
 """Quantile over populations of the smallest effective number of draws: the tail that a 90 % interval is about."""
@@ -78,7 +76,7 @@ def draw_error(marginal: KeptDraws, coordinates: np.ndarray, parameters: Populat
     some = coordinates[rows]
     ranks = some.argsort(axis=0, kind="stable").argsort(axis=0)
     z = ndtri((ranks + 0.5) / len(rows))
-    bend = 0.5 * _END * (z**2 - 1)
+    bend = 0.5 * NORMAL_Q95 * (z**2 - 1)
     influence = np.hstack([z + bend, z - bend])
     influence -= influence.mean(axis=0)
     squares, least = marginal.influences(parameters[rows], influence / len(rows))

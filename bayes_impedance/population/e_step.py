@@ -189,7 +189,23 @@ def information_of_means(fits: Sequence[PersonFit], precision: np.ndarray, begun
 
 def information_of_elements(fits: Sequence[PersonFit], precision: np.ndarray) -> np.ndarray:
     """Information of the recordings alone on each log element, the others free within the population, shape (P,)."""
-    h = np.array([f.mode.information for f in fits])
+    return information_on_each(np.array([f.mode.information for f in fits]), precision)
+
+
+def information_on_each(h: np.ndarray, precision: np.ndarray) -> np.ndarray:
+    """Information on each log element, summed over persons, the others free within the population.
+
+    Parameters
+    ----------
+    h : ndarray, shape (N, P, P)
+        Information of each person's recordings.
+    precision : ndarray, shape (P, P)
+        Of the population.
+
+    Returns
+    -------
+    ndarray, shape (P,)
+    """
     result = np.empty(len(precision))
     for p in range(result.size):
         others = np.arange(result.size) != p
@@ -198,6 +214,11 @@ def information_of_elements(fits: Sequence[PersonFit], precision: np.ndarray) ->
         left = np.linalg.solve(rest, column[..., None])[..., 0]
         result[p] = np.sum(h[:, p, p] - np.einsum("nq,nq->n", column, left))
     return result
+
+
+def standard_errors(information: np.ndarray) -> np.ndarray:
+    """Standard errors (P,) from information (P,); infinite without information, of which rounding can leave a trace."""
+    return np.array([total**-0.5 if total > 0 else np.inf for total in information])
 
 
 def _stacked(fits: Sequence[PersonFit]) -> np.ndarray:

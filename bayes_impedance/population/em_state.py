@@ -23,6 +23,7 @@ from bayes_impedance.population.e_step import (
     information_of_elements,
     information_of_means,
     spread,
+    standard_errors,
     sums,
 )
 from bayes_impedance.population.parameters import Prior
@@ -37,10 +38,12 @@ from bayes_impedance.population.shared import (
 )
 from bayes_impedance.runtime.sharded import Kept
 
-_PRIOR_PERSONS = 2.0
-"""Pseudo-persons with independent elements, added to the covariance. By choice: few persons stay non-singular."""
-_SMALLEST_DISPERSION = 0.02
-"""Least sd of logarithms between persons. By choice: reweighting cannot widen draws that lie almost in one point."""
+PRIOR_PERSONS = 2.0
+"""Pseudo-persons with independent elements, added to the covariance: the weight of the prior LKJ(2) of correlations.
+With them the covariance of few persons is not singular."""
+SMALLEST_DISPERSION = 0.02
+"""Least sd of logarithms between persons. By choice: reweighting cannot widen draws that lie almost in one point, and
+the covariance must stay invertible."""
 _NO_PRIOR = 1e-6
 """Precision in place of a prior's. By choice: a standard deviation of a thousand only keeps what the recordings do not
 see from being singular."""
@@ -219,9 +222,9 @@ class State:
             self.mu[e], self.slopes[e] = self.prior.centre[e] + solution[0], solution[1:]
         # A second pass over the persons: squaring the deviations from the new mean avoids cancellation.
         square = _total(self.fits.ask(spread, columns=[self.means])) + _total(part.uncertainty for part in parts)
-        weak = _PRIOR_PERSONS * np.diag(np.clip(variance, _SMALLEST_DISPERSION**2, 1.0))
-        covariance = (square + weak) / (self.n_persons + _PRIOR_PERSONS)
-        floor = np.maximum(np.diag(covariance), _SMALLEST_DISPERSION**2)
+        weak = PRIOR_PERSONS * np.diag(np.clip(variance, SMALLEST_DISPERSION**2, 1.0))
+        covariance = (square + weak) / (self.n_persons + PRIOR_PERSONS)
+        floor = np.maximum(np.diag(covariance), SMALLEST_DISPERSION**2)
         self.covariance = np.diag(floor) if not self.correlated else covariance + np.diag(floor - np.diag(covariance))
 
     def _repetition_dispersion(self, parts: Sequence[Sums]) -> np.ndarray:
@@ -251,8 +254,7 @@ class State:
 
     def data_sd(self) -> np.ndarray:
         """Standard error of each element from all recordings together, without a prior on it, shape (P,)."""
-        information = _total(self.fits.ask(information_of_elements, np.linalg.inv(self.covariance)))
-        return np.array([total**-0.5 if total > 0 else np.inf for total in information])
+        return standard_errors(_total(self.fits.ask(information_of_elements, np.linalg.inv(self.covariance))))
 
 
 def refitted(

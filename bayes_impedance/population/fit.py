@@ -35,6 +35,7 @@ from bayes_impedance.person.absolute_density import deviations_of, log_constant
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.marginal_likelihood import find_ridge, marginal_log_likelihood
 from bayes_impedance.person.noise import NoiseModel
+from bayes_impedance.population.dependence import dependent
 from bayes_impedance.population.diagnostics import Diagnostics, assess
 from bayes_impedance.population.em import Estimate, estimate
 from bayes_impedance.population.natural_scales import default_prior
@@ -261,18 +262,20 @@ def fit_population(
         posterior, chains, error = sampled(
             posterior, settings.sampler, seeds[3], seeds[2], executor, clock, progress, checkpoint
         )
-        point.forget()
         with clock.measure("persons"):
             kept = _kept_sets(chains, len(recordings.subjects) * len(kernel.elements))
             flat = chains.coordinates[:, kept].reshape(-1, chains.coordinates.shape[-1])
             parameters = posterior.coordinates.unpack(flat)
+            known = point.determined & (parameters.mu.std(axis=0) < IDENTIFIED_SD)
+            known &= ~dependent(point, parameters, known, posterior.coordinates.prior)
+            point.forget()
             person_draws, person_likelihood = posterior.marginal.persons(parameters, seeds[4])
             diagnostics = assess(recordings, point, chains, posterior.marginal, parameters, posterior.redrawn, error)
             scaled = partial(_scaled_noise, first.model)
             noise = tuple(map_persons(executor, scaled, recordings.subjects, point.scale))
     shape = (settings.sampler.ensembles, -1, len(recordings.subjects))
-    spread = pooling.whole(parameters.mu, np.zeros(0) if parameters.shared is None else parameters.shared).std(axis=0)
-    determined = pooling.whole(point.determined, point.shared_determined).astype(bool)
+    shared_spread = np.zeros(0) if parameters.shared is None else parameters.shared.std(axis=0)
+    identified = pooling.whole(known, point.shared_determined & (shared_spread < IDENTIFIED_SD)).astype(bool)
     return PopulationFit(
         recordings=recordings,
         kernel=whole.kernel,
@@ -289,7 +292,7 @@ def fit_population(
         deviations=tuple(whole.without(own) for own in point.deviations),
         noise=noise,
         noise_scale=point.scale,
-        identified=determined & (spread < IDENTIFIED_SD),
+        identified=identified,
         diagnostics=diagnostics,
         seconds=clock.seconds,
     )

@@ -221,8 +221,9 @@ class _Reading:
             kind = "negative" if declared_positive else "positive"
             raise InputError(
                 f"{self.file}: {wrong:.0%} of the rows (the first is row {self.first_row}) have a {kind} real part "
-                f'although the sign is "{self.metadata.sign}"; write sign = "{remedy}" in {metadata_file}, beside a '
-                "file named recordings.csv"
+                f'although the sign is "{self.metadata.sign}"; if force or velocity was counted the other way, write '
+                f'sign = "{remedy}" in {metadata_file}, beside a file named recordings.csv; if z is not force per '
+                "velocity but per acceleration or displacement, convert it"
             )
 
 

@@ -1,4 +1,9 @@
-"""The report of a run: one self-contained page, ``report.html``."""
+"""Reports: one self-contained page of a run, ``report.html``, and one of a diagnosis, ``diagnosis.html``.
+
+Input: a result or a diagnosis, with its pictures. Output: a page of HTML without scripts. Open this file first
+(the context of a run's page), then :mod:`.fit_sentences` and :mod:`.fit_tables` (its words and numbers),
+:mod:`.diagnosis_page` with :mod:`.findings` (the page of a diagnosis), and :mod:`.schematic` (the drawn network).
+"""
 
 from __future__ import annotations
 

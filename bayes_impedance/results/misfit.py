@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from bayes_impedance.units import NORMAL_Q95
+
 MISFIT_SCALE = 1.5
 """Above this ratio of residual to noise, the network is reported to misfit a person's recordings: the unexplained part,
 the square root of 1.5 squared minus 1, is then about as large as the noise."""
@@ -88,5 +90,5 @@ def range_by_chance(nominal: float, people: np.ndarray) -> tuple[np.ndarray, np.
     -------
     low, high : ndarray, shape of `people`
     """
-    chance = 1.645 * np.sqrt(nominal * (1 - nominal) / np.maximum(people, 1))
+    chance = NORMAL_Q95 * np.sqrt(nominal * (1 - nominal) / np.maximum(people, 1))
     return np.maximum(nominal - chance, 0.0), np.minimum(nominal + chance, 1.0)

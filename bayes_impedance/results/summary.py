@@ -190,7 +190,7 @@ def _remarks(fit: PopulationFit, predictive: Predictive, gross: bool) -> list[st
     unseen = [e for e, seen in zip(fit.kernel.elements, fit.identified, strict=True) if not seen and e not in lost]
     if unseen:
         remarks.append(
-            f"The recordings do not determine {', '.join(unseen)}: any value within a wide range gives the same "
-            "impedance in the measured band, so no number is reported."
+            f"The recordings do not determine {', '.join(unseen)}: a wide range of values, of one or of several "
+            "together, gives the same impedance in the measured band, so no number is reported."
         )
     return remarks

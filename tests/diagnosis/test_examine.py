@@ -87,6 +87,7 @@ def test_missing_physics_is_said_with_the_elements_that_it_bends(change: str, sp
 def test_one_person_who_does_not_belong_is_named(change: str) -> None:
     found = examined(change)
     assert any("V04" in sentence for sentence in found.misfit)
+    assert not any("p = 0)" in sentence for sentence in found.misfit)
     assert set(found.bent) == set(CENTRAL)
 
 

@@ -90,7 +90,7 @@ BAD_RECORDINGS: dict[str, Bad] = {
     "two_points": (GOOD.replace("B,1,30,2.2,1e0\n", ""), ["row 5", 'subject "B"', "2 usable frequencies", "complete"]),
     "wrong_sign": (
         GOOD.replace(",1.", ",-1.").replace(",2.", ",-2."),
-        ["100% of the rows", "row 2", "negative real part", 'write sign = "passive negative" in', "dataset.toml"],
+        ["100% of the rows", "row 2", "negative real part", 'sign = "passive negative" in', "not force per velocity"],
     ),
     "little_in_common": (
         HEADER + "".join(f"A,{r},{f + r / 10},1,0\n" for r in (1, 2) for f in range(1, 9)) + "A,3,1,1,0\n",
@@ -125,9 +125,8 @@ def test_no_text_becomes_a_number(tmp_path: Path, value: str) -> None:
 
 
 def test_wrong_sign_declared_negative(tmp_path: Path) -> None:
-    with pytest.raises(
-        InputError, match='positive real part although the sign is "passive negative"; write sign = "pas'
-    ):
+    said = 'positive real part although the sign is "passive negative"; if [a-z ]*, write sign = "passive positive"'
+    with pytest.raises(InputError, match=said):
         read_recordings(dataset(tmp_path, toml='sign = "passive negative"'))
 
 

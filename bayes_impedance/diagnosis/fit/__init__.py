@@ -2,7 +2,7 @@
 
 Input: likelihoods and a model. Output: the elements of each person, the additions' parameters, evidence and whitened
 residuals. Open :mod:`.baseline` first (the network alone), then :mod:`.fitter` and :mod:`.normal_equations` (the
-iteration), :mod:`.model` and :mod:`.extend` (additions), :mod:`.coefficient_posterior`, :mod:`.profile_posterior` and
-:mod:`.spike_slab` with :mod:`.two_group_mixture` (posterior of their parameters, and whether only some people have
-them).
+iteration; :mod:`.cold_start` and :mod:`.majority` choose where it starts, :mod:`.refit` is what it returns),
+:mod:`.model` and :mod:`.extend` (additions), :mod:`.person_residuals`, :mod:`.coefficient_posterior` (the additions'
+parameters) and :mod:`.spike_slab` with :mod:`.two_group_mixture` (whether only some people have them).
 """

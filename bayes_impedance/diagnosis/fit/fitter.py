@@ -46,16 +46,8 @@ from bayes_impedance.diagnosis.fit.normal_equations import (
 )
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood
-
-_PRIOR_PERSONS = 2.0
-"""Weight of the covariance's prior in persons without correlations, as of LKJ(2)."""
-
-_SMALLEST_DISPERSION = 0.02
-"""Smallest standard deviation of a log element between people. By choice: the covariance must stay invertible."""
-
-_SMALLEST_RHO = 1e-3
-"""Smallest standard deviation between repetitions, and that of coefficients, which do not differ between repetitions.
-By choice."""
+from bayes_impedance.person.marginal_likelihood import LEAST_RHO
+from bayes_impedance.population.em_state import PRIOR_PERSONS, SMALLEST_DISPERSION
 
 _LONGEST_STEP = 1.0
 """Largest step of the additions, in prior standard deviations or units of the coefficient. By choice."""
@@ -343,11 +335,11 @@ class Refitter:
         elements = np.arange(size) < model.n_elements
         mu = np.where(elements, persons.mean(axis=0), population.mu)
         offset = persons - mu
-        variance = np.clip(np.diag(population.covariance), _SMALLEST_DISPERSION**2, 1.0)
-        covariance = (offset.T @ offset + posterior.sum(axis=0) + _PRIOR_PERSONS * np.diag(variance)) / (
-            n + _PRIOR_PERSONS
+        variance = np.clip(np.diag(population.covariance), SMALLEST_DISPERSION**2, 1.0)
+        covariance = (offset.T @ offset + posterior.sum(axis=0) + PRIOR_PERSONS * np.diag(variance)) / (
+            n + PRIOR_PERSONS
         )
-        floor = np.maximum(np.diag(covariance), _SMALLEST_DISPERSION**2)
+        floor = np.maximum(np.diag(covariance), SMALLEST_DISPERSION**2)
         covariance = covariance + np.diag(floor - np.diag(covariance))
         if n < size + 2:  # a full sample covariance would be singular
             covariance = np.diag(floor)
@@ -361,7 +353,7 @@ class Refitter:
             square = (v - persons[self.owner]) ** 2 + np.einsum("mpp->mp", spread)
             many = np.array([d.z.shape[0] > 1 for d in self.data])[self.owner]
             rho = np.sqrt((square[many].sum(axis=0) + 2 * 0.05**2) / (many.sum() + 2))
-            rho = np.where(elements, np.clip(rho, _SMALLEST_RHO, 1.0), _SMALLEST_RHO)
+            rho = np.where(elements, np.clip(rho, LEAST_RHO, 1.0), LEAST_RHO)
         sd = np.sqrt(np.diag(population.covariance) / n)
         shift = np.abs(mu - population.mu) / sd
         stretch = np.abs(np.log(np.diag(covariance) / np.diag(population.covariance))) * 0.5
@@ -384,7 +376,7 @@ def _with_dispersions(model: Model, covariance: np.ndarray, mu: np.ndarray) -> n
 
 
 def _rho(population: Population) -> np.ndarray:
-    return np.asarray(np.maximum(population.rho, _SMALLEST_RHO))
+    return np.asarray(np.maximum(population.rho, LEAST_RHO))
 
 
 def _means(values: np.ndarray, owner: np.ndarray, n: int) -> np.ndarray:

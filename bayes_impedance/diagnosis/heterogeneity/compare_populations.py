@@ -21,9 +21,7 @@ from bayes_impedance.diagnosis.heterogeneity.tests import person_likelihoods
 from bayes_impedance.diagnosis.multiple_testing import holm
 from bayes_impedance.diagnosis.verdict_types import ParameterDifference
 from bayes_impedance.network.elements import kind_of
-
-_NORMAL_Q95 = 1.6449
-"""95 % quantile of the standard normal distribution."""
+from bayes_impedance.units import NORMAL_Q95
 
 _LARGEST_SD = 3.0
 """Largest standard error of a difference of logarithms that is reported: with a factor of 20 (one standard error)
@@ -71,8 +69,8 @@ def compare_populations(claimed: Refit, recorded: Refit, unit: str) -> tuple[Par
             simulation=simulated,
             recordings=measured,
             ratio=float(np.exp(d)),
-            q05=float(np.exp(d - _NORMAL_Q95 * sd)),
-            q95=float(np.exp(d + _NORMAL_Q95 * sd)),
+            q05=float(np.exp(d - NORMAL_Q95 * sd)),
+            q95=float(np.exp(d + NORMAL_Q95 * sd)),
             p_value=float(p),
         )
         for (name, own_unit, what, simulated, measured, d, sd), p in zip(rows, corrected, strict=True)

@@ -20,9 +20,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayes_impedance.diagnosis.heterogeneity.bootstrap import Residuals, replicates
-from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import NORMAL_Q95, PersonLikelihoods
+from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods
 from bayes_impedance.diagnosis.heterogeneity.reml import Fit, FullCovariance, centred_fit
 from bayes_impedance.diagnosis.multiple_testing import bonferroni, holm
+from bayes_impedance.units import NORMAL_Q95
 
 REPLICATES = 200
 """Number of replicates. They only scale the scores and their sum: 200 give a standard deviation to 5 %."""

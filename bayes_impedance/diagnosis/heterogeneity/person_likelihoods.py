@@ -25,13 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayes_impedance.errors import InputError
-
-DETERMINED_SD = 0.3
-"""Largest standard error of a log element, from all persons together, with which it is included in the tests: 30 %, as
-for the elements that a fit reports (:mod:`bayes_impedance.population.em`)."""
-
-NORMAL_Q95 = 1.645
-"""95 % quantile of the standard normal distribution: half the width of a 90 % interval in standard errors."""
+from bayes_impedance.population.e_step import information_on_each, standard_errors
 
 
 @dataclass(frozen=True)
@@ -102,15 +96,4 @@ def log_marginal(likelihoods: PersonLikelihoods, means: np.ndarray, covariance: 
 
 def data_sd(likelihoods: PersonLikelihoods, covariance: np.ndarray) -> np.ndarray:
     """Standard error of a common log element from all data together, the others free within the population, (P,)."""
-    precision = np.linalg.inv(covariance)
-    p = covariance.shape[0]
-    result = np.full(p, np.inf)
-    for e in range(p):
-        o = np.arange(p) != e
-        h = likelihoods.information
-        rest = h[:, o][:, :, o] + precision[np.ix_(o, o)]
-        absorbed = np.einsum("np,np->n", h[:, e, o], np.linalg.solve(rest, h[:, o, e][..., None])[..., 0])
-        total = float(np.sum(h[:, e, e] - absorbed))
-        if total > 0:
-            result[e] = total**-0.5
-    return result
+    return standard_errors(information_on_each(likelihoods.information, np.linalg.inv(covariance)))

@@ -29,14 +29,13 @@ from typing import Protocol
 
 import numpy as np
 
-from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import DETERMINED_SD, PersonLikelihoods, data_sd
+from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods, data_sd
+from bayes_impedance.population.em import DETERMINED_SD
+from bayes_impedance.population.em_state import PRIOR_PERSONS
 
 COEFFICIENT_SD = 10.0
 """Standard deviation of the normal prior of every coefficient around the centre. By choice: practically flat, but never
 singular."""
-
-PRIOR_PERSONS = 2.0
-"""Weight of the LKJ(2) prior of the correlations, in persons without correlations."""
 
 _START_DISPERSION = 0.3
 """Standard deviation of the log elements at which the fit starts: a typical difference between people."""

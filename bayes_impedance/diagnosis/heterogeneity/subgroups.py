@@ -29,8 +29,8 @@ import numpy as np
 
 from bayes_impedance.diagnosis.fit.two_group_mixture import log_mixture, membership, share_of
 from bayes_impedance.diagnosis.heterogeneity.bootstrap import Residuals, replicates, tail_probability
-from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import NORMAL_Q95, PersonLikelihoods, log_marginal
-from bayes_impedance.diagnosis.heterogeneity.reml import PRIOR_PERSONS, Fit, centred_fit
+from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods, log_marginal
+from bayes_impedance.diagnosis.heterogeneity.reml import Fit, centred_fit
 from bayes_impedance.diagnosis.heterogeneity.two_groups import (
     SMALLEST_GROUP,
     SMALLEST_SHARE,
@@ -39,6 +39,8 @@ from bayes_impedance.diagnosis.heterogeneity.two_groups import (
     along_elements,
 )
 from bayes_impedance.diagnosis.multiple_testing import bonferroni
+from bayes_impedance.population.em_state import PRIOR_PERSONS
+from bayes_impedance.units import NORMAL_Q95
 
 REPLICATES = 200
 """Twenty replicates lie in the highest tenth, from which the tail is extrapolated

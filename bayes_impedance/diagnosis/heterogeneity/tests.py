@@ -23,21 +23,19 @@ from bayes_impedance.diagnosis.heterogeneity.regression import (
     regressors_of,
 )
 from bayes_impedance.diagnosis.heterogeneity.subgroups import Subgroup, find_subgroup
+from bayes_impedance.person.marginal_likelihood import LEAST_RHO
 from bayes_impedance.recordings.files import Recordings
 
 ALPHA = 0.003
 """Corrected level of each family of tests. There are four families; by the union bound they raise 1.2 % false alarms
 together, about as many as the search for missing physics (1 %)."""
 
-_SMALLEST_RHO = 1e-3
-"""Lower bound of the dispersion of log elements between repetitions. By choice: a precision must be finite."""
-
 
 def person_likelihoods(fit: Refit) -> PersonLikelihoods:
     """Each person's likelihood of the log elements, deviations between repetitions integrated out."""
     h, linear = _recordings(fit)
     e = fit.model.n_elements
-    precision = np.maximum(fit.population.rho[:e], _SMALLEST_RHO) ** -2.0
+    precision = np.maximum(fit.population.rho[:e], LEAST_RHO) ** -2.0
     pulled = np.linalg.solve(h + np.diag(precision), np.concatenate([h, linear[..., None]], axis=2))
     information = h - np.einsum("mpq,mqr->mpr", h, pulled[..., :-1])
     reduced = linear - np.einsum("mpq,mq->mp", h, pulled[..., -1])

@@ -25,6 +25,7 @@ from bayes_impedance.diagnosis.hum.neighbours import Excess, Neighbourhood, arou
 from bayes_impedance.diagnosis.multiple_testing import bonferroni
 from bayes_impedance.errors import InputError
 from bayes_impedance.recordings.files import Recordings
+from bayes_impedance.units import NORMAL_Q95
 
 LINES_HZ = (50.0, 60.0)
 """Nominal frequencies of public mains."""
@@ -46,9 +47,8 @@ one more test to correct for."""
 _AFFECTED_P = 0.01
 """Level at which a single harmonic counts as affected once the combination is significant. By choice."""
 
-CHI_SQUARE_Q90, _NORMAL_Q95 = 2.706, 1.645
-"""Quantiles for 90 % intervals: of chi-square with one degree of freedom (drop of twice the log likelihood), and of the
-standard normal (half width in standard errors)."""
+CHI_SQUARE_Q90 = NORMAL_Q95**2
+"""Drop of twice the log likelihood at the ends of a 90 % interval: chi-square with one degree of freedom."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -226,7 +226,7 @@ def _amplitude(tests: Sequence[_Test]) -> tuple[float, float, float]:
         if test.coherent:
             weight = np.sum(left / sd**2, axis=1)
             size = float(np.linalg.norm(np.sum(parts / sd, axis=1) / weight))
-            error = _NORMAL_Q95 * float(np.sqrt(level / weight.mean()))
+            error = NORMAL_Q95 * float(np.sqrt(level / weight.mean()))
             squares.append((size**2 / 2, max(size - error, 0.0) ** 2 / 2, (size + error) ** 2 / 2))
         else:
             squares.append(_variance(parts**2 / level, left, level * sd**2, test.excess.freedom))
@@ -269,7 +269,7 @@ def _variance(energy: np.ndarray, left: np.ndarray, variance: np.ndarray, freedo
 
     ends = [brentq(beyond, best, end) if beyond(end) > 0 else end for end in (-16.0, top + 3.0)]
     a, low, high = (float(np.exp(v)) * unit for v in (best, *ends))
-    level = _NORMAL_Q95 * np.sqrt(2 / freedom) * unit
+    level = NORMAL_Q95 * np.sqrt(2 / freedom) * unit
     return a, a - float(np.hypot(a - low, level)), a + float(np.hypot(high - a, level))
 
 

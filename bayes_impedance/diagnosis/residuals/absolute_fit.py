@@ -46,8 +46,7 @@ def far_off(error: np.ndarray, noise_scale: np.ndarray) -> list[str]:
     return [
         f"the network does not describe the recordings: each subject's own best fit deviates by {100 * middle:.0f} % "
         f"(median of the relative rms error), and the residuals are {factor:.2g} times the noise; check the quantity "
-        "(force over velocity), the unit and the sign of the phase with 'bayes-impedance check', then the network with "
-        "'bayes-impedance diagnose'"
+        "(force over velocity), the unit and the sign of the phase with 'bayes-impedance check'"
     ]
 
 

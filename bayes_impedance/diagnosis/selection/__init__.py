@@ -1,7 +1,7 @@
 """The search: which candidates explain what is missing, and whether they can be named.
 
 Input: a fitted network and the catalogue. Output: :class:`~.stepwise.Found`, the additions in the order they were
-found. Open :mod:`.stepwise` first: it calls :mod:`.score_scan` (all candidates in one pass), :mod:`.shortlist` (refits)
-and :mod:`.compare` (which of two is better); then :mod:`.restart`, :mod:`.unnamed`, :mod:`.identifiability`,
-:mod:`.cross_validation`.
+found. Open :mod:`.stepwise` first: it calls :mod:`.score_scan` (all candidates in one pass), :mod:`.shortlist`
+(refits), :mod:`.finalists` (iterates the best to convergence) and :mod:`.compare` (which of two is better); then
+:mod:`.restart`, :mod:`.unnamed`, :mod:`.identifiability`, :mod:`.cross_validation`.
 """
