@@ -128,3 +128,20 @@ def test_several_effects_at_one_place_and_inside_of_others() -> None:
     assert "p1^a1*" in str(network)
     z, own = curve_of(model, 0.1)
     assert closest(network, own, z)[0] < 1e-6
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["m1|r1|n1", "m1|n1|(r2-n2)", "(n2|r2)-(m1|r1|n1)", "m2|((n2|r2)-(m1|r1|n1))", "m1-(r1|(n1-r2))", str(NETWORK)],
+)
+def test_no_two_candidates_are_the_same_network(text: str) -> None:
+    """With the pooling with which they are tried: what is the same for all at the port is not what people differ in."""
+    network, seen = parse(text), dict[str, str]()
+    for effect in registered():
+        for place in effect.sites(network):
+            addition = Addition(effect=effect, place=place.name, pooling="shared" if effect.side == "rig" else "free")
+            model = build(network, [addition], SCALES, [shapes_of(effect)])
+            if not effect.operation or effect.operation not in NO_NETWORK:
+                written = str(extended_network(model).network)
+                assert written not in seen, (effect.id, place.name, seen[written])
+                seen[written] = f"{effect.id} at {place.name}"
