@@ -42,8 +42,9 @@ def unit_of(unit: str, impedance_unit: str) -> str:
     Parameters
     ----------
     unit : str
-        ``m``, ``n``, ``r`` (kinds of elements), ``k`` (stiffness) and ``c`` (coefficient of a power law,
-        ``c s^(a-1)``) depend on the unit of the impedance. All others are units already.
+        ``m``, ``n``, ``r`` (kinds of elements), ``k`` (stiffness), ``c`` (coefficient of a power law,
+        ``c s^(a-1)``) and ``l`` (of a semi-inductance, ``c s^a``) depend on the unit of the impedance. All others are
+        units already.
     impedance_unit : str
     """
     general = {
@@ -52,6 +53,7 @@ def unit_of(unit: str, impedance_unit: str) -> str:
         "r": impedance_unit,
         "k": f"{impedance_unit}/s",
         "c": f"{impedance_unit} s^(a-1)",
+        "l": f"{impedance_unit} s^a",
     }
     return (general | _ELEMENT_UNITS.get(impedance_unit, {})).get(unit, unit)
 

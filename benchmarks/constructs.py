@@ -24,9 +24,7 @@ NETWORKS = {
     "p1^b1@100": "p1^b1@100",
     "p1^0.5": "p1^0.5",
     **{
-        f"{c.word}[...](r1)": f"{c.word}[{', '.join(letters[0] + '1' for letters in c.letters)}](r1)"
-        if c.letters[0][0] != "r"
-        else f"{c.word}[r2](r1)"
+        f"{c.word}[...](r1)": f"{c.word}[{', '.join(letters[0] + '2' for letters in c.letters)}](r1)"
         for c in CONSTRUCTS.values()
     },
 }

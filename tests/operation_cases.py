@@ -55,12 +55,23 @@ CASES = (
     Case("beside_power", (2.0, W0, LOGARITHMIC), (0.3, 0.2)),
     Case("relaxation", (3.0,), (0.5, -6.0)),
     Case("resonator", (1e-3,), (0.4, 6.0, -2.0)),
-    Case("reflex", (100.0,), (0.4, -3.5, 3.0)),
+    Case("reflex", (100.0, -1.0), (0.4, -3.5, 3.0)),
+    Case("reflex", (3.0, 0.0), (0.4, -3.5, 3.0)),
+    Case("reflex", (1.0, 0.0, LOGARITHMIC), (0.4, -3.5, 5.0)),
     Case("bypass", (3.0, 200.0), (0.4, 0.6)),
     Case("series_compliance", (1e-6,), (0.7,)),
     Case("series_layer", (1e-6,), (0.7, -8.0)),
     Case("sweep", (1.0, OMEGA[0], 1000.0), (0.3, 0.0)),
     Case("sweep", (1.0, OMEGA[0], 1000.0), (-0.3, -3.0)),
+    Case("free_line", (1e-5,), (0.4,)),
+    Case("free_line", (1e-5,), (-0.4,)),
+    Case("free_line", (1e-11,), (0.4,)),  # the power series
+    Case("squeeze_film", (3.0,), (0.5, -6.0)),
+    Case("squeeze_film", (3.0,), (0.5, -14.0)),  # the power series
+    Case("squeeze_film", (1.0, 0.0, LOGARITHMIC), (0.5, -9.0)),
+    Case("semi_inductance", (2.0, W0), (0.3, 0.2)),
+    Case("amplitude", (1.0,), (0.3, 5.0, 0.2)),
+    Case("amplitude", (1.0,), (-0.3, 7.0, 0.7)),
 )
 CASE = pytest.mark.parametrize("case", CASES, ids=lambda c: f"{c.name}{c.u[0]:+}")
 
@@ -98,7 +109,7 @@ def formula(case: Case, s: np.ndarray, z: np.ndarray) -> np.ndarray:
             p, d = np.exp(u1), np.exp(u2)
             return z + s * x * (2 * d * p * s + p**2) / (s**2 + 2 * d * p * s + p**2)
         case "reflex":
-            return z + x * np.exp(-s * np.exp(u1)) / (s * (1 + s / np.exp(u2)))
+            return z + x * np.exp(-s * np.exp(u1)) * s**c1 * (1 + s / np.exp(u2)) ** (-2 - c1)
         case "bypass":
             return z + x + c1 * u1 / s
         case "series_compliance":
@@ -108,6 +119,15 @@ def formula(case: Case, s: np.ndarray, z: np.ndarray) -> np.ndarray:
         case "sweep":
             p = np.exp(u1)
             return z * np.exp(x * (1 - (s.imag / c1) ** -p) / (1 - case.constants[2] ** -p))
+        case "free_line":
+            return z / root_coth(s * x * z)
+        case "squeeze_film":
+            k = np.arange(1, 4001, 2)[:, None]  # the sum; what is left out is below 1e-11
+            return z + x * np.sum(96 / (np.pi * k) ** 4 / (1 + 4 * s * np.exp(u1) / (np.pi * k) ** 2), axis=0)
+        case "semi_inductance":
+            return z + x * (s / c1) ** (1 / (1 + np.exp(-u1)))
+        case "amplitude":
+            return z * np.exp(x / (1 + (s.imag / np.exp(u1)) ** (2 * np.exp(u2))))
     raise AssertionError(case.name)
 
 

@@ -290,5 +290,11 @@ def language_impedance(network, s, values):
         case "line_matched":
             return np.sqrt(y) * np.sqrt(z)
         case "reflex":
-            return z + x[0] * np.exp(-s * x[1]) / (s + s**2 / (2 * np.pi * x[2]))
+            lag = 1 + s / (2 * np.pi * x[2])
+            return z + x[0] * np.exp(-s * x[1]) / ((s if letter == "k" else lag) * lag)
+        case "squeeze_film":
+            below = 401
+            for odd in range(399, 1, -2):  # the continued fraction of tanh
+                below = odd + s * x[1] / below
+            return z + 3 * x[0] / (s * x[1] + below)
     raise AssertionError(network.construct.word)

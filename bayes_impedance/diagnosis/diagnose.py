@@ -10,6 +10,7 @@ from pathlib import Path
 
 from bayes_impedance.diagnosis import catalogue  # noqa: F401  (fills the register of effects)
 from bayes_impedance.diagnosis.catalogue.effect import Effect, registered
+from bayes_impedance.diagnosis.catalogue.offered import offered
 from bayes_impedance.diagnosis.claimed_simulation import Claim, claim_of
 from bayes_impedance.diagnosis.extended_network import ExtendedNetwork, extended_network
 from bayes_impedance.diagnosis.extended_posterior import extended_posterior
@@ -42,7 +43,6 @@ from bayes_impedance.runtime.progress import Progress
 _MAINS_ALPHA = 1e-3
 """Corrected level of the search for hum. By choice: stricter than other levels, because affected points are left
 out."""
-
 
 _NO_POSTERIOR = (
     "The posterior of the network with what was found is not reliable, and the intervals of what was found are those "
@@ -121,11 +121,11 @@ def diagnose(
     from threadpoolctl import threadpool_limits
 
     clock = Clock()
-    candidates = tuple(registered() if effects is None else effects)
+    candidates = registered() if effects is None else effects
     own = executor_of(workers) if executor is None else nullcontext(executor)
     with threadpool_limits(1), own as executor:
         job = _Job(
-            effects=candidates,
+            effects=offered(candidates, recordings),
             diagonal=diagonal,
             quick=quick,
             seed=seed,
@@ -136,7 +136,7 @@ def diagnose(
         claimed = None
         if simulation is not None:
             with clock.measure("simulation"):
-                claimed = claim_of(simulation, network, candidates, seed, executor, progress)
+                claimed = claim_of(simulation, network, offered(candidates, simulation), seed, executor, progress)
         return _diagnose(recordings, network, claimed, job, clock)
 
 

@@ -13,18 +13,21 @@ highpass, lowpass   highpass[f9](place), lowpass[t9](place)  with *
 power               p9^a9 in the spring's place              p9*^a9*
 hysteresis          hysteretic[e9](place)                    with *
 line                line_free[m9](place)                     with *
+free_line           line_fixed[element](n9) in its place     with *
 beside_power        place|p9^a9                              with *
 relaxation          place|(r9-n9)                            with *
 resonator           place|(m9-(n9|r9))                       with *
 bypass              place|r9|n9                              with *
-reflex              reflex[k9, d9, f9](place)                with *
+reflex              reflex[k9, d9, f9](place), with r9 too   with *
+squeeze_film        squeeze_film[r9, t9](place)              with *
+semi_inductance     place|p9^b9                              with *
 series_compliance   place-n9                                 with *
 series_layer        place-(r9|n9)                            with *
 ==================  =======================================  =====================================
 
 Where only the coefficient of an effect differs, its shapes (an exponent, a latency) are the same for all; a time
-constant or a resonance becomes elements that differ. A change during the sweep and structures of the population are no
-networks.
+constant or a resonance becomes elements that differ. What changes during the sweep or with the amplitude, and
+structures of the population, are no networks.
 """
 
 from __future__ import annotations

@@ -23,6 +23,8 @@ written                            T(z)                                         
 ``line_fixed[m](z)``               sqrt(y z) tanh sqrt(y/z)                            yes
 ``line_matched[m](z)``             sqrt(y z)                                           yes
 ``reflex[k, d, f](z)``             z + k exp(-s d)/(s (1 + s/(2 pi f)))                no
+``reflex[r, d, f](z)``             z + r exp(-s d)/(1 + s/(2 pi f))^2                  no
+``squeeze_film[r, t](z)``          z + 3 r (w - sqrt(w) tanh sqrt(w))/w^2, w = s t     yes
 =================================  ==================================================  ========================
 
 **A line** is a layer in which y acts along the way and 1/z between the way and the ground: a mass m spread over
@@ -135,6 +137,27 @@ def _matched_line(s: np.ndarray, z: np.ndarray, x: Sequence[np.ndarray], letters
     return np.asarray(np.sqrt(x[0] * s ** _POWER_OF_S[letters[0]] + 0j) * np.sqrt(z + 0j))
 
 
+def _reflex(s: np.ndarray, z: np.ndarray, x: Sequence[np.ndarray], letters: Sequence[str]) -> np.ndarray:
+    lag = 1 + s / (2 * np.pi * x[2])
+    return np.asarray(z + x[0] * np.exp(-s * x[1]) / (lag * (s if letters[0] == "k" else lag)))
+
+
+def _squeeze_film(s: np.ndarray, z: np.ndarray, x: Sequence[np.ndarray], _: Sequence[str]) -> np.ndarray:
+    w = s * x[1]
+    root = np.sqrt(w + 0j)
+    # The fraction 3/(w + 3 + w/(5 + w/(7 + ...))) is the same, and does not cancel where w is small.
+    below = np.full_like(root, 2 * _FRACTION + 3)
+    for odd in range(2 * _FRACTION + 1, 1, -2):
+        below = odd + w / below
+    with np.errstate(all="ignore"):
+        film = np.where(np.abs(w) < 1, 3 / (w + below), 3 * (w - root * np.tanh(root)) / w**2)
+    return np.asarray(z + x[0] * film)
+
+
+_FRACTION = 12
+"""Terms of the continued fraction of a squeeze film: the next one is below 1e-20 of it for abs(w) < 1."""
+
+
 CONSTRUCTS: dict[str, Construct] = {
     c.word: c
     for c in (
@@ -228,11 +251,22 @@ CONSTRUCTS: dict[str, Construct] = {
         Construct(
             word="reflex",
             operation="reflex",
-            letters=("k", "d", "f"),
-            formula=lambda s, z, x, _: z + x[0] * np.exp(-s * x[1]) / (s * (1 + s / (2 * np.pi * x[2]))),
-            text="z + k exp(-s d)/(s (1 + s/(2 pi f)))",
-            story="A muscle that responds to a stretch with a delay: a stiffness behind a low-pass filter.",
+            letters=("kr", "d", "f"),
+            formula=_reflex,
+            text="z + k exp(-s d)/(s (1 + s/(2 pi f))) or z + r exp(-s d)/(1 + s/(2 pi f))^2",
+            story="A muscle that responds with a delay, to a stretch (a stiffness behind a low-pass filter) or to its "
+            "velocity (behind one of second order).",
             source="Mirbagheri, Barbeau and Kearney 2000",
+        ),
+        Construct(
+            word="squeeze_film",
+            operation="squeeze_film",
+            letters=("r", "t"),
+            passive=True,
+            formula=_squeeze_film,
+            text="z + 3 r (w - sqrt(w) tanh sqrt(w))/w^2, w = s t",
+            story="A film of liquid that is pressed out between two plates: a damper when slow, a spring when fast.",
+            source="Griffin, Richardson and Yamanami 1966; Blech 1983",
         ),
     )
 }

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-PLACES = ("port", "groups", "springs", "dampers", "elements")
+PLACES = ("port", "groups", "springs", "dampers", "masses", "elements")
 """Kinds of place in a network; ``groups`` are groups of elements inside, without the port."""
 
 
@@ -21,8 +21,8 @@ class Setting:
     Attributes
     ----------
     units : tuple of str
-        Of the operation's parameters: ``m``, ``n``, ``r``, ``k``, ``c`` for the unit of a mass, a compliance, a
-        damper, a stiffness and a power law; ``s``, ``Hz`` or nothing.
+        Of the operation's parameters: ``m``, ``n``, ``r``, ``k``, ``c``, ``l`` for the unit of a mass, a compliance, a
+        damper, a stiffness, a power law and a semi-inductance; ``s``, ``Hz`` or nothing.
     scales : tuple of float
         Typical sizes of the parameters in the operation's unit.
     low, middle, high : float
@@ -84,6 +84,8 @@ class Traits:
     written_shared : str
         The same where the coefficient is the same for everybody and may have either sign; nothing if it is written
         alike.
+    of_the_element : bool
+        Whether it changes the element itself that stands at the place, before anything else there.
     read : function
         The operation's parameters, each of shape (S,), from values of those in `written`, by letter.
     built_as : str
@@ -120,6 +122,7 @@ class Traits:
     built_as: str = ""
     written: str = ""
     written_shared: str = ""
+    of_the_element: bool = False
     read: Callable[[Mapping[str, np.ndarray]], list[np.ndarray]] = _as_written
     constants: Callable[[Setting], tuple[float, float]] | None = None
     allows: Callable[[np.ndarray], bool] = _coefficient_not_negative

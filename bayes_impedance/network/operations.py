@@ -15,11 +15,16 @@ line                z w^(1/2) coth w^(1/2) with w = x s^(1 + c1)/z
 beside_power        z + x (s/c1)^(a - 1)                                         a = 1/(1 + exp(-u1))
 relaxation          z + x/(1 + s t)                                              t = exp(u1)
 resonator           z + s x (2 d p s + p^2)/(s^2 + 2 d p s + p^2)                p = exp(u1), d = exp(u2)
-reflex              z + x exp(-s t)/(s (1 + s/p))                                t = exp(u1), p = exp(u2)
+reflex              c1 = -1: z + x exp(-s t)/(s (1 + s/p))                       t = exp(u1), p = exp(u2)
+                    c1 = 0: z + x exp(-s t)/(1 + s/p)^2
 bypass              z + x + y/s                                                  y = c1 u1
 series_compliance   1/(1/z + s x)
 series_layer        1/(1/z + s x/(1 + s t))                                      t = exp(u1)
 sweep               z exp(x q), q = (1 - (w/c1)^-p)/(1 - c2^-p)                  p = exp(u1)
+free_line           z/(w^(1/2) coth w^(1/2)) with w = s x z
+squeeze_film        z + x S(s t), S(w) = 3 (w - w^(1/2) tanh w^(1/2))/w^2        t = exp(u1)
+semi_inductance     z + x (s/c1)^a                                               a = 1/(1 + exp(-u1))
+amplitude           z exp(x h), h = 1/(1 + (w/p)^(2 q))                          p = exp(u1), q = exp(u2)
 power_law           z + x (s/c1)^(a - 1)                                         a = c0 + 1/(1 + exp(-u1))
 line_fixed          z w^(1/2) tanh w^(1/2) with w as in the line
 line_matched        z w^(1/2)
@@ -31,10 +36,20 @@ that the impedance is unchanged. If c2 is 1 the coefficient is positive, x = exp
 unbounded, as log elements are, and follow them in every array of parameters; c are constants of the operation.
 
 The line is a layer whose mass x is spread over its thickness (c1 = 0; a damper with c1 = -1). For small w = s x/z it is
-z + s x/3: a third of the mass moves along. The last four operations are computed for a network's own power laws and
-wrappers (:mod:`bayes_impedance.network.constructs`); no effect is added as one of them. In the sweep, c1 is the angular
+z + s x/3: a third of the mass moves along. The free line is its dual: what stands at the place is spread along a way
+from which the compliance x leads, so that the mobility is 1/z + s x/3 at first; no force acts on its far side. The
+squeeze film is liquid that is pressed out between two plates,
+
+.. math:: S = \frac{96}{\pi^4}\sum_{k\ \text{odd}} \frac{1}{k^4}\,\frac{1}{1 + 4 s t/(\pi k)^2}, \qquad S(0) = 1,
+
+a damper when slow and a spring when fast. In the sweep, c1 is the angular
 frequency at which the sweep begins, c2 > 1 the ratio of its ends, and q the part of its time that has passed: p = 1 if
-every frequency takes the same number of periods, and p -> 0 if every octave takes the same time.
+every frequency takes the same number of periods, and p -> 0 if every octave takes the same time. In the amplitude,
+:math:`h = a^2/(1 + a^2)` is the saturating part of a motion whose amplitude falls with frequency,
+:math:`a = (p/\omega)^q`: q = 1 where the velocity keeps its amplitude, q = 2 where a mass keeps the force's.
+
+The last four operations are computed for a network's own power laws and wrappers
+(:mod:`bayes_impedance.network.constructs`); no effect is added as one of them.
 
 The table :data:`TRAITS` holds everything else that the package needs to know about an operation; its formula is in
 :mod:`bayes_impedance.network.transform`. A further operation is an entry of the one and a formula in the other.
@@ -92,6 +107,11 @@ def _power_law_of_spring(x: Sequence[np.ndarray], setting: Setting) -> list[Deri
     return [("coefficient", "c", setting.middle ** -x[0] / setting.compliance)]
 
 
+def line_compliance(omega: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """Compliance whose mobility is that of the place at the upper end of the band: z (M, F) to (M,)."""
+    return np.asarray(1 / (np.abs(z[:, -1]) * omega[-1]))
+
+
 def line_mass(omega: np.ndarray, z: np.ndarray) -> np.ndarray:
     """Mass whose impedance is that of the place at the upper end of the band: z (M, F) to (M,)."""
     return np.asarray(np.abs(z[:, -1]) / omega[-1])
@@ -100,6 +120,11 @@ def line_mass(omega: np.ndarray, z: np.ndarray) -> np.ndarray:
 def _per_second(x: Sequence[np.ndarray], setting: Setting) -> np.ndarray:
     """The c of c s^(a-1); the operation counts s from the middle of the band."""
     return np.asarray(x[0] * setting.middle ** (1 - x[1]))
+
+
+def _per_second_rising(x: Sequence[np.ndarray], setting: Setting) -> np.ndarray:
+    """The c of c s^a."""
+    return np.asarray(x[0] * setting.middle ** -x[1])
 
 
 def _spring_and_damper(x: Sequence[np.ndarray], _setting: Setting) -> list[Derived]:
@@ -146,6 +171,7 @@ TRAITS: dict[str, Traits] = {
     "power": Traits(
         code=5,
         written="{own_p}^{a}",
+        of_the_element=True,
         read=lambda v: [v["a"]],
         one_port=True,
         parameters=("exponent",),
@@ -214,11 +240,12 @@ TRAITS: dict[str, Traits] = {
     ),
     "reflex": Traits(
         code=11,
-        written="reflex[{k}, {d}, {f}]({z})",
-        parameters=("stiffness", "latency", "corner"),
-        units=(("k",), ("s",), ("Hz",)),
+        written="reflex[{unit}, {d}, {f}]({z})",
+        parameters=("coefficient", "latency", "corner"),
+        units=(("k", "r"), ("s",), ("Hz",)),
         links=("linear", "log", "log"),
         connection="beside",
+        constants=_power_of_s,
         passive=False,
     ),
     "bypass": Traits(
@@ -263,13 +290,51 @@ TRAITS: dict[str, Traits] = {
         links=("linear", "log"),
         constants=lambda setting: (setting.low, setting.high / setting.low),
     ),
+    "free_line": Traits(
+        code=16,
+        written="line_fixed[{z}]({n})",
+        of_the_element=True,
+        one_port=True,
+        parameters=("compliance",),
+        units=(("n",),),
+        places=("masses", "dampers"),
+        scanned=lambda _low, _high: [{"level": level} for level in LINE_LEVELS],
+        secant=lambda shape, omega, z: shape["level"] * line_compliance(omega, z),
+    ),
+    "squeeze_film": Traits(
+        code=17,
+        written="squeeze_film[{r}, {t}]({z})",
+        one_port=True,
+        sums_to_any=True,
+        parameters=("damping", "time_constant"),
+        units=(("r",), ("s",)),
+        links=("linear", "log"),
+        connection="beside",
+    ),
+    "semi_inductance": Traits(
+        code=18,
+        written="({z})|{p}^{b}",
+        read=lambda v: [v["p"], v["b"] - 1],
+        parameters=("coefficient", "exponent"),
+        units=(("l",), ("",)),
+        links=("linear", "logit"),
+        connection="beside",
+        constants=_middle_of_band,
+        reported=_per_second_rising,
+    ),
+    "amplitude": Traits(
+        code=19,
+        parameters=("change", "corner", "steepness"),
+        units=(("",), ("Hz",), ("",)),
+        links=("linear", "log", "log"),
+    ),
 }
 """Every operation by its name."""
 
 NAMES = tuple(TRAITS)
 """Names of all operations, in the order of their codes."""
 
-OWN_CODES = {"power_law": 16, "line_fixed": 17, "line_matched": 18, "gain": 19}
+OWN_CODES = {"power_law": 20, "line_fixed": 21, "line_matched": 22, "gain": 23}
 """Codes of the operations that are computed for a network's own nodes only."""
 
 ADDING = tuple(name for name, traits in TRAITS.items() if traits.connection == "beside")

@@ -77,6 +77,7 @@ def _relaxes(node: Network) -> bool:
     if node.construct.word == "hysteretic":
         return _is_spring(node.part)
     kept = node.construct.word == "gain" or node.construct.word.startswith("line")
+    kept = kept or node.construct.word == "squeeze_film"
     along = node.symbols[0].name[0] in "grk" and (kept or node.construct.word == "offset")
     return along and not _doubt(node) and _relaxes(node.part)
 

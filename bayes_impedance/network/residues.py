@@ -262,8 +262,14 @@ def _wrapped(node: Wrapped, z: Residue, at: _Point) -> tuple[Residue, Residue, t
         case "reflex":
             late, corner = _late(node.symbols[1], at), at.value(node.symbols[2])
             lag = ONE + s / corner
-            answer = late / (s * lag)
-            return z + x * answer, ONE, (answer, -s * x * answer, x * answer * s / (corner * corner * lag))
+            stretch = first.name[0] == "k"
+            answer, order = late / (lag * (s if stretch else lag)), ONE if stretch else ONE + ONE
+            return z + x * answer, ONE, (answer, -s * x * answer, order * x * answer * s / (corner * corner * lag))
+        case "squeeze_film":
+            time = node.symbols[1]
+            key = time.name if time.value is None else time.value  # equal times are equal functions
+            film, slope = at.function(("film", key)), at.function(("film slope", key))
+            return z + x * film, ONE, (film, x * s * slope)
     raise NotImplementedError(f"the derivative of {node.construct.operation} in residues")
 
 

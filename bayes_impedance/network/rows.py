@@ -24,7 +24,7 @@ from bayes_impedance.runtime.compiled_functions import kept_njit
 compiled: Any = kept_njit(nogil=True, error_model="numpy")
 
 ADD, DELAY, HIGHPASS, LOWPASS, HYSTERESIS, LINE, BESIDE_POWER = 1, 2, 3, 4, 6, 7, 8
-REFLEX, POWER_LAW, LINE_FIXED, LINE_MATCHED, GAIN = 11, 16, 17, 18, 19
+REFLEX, POWER_LAW, LINE_FIXED, LINE_MATCHED, GAIN = 11, 20, 21, 22, 23
 """Codes of :mod:`bayes_impedance.network.operations` that have loops of their own."""
 
 _QUARTER_TURN = 0.5 * np.pi
@@ -114,8 +114,8 @@ def transform_row(
         latency, slowness = np.exp(u[1]), np.exp(-u[2])
         for f in range(n):
             turn = omega[f] * latency
-            # 1/(s (1 + s/p)) = 1/(-omega^2/p + j omega)
-            t = x * complex(np.cos(turn), -np.sin(turn)) * inverse(complex(-omega[f] * omega[f] * slowness, omega[f]))
+            late, lag = x * complex(np.cos(turn), -np.sin(turn)), complex(1.0, omega[f] * slowness)
+            t = late * inverse((complex(0.0, omega[f]) if c[1] == -1.0 else lag) * lag)
             outputs[node, 0, f], outputs[node, 1, f] = sums[node, 0, f] + t.real, sums[node, 1, f] + t.imag
     else:
         for f in range(n):
@@ -169,9 +169,10 @@ def slopes_row(
             first = slope * unit * first
         elif code == REFLEX:
             lag = inverse(complex(1.0, w * slowness))
-            unit = complex(np.cos(w * latency), -np.sin(w * latency)) * complex(0.0, -1.0 / w) * lag
+            unit = complex(np.cos(w * latency), -np.sin(w * latency)) * lag
+            unit *= complex(0.0, -1.0 / w) if c[1] == -1.0 else lag
             first, second = slope * unit, complex(0.0, -w * latency * x) * unit
-            third = x * unit * complex(0.0, w * slowness) * lag
+            third = x * unit * complex(0.0, (1.0 if c[1] == -1.0 else 2.0) * w * slowness) * lag
         else:
             _, inner, first, second, third = transform(code, u[0], u[1], u[2], c[0], c[1], c[2], w, z)
         first, second, third, bar = bar * first, bar * second, bar * third, bar * inner

@@ -10,19 +10,25 @@ import cmath
 from typing import Any
 
 import numpy as np
+from scipy.special import zeta
 
 from bayes_impedance.runtime.compiled_functions import kept_njit
 
 _compiled: Any = kept_njit(nogil=True, error_model="numpy")
 
 
-_SMALL_COTH, _SMALL_TANH = 0.1, 0.01
+_SMALL_COTH, _SMALL_TANH, _SMALL_FILM = 0.1, 0.01, 0.1
 """Of abs(w): below, the power series are used, of which all terms above 1e-15 are kept, also in the derivative. Above,
 the closed form of coth has a derivative that is a difference of numbers 1/w times larger, and is good to 1e-14."""
 
 _COTH = (1 / 3, -1 / 45, 2 / 945, -1 / 4725, 2 / 93555, -1382 / 638512875, 4 / 18243225, -3617 / 162820783125)
 _TANH = (1.0, -1 / 3, 2 / 15, -17 / 315, 62 / 2835, -1382 / 155925, 21844 / 6081075, -929569 / 638512875)
 """Coefficients of w, w^2, ... of sqrt(w) coth sqrt(w) - 1 and sqrt(w) tanh sqrt(w)."""
+
+_FILM = tuple(
+    float(96 / np.pi**4 * (-4 / np.pi**2) ** n * (1 - 2.0 ** -(4 + 2 * n)) * zeta(4 + 2 * n)) for n in range(1, 13)
+)
+"""Coefficients of w, w^2, ... of :func:`film` - 1, from its sum over odd k; the first left out is 6e-17 of one."""
 
 
 @_compiled
@@ -62,12 +68,12 @@ def transform(
         return z * factor, factor, z * factor * log_s * slope, none, none
     if code == 6:
         return z * complex(1.0, x), complex(1.0, x), 1j * z * slope, none, none
-    if code == 7 or code == 17:
+    if code == 7 or code == 21:
         y = 1.0 + 0j if c1 == -1.0 else s
         w = y * x / z
         g, dg = root_coth(w) if code == 7 else root_tanh(w)
         return z * g, g - w * dg, y * dg * slope, none, none
-    if code == 18:
+    if code == 22:
         # The product of two roots in the right half-plane: y/z may be negative, and the sign of its root chance.
         t = root((1.0 + 0j if c1 == -1.0 else s) * x) * root(z)
         return t, 0.5 * t / z, 0.5 * t * slope / x, none, none
@@ -90,8 +96,9 @@ def transform(
     if code == 11:
         latency, corner = np.exp(u1), np.exp(u2)
         lag = 1.0 + s / corner
-        unit = cmath.exp(-s * latency) / (s * lag)
-        return z + x * unit, 1.0 + 0j, unit * slope, -s * latency * x * unit, x * unit * (s / corner) / lag
+        order = 1.0 if c1 == -1.0 else 2.0
+        unit = cmath.exp(-s * latency) / (lag * (s if c1 == -1.0 else lag))
+        return z + x * unit, 1.0 + 0j, unit * slope, -s * latency * x * unit, order * x * unit * (s / corner) / lag
     if code == 12:
         return z + x + c1 * u1 / s, 1.0 + 0j, complex(slope, 0.0), c1 / s, none
     if code == 13 or code == 14:
@@ -107,11 +114,30 @@ def transform(
         slowing = (passed * (1.0 - above) - q * all_of_it * (1.0 - below)) / below
         return z * factor, complex(factor, 0.0), z * factor * q * slope, z * factor * x * slowing * p, none
     if code == 16:
+        w = s * x * z
+        g, dg = root_coth(w)
+        return z / g, (g - w * dg) / (g * g), -s * slope * z * z * dg / (g * g), none, none
+    if code == 17:
+        w = s * np.exp(u1)
+        g, dg = film(w)
+        return z + x * g, 1.0 + 0j, g * slope, x * w * dg, none
+    if code == 18:
+        a = 1.0 / (1.0 + np.exp(-u1))
+        log_s = complex(np.log(omega / c1), 0.5 * np.pi)
+        unit = cmath.exp(a * log_s)
+        return z + x * unit, 1.0 + 0j, unit * slope, x * unit * log_s * a * (1.0 - a), none
+    if code == 19:
+        q, octaves = np.exp(u2), np.log(omega) - u1
+        h = 1.0 / (1.0 + np.exp(2.0 * q * octaves))
+        factor, bend = np.exp(x * h), 2.0 * q * h * (1.0 - h)
+        change = z * factor
+        return change, complex(factor, 0.0), change * h * slope, change * x * bend, -change * x * bend * octaves
+    if code == 20:
         a = 1.0 / (1.0 + np.exp(-u1))
         log_s = complex(np.log(omega / c1), 0.5 * np.pi)
         unit = cmath.exp((c0 + a - 1.0) * log_s)
         return z + x * unit, 1.0 + 0j, unit * slope, x * unit * log_s * a * (1.0 - a), none
-    if code == 19:
+    if code == 23:
         return z * x, complex(x, 0.0), z * slope, none, none
     return z, 1.0 + 0j, none, none, none
 
@@ -153,6 +179,17 @@ def root_coth(w: complex) -> tuple[complex, complex]:
     e = np.exp(-2.0 * x.real) * complex(np.cos(2.0 * x.imag), -np.sin(2.0 * x.imag))
     coth = (1.0 + e) * inverse(1.0 - e)
     return x * coth, 0.5 * (coth * inverse(x) + 1.0 - coth * coth)
+
+
+@_compiled
+def film(w: complex) -> tuple[complex, complex]:
+    """S(w) = 3 (w - sqrt(w) tanh sqrt(w))/w^2, analytic in w, and its derivative."""
+    if w.real * w.real + w.imag * w.imag < _SMALL_FILM**2:
+        return _series(w, 1.0, _FILM)  # type: ignore[no-any-return]
+    g, dg = root_tanh(w)
+    below = inverse(w)
+    value = 3.0 * (w - g) * below * below
+    return value, (3.0 * (1.0 - dg) * below - 2.0 * value) * below
 
 
 @_compiled

@@ -21,7 +21,7 @@ from bayes_impedance.population.parameters import PopulationParameters
 NETWORK = parse("skin:(n3|r3)-tissue:(m2|r1|n1|(m1-(n2|r2)))")
 CENTRE = {"n3": 9e-5, "r3": 30.0, "m2": 9e-4, "r1": 1.5, "n1": 1.2e-3, "m1": 1.7e-2, "n2": 5e-3, "r2": 3.2}
 F = np.geomspace(5, 2000, 40)
-NO_NETWORK = {"sweep"}
+NO_NETWORK = {"sweep", "amplitude"}
 """Operations that have no form in the language of networks."""
 
 
@@ -61,7 +61,7 @@ def closest(network, own: np.ndarray, z: np.ndarray) -> tuple[float, dict[str, f
         return np.nan_to_num(np.concatenate([difference.real, difference.imag]), nan=1e3, posinf=1e3, neginf=-1e3)
 
     rng, best, u = np.random.default_rng(1), np.inf, starts
-    for scale in (0.0, *[2.0] * 60):
+    for scale in (0.0, *[2.0] * 60, *[5.0] * 200):  # a line has many resonances, and compliances are small
         start = starts + scale * rng.normal(size=starts.size)
         for p, k in zip(held.parameters, range(starts.size), strict=True):
             if p.link == "signed":
@@ -128,3 +128,20 @@ def test_several_effects_at_one_place_and_inside_of_others() -> None:
     assert "p1^a1*" in str(network)
     z, own = curve_of(model, 0.1)
     assert closest(network, own, z)[0] < 1e-6
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["m1|r1|n1", "m1|n1|(r2-n2)", "(n2|r2)-(m1|r1|n1)", "m2|((n2|r2)-(m1|r1|n1))", "m1-(r1|(n1-r2))", str(NETWORK)],
+)
+def test_no_two_candidates_are_the_same_network(text: str) -> None:
+    """With the pooling with which they are tried: what is the same for all at the port is not what people differ in."""
+    network, seen = parse(text), dict[str, str]()
+    for effect in registered():
+        for place in effect.sites(network):
+            addition = Addition(effect=effect, place=place.name, pooling="shared" if effect.side == "rig" else "free")
+            model = build(network, [addition], SCALES, [shapes_of(effect)])
+            if not effect.operation or effect.operation not in NO_NETWORK:
+                written = str(extended_network(model).network)
+                assert written not in seen, (effect.id, place.name, seen[written])
+                seen[written] = f"{effect.id} at {place.name}"

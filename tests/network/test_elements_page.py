@@ -59,11 +59,16 @@ FUNCTIONS = {"exp": np.exp, "sqrt": lambda x: np.sqrt(x + 0j), "coth": lambda x:
 def test_printed_formulas_are_those_that_are_computed(word: str) -> None:
     """The text, with its products written out, is evaluated as it stands."""
     construct = CONSTRUCTS[word]
-    for k, text in enumerate(construct.text.replace(" or", ",").split(", ")):
-        letters = ["mrk"[k] if word == "offset" else construct.letters[0][0], *(c[0] for c in construct.letters[1:])]
+    texts, _, where = construct.text.partition(", w = ")
+    for k, whole in enumerate(texts.replace(" or", ",").split(", ")):
+        text = whole.replace("w", f"({where})") if where else whole
+        several = {"offset": "mrk", "reflex": "kr"}.get(word, construct.letters[0][0] * (k + 1))
+        letters = [several[k], *(c[0] for c in construct.letters[1:])]
         values = dict(zip(letters, (0.3, 0.02, 7.0), strict=False))
         z = 2.0 + 0.3 * S + 5 / S
         known = {"s": S, "z": z, "j": 1j, "pi": np.pi, "y": S * values.get("m", np.nan)} | values | FUNCTIONS
-        product = re.sub(r"(?<=[\w)]) (?=[\w(])", "*", re.sub(r"\b(coth|tanh) (sqrt\([^)]*\))", r"\1(\2)", text))
+        product = re.sub(
+            r"(?<=[\w)]) (?=[\w(])", "*", re.sub(r"\b(coth|tanh) (sqrt\((?:[^()]|\([^()]*\))*\))", r"\1(\2)", text)
+        ).replace("^", "**")
         expected = eval(product, {}, known)
         np.testing.assert_allclose(construct.formula(S, z, list(values.values()), letters), expected, rtol=1e-12)

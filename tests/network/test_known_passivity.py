@@ -56,6 +56,7 @@ ACTIVE = {
     "hysteretic[e1](p1^b1)": {"e1": 5.0, "p1": 1.0, "b1": 1.9},
     "hysteretic[e1](n1|line_free[m1](n2))": {"e1": 5.0, "n1": 1.0, "m1": 1.0, "n2": 1.0},
     "hysteretic[e1](hysteretic[e2](n1|r1))": {"e1": 9.0, "e2": 9.0, "n1": 1.0, "r1": 1.0},
+    "reflex[r1,d1,f1](n1)": {"r1": 1.0, "d1": 0.3, "f1": 1.0, "n1": 1.0},
     "reflex[k1,d1,f1](n1)": {"k1": 1.0, "d1": 0.3, "f1": 1.0, "n1": 1.0},
 }
 """Networks that may be active, and values at which they are."""
@@ -91,6 +92,8 @@ def test_every_active_wrapper_is_tried() -> None:
         "hysteretic[e1](line_free[r1](n1|r2)-offset[k1](n2))",
         "hysteretic[e1](line_fixed[r1](n1)|gain[g1](line_matched[r3](p1^a1)))",
         "hysteretic[e1](hysteretic[e2](n1-n2))",
+        "squeeze_film[r1,t1](m1)",
+        "hysteretic[e1](squeeze_film[r1,t1](n1))",
     ],
 )
 def test_what_is_certified(text: str) -> None:

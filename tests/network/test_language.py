@@ -32,6 +32,9 @@ WRAPPERS = (
     f"reflex[k1,d1,f1]({BODY})",
     f"reflex[k1*,d1*,f1*]({BODY})",
     f"m9|reflex[k1=2.5,d1,f1]({BODY})",
+    f"reflex[r1,d1,f1]({BODY})",
+    f"squeeze_film[r1,t1]({BODY})",
+    f"m9|squeeze_film[r1*,t1*]({BODY})",
 )  # fmt: skip
 POWER_LAWS = ("p1^a1", "p1^b1@3|n1", "p1*^a1*@0.2-m1", "p1^0.5-r1", "p1=2^a1|(r1-n1)", "p1^b1=1.25@7")
 EVERYTHING = (*WRAPPERS, *POWER_LAWS)

@@ -126,7 +126,7 @@ def test_links_and_units_of_leaves():
         (
             "late[d1](m1)",
             "'late[...]' is unknown: there are delay, highpass, lowpass, gain, hysteretic, offset, line_free, "
-            "line_fixed, line_matched, reflex",
+            "line_fixed, line_matched, reflex, squeeze_film",
         ),
         ("delay[t1](m1)", "'t1' in delay[...] must begin with d (delay): delay[d1](...)"),
         (

@@ -93,7 +93,59 @@ def test_power_law_beside_has_a_spring_and_a_damper_as_its_ends(place: str, logi
 def test_reflex_without_delay_and_lag_is_a_spring(place: str) -> None:
     k = 300.0
     grown = NETWORK.beside(place, Element("n9"))
-    assert_same(place, Operation("reflex", (), ("k", "t", "w"), (k,)), [1, -40, 40], grown, {"n9": 1 / k})
+    assert_same(place, Operation("reflex", (), ("k", "t", "w"), (k, -1.0)), [1, -40, 40], grown, {"n9": 1 / k})
+
+
+@ALL_PLACES
+def test_a_reflex_to_velocity_without_delay_and_lag_is_a_damper(place: str) -> None:
+    grown = NETWORK.beside(place, Element("r9"))
+    assert_same(place, Operation("reflex", (), ("r", "t", "w"), (3.0, 0.0)), [1, -40, 40], grown, {"r9": 3.0})
+
+
+@pytest.mark.parametrize("place", ["m1", "m2", "r1", "r3"])
+def test_a_free_line_is_the_wrapper_around_a_compliance(place: str) -> None:
+    """No force acts on the far side of a layer of which the element is the sum along the way."""
+    grown, n = NETWORK.replaced(NETWORK.place(place), parse(f"line_fixed[{place}](n9)")), 3e-6
+    assert_same(place, Operation("free_line", (), ("n",), (n,)), [1], grown, {"n9": n})
+
+
+def test_a_free_line_is_a_long_ladder() -> None:
+    """400 masses with a spring after each; the last spring leads nowhere."""
+    m, n, segments = 0.02, 4e-5, 400
+    w = np.linspace(0.05, 0.98, 40) * 2.4 * np.pi / np.sqrt(n * m)
+    step, along = 1 / (1j * w * n) * segments * (1 + 0.3j), 1j * w * m / segments  # springs with a loss
+    ladder = 0 * along
+    for _ in range(segments):
+        ladder = 1 / (1 / step + 1 / (ladder + along))  # a spring in series with a mass and what follows
+    kernel = Kernel(parse("line_fixed[m1](hysteretic[e1](n1))"))
+    exact = kernel.impedance([np.log(m), np.log(0.3), np.log(n)], w / (2 * np.pi))
+    assert np.median(np.abs(ladder / exact - 1)) < 1e-2
+    plain = Kernel(parse("m1"), [Operation("free_line", (), ("n",), (n,))]).impedance([np.log(m), 1.0], FREQUENCY)
+    np.testing.assert_allclose(plain[:3] / (S[:3] * m), 1, rtol=1e-3)  # all of it moves along at first
+    x = S * np.sqrt(m * n)
+    np.testing.assert_allclose(plain, S * m * np.tanh(x) / x, rtol=1e-9)
+
+
+@ALL_PLACES
+def test_a_slow_squeeze_film_is_a_damper_and_a_fast_one_a_spring(place: str) -> None:
+    damper, spring = NETWORK.beside(place, Element("r9")), NETWORK.beside(place, Element("n9"))
+    slow, fast = Operation("squeeze_film", (), ("r", "t"), (3.0,)), Operation("squeeze_film", (), ("r", "t"), (3e15,))
+    assert_same(place, slow, [1, -40], damper, {"r9": 3.0})
+    here = NETWORK.place(place).path
+    kernel = Kernel(NETWORK, [Operation(fast.name, here, fast.parameters, fast.constants)])
+    values = {**ELEMENTS, "n9": 1 / 9.0}  # 3 r/(s t)
+    expected = Kernel(spring).impedance([np.log(values[e]) for e in spring.elements], FREQUENCY)
+    np.testing.assert_allclose(kernel.impedance([*THETA, 1, np.log(1e15)], FREQUENCY), expected, rtol=1e-6)
+
+
+@ALL_PLACES
+def test_a_semi_inductance_is_a_power_law_beside(place: str) -> None:
+    grown = NETWORK.beside(place, parse("p9^b9@95.49296585513720"))  # 600 rad/s
+    theta = [*THETA, 0.7, 0.4]
+    kernel = Kernel(NETWORK, [Operation("semi_inductance", NETWORK.place(place).path, ("c", "a"), (1.0, W0))])
+    values = dict(zip((*NETWORK.elements, "p9", "b9"), [*THETA, np.log(0.7), 0.4], strict=True))
+    expected = Kernel(grown).impedance([values[e] for e in grown.elements], FREQUENCY)
+    np.testing.assert_allclose(kernel.impedance(theta, FREQUENCY), expected, rtol=1e-10)
 
 
 @pytest.mark.parametrize("place", ["n3", "n1", "n2"])
@@ -173,6 +225,7 @@ def draw_body(draw: st.DrawFn, network: Network) -> tuple[Operation, list[float]
     if TRAITS[name].places == ("springs",) and not springs:
         name = "relaxation"
     place = draw(st.sampled_from(springs if TRAITS[name].places == ("springs",) else network.places()))
+    # A free line in place of any passive part is passive, as the reciprocal of a line around its reciprocal.
     scale = float(np.exp(draw(POSITIVE)))
     count = len(TRAITS[name].parameters)
     shapes = [draw(POSITIVE) for _ in range(count - 1)]

@@ -28,6 +28,8 @@ from bayes_impedance.design.circuits.fractional import (
     Found,
     Names,
     Terms,
+    film_rest,
+    film_terms,
     line_ladder,
     line_terms,
     power_ladder,
@@ -241,6 +243,11 @@ class _Builder:
             beside = self._new("n" if letter == "k" else letter, 1 / first if letter == "k" else first, scale)
             return together(Parallel, self.build(node.part, scale), beside)
         self._note(_head(node))
+        if word == "squeeze_film":
+            time = self._value(node.symbols[1])
+            pair = [self._squeezed(first * c, time * t, scale) for c, t in self._film_terms(time)]
+            rest = self._new("r", first * film_rest(len(pair)), scale)
+            return together(Parallel, self.build(node.part, scale), *pair, rest)
         if word == "hysteretic":
             power = expressions.arctan(first) * (2 / np.pi)
             middle = float(np.log(2 * np.pi) + np.mean(np.log(self.band)))
@@ -252,6 +259,13 @@ class _Builder:
             lambda c: self._new(letter, first, _Scale(scale.factor * c, scale.power)),
             lambda c: self.build(node.part, _Scale(scale.factor * c, scale.power)),
         )
+
+    def _film_terms(self, time: Expression) -> list[tuple[float, float]]:
+        return film_terms(2 * np.pi * self.band[1] * float(np.max(time.value)), self.accuracy)
+
+    def _squeezed(self, damping: Expression, time: Expression, scale: _Scale) -> Found:
+        """A damper in series with a spring."""
+        return together(Series, self._new("r", damping, scale), self._new("n", time / damping, scale))
 
     def _new(self, letter: str, value: Expression, scale: _Scale) -> Found:
         """A new element, with its impedance multiplied."""

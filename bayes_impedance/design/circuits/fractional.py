@@ -23,6 +23,12 @@ c, beside the others. If w reaches far, the sum beyond the first eight terms is 
 read backwards), by Gauss's rule on panels of ln k. The integral of the third is a trapezoidal rule in
 :math:`\ln\kappa`. What is left beyond the last :math:`\kappa` is a multiple of y, what is left below the first one a
 multiple of z.
+
+**A squeeze film** is a sum of dampers :math:`r_k` in series with springs, of time constants :math:`4t/(\pi k)^2`,
+
+.. math:: r\,S(st) = \sum_{k\ \text{odd}} \frac{r_k}{1 + 4 s t/(\pi k)^2}, \qquad r_k = \frac{96\,r}{\pi^4 k^4},
+
+of which the terms beyond the band are one damper.
 """
 
 from __future__ import annotations
@@ -201,6 +207,27 @@ def line_ladder(
     if whole and terms.of_z > 0:
         pieces.append(across(terms.of_z))
     return together(Parallel, *pieces)
+
+
+def film_terms(largest: float, accuracy: float) -> list[tuple[float, float]]:
+    """Terms of a squeeze film: damping and time constant of each, relative to those of the film.
+
+    Parameters
+    ----------
+    largest : float
+        Of w = s t, at the upper end of the band.
+    accuracy : float
+        Wanted relative error.
+    """
+    # What the lumped terms leave is below a^4/(8 k^5) of the whole, a^2 = 4 w/pi^2, and beyond k = a only.
+    a = 2 * np.sqrt(largest) / np.pi
+    last = max(a, (a**4 / (8 * accuracy)) ** 0.2, 1.0)
+    return [(96 / (np.pi * k) ** 4, 4 / (np.pi * k) ** 2) for k in range(1, int(last) + 2, 2)]
+
+
+def film_rest(terms: int) -> float:
+    """Damping of a squeeze film beyond its first terms, relative to the whole."""
+    return float(1 - sum(96 / (np.pi * k) ** 4 for k in range(1, 2 * terms, 2)))
 
 
 def together(kind: type[Parallel | Series], *pieces: Found) -> Found:

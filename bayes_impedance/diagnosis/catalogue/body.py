@@ -103,6 +103,24 @@ BODY_RELAXATION = register(
     )
 )
 
+BODY_SQUEEZE_FILM = register(
+    Effect(
+        id="body.squeeze_film",
+        name="film of fluid",
+        side="body",
+        pooling="varying",
+        places=("port", "groups", "springs", "dampers"),
+        formula="z + r S(s t), S the sum over odd k of (96/(pi k)^4)/(1 + 4 s t/(pi k)^2)",
+        story="Fluid between two surfaces is pressed out and drawn in again. "
+        "Slow motion meets a damper, and in fast motion the fluid has no time to leave and acts as a spring.",
+        look_for="a step of stiffness with a peak of loss, wider towards high frequencies than that of one relaxation",
+        separates="finer frequencies around the step and a decade above it",
+        source="Langlois 1962; Griffin, Richardson and Yamanami 1966: squeeze films",
+        operation="squeeze_film",
+        coefficients=(Coefficient("damping", "r"), Coefficient("time_constant", "s", "log", 2.0)),
+    )
+)
+
 BODYRESONATOR = register(
     Effect(
         id="body.resonator",
@@ -137,6 +155,42 @@ BODY_LINE = register(
         source="Shear beam on a rigid base: transmission line",
         operation="line",
         coefficients=(Coefficient("mass", "m"),),
+    )
+)
+
+BODY_FREE_LINE = register(
+    Effect(
+        id="body.free_line",
+        name="waves behind a free surface",
+        side="body",
+        pooling="varying",
+        places=("masses",),
+        formula="s m tanh(x)/x, x^2 = s^2 m n",
+        story="What the network calls a mass is a layer with a compliance of its own, and its far side is free. "
+        "Waves run through it, and above the first resonance it no longer moves as one mass.",
+        look_for="a mass that grows with frequency towards a resonance",
+        separates="a band that reaches beyond the first resonance of the layer",
+        source="Shear beam with a free end: transmission line",
+        operation="free_line",
+        coefficients=(Coefficient("compliance", "n"),),
+    )
+)
+
+BODY_DIFFUSION = register(
+    Effect(
+        id="body.diffusion",
+        name="diffusion through a layer",
+        side="body",
+        pooling="varying",
+        places=("dampers",),
+        formula="r tanh(x)/x, x^2 = s r n",
+        story="What the network calls a damper is a layer through which something diffuses, such as fluid in tissue. "
+        "Fast motion reaches only its near side, so that the resistance falls and stores energy as it does.",
+        look_for="a phase of -45 degrees over a decade, above which the resistance falls as 1/sqrt(frequency)",
+        separates="a wider band towards high frequencies",
+        source="Warburg 1899; poroelastic layers",
+        operation="free_line",
+        coefficients=(Coefficient("compliance", "n"),),
     )
 )
 
@@ -181,6 +235,28 @@ BODY_REFLEX = register(
     )
 )
 
+BODY_REFLEX_VELOCITY = register(
+    Effect(
+        id="body.reflex_velocity",
+        name="reflex that follows velocity",
+        side="body",
+        pooling="varying",
+        places=("port", "groups"),
+        formula="z + r exp(-s T)/(1 + s/wc)^2",
+        story="Muscle spindles respond to the velocity of a stretch, after the latency of the reflex. "
+        "The muscle takes up their signal with a lag of second order, which is taken as critically damped.",
+        look_for="ripples over linear frequency with a period of 1/T, below 50 Hz, that vanish at zero frequency",
+        separates="lower frequencies: a response to the stretch itself grows there, one to its velocity does not",
+        source="Mirbagheri, Barbeau and Kearney 2000",
+        operation="reflex",
+        coefficients=(
+            Coefficient("damping", "r"),
+            Coefficient("latency", "s", "log", (0.023, 0.029, 0.036, 0.051), 0.3),
+            Coefficient("corner", "Hz", "log", (4.0, 12.0), 0.7),
+        ),
+    )
+)
+
 BODY_DRIFT = register(
     Effect(
         id="body.drift",
@@ -197,6 +273,31 @@ BODY_DRIFT = register(
         operation="sweep",
         coefficients=(Coefficient("change", ""), Coefficient("time_law", "", "log", (0.03, 1.0), 0.7)),
         signed=True,
+        needs_repetitions=True,
+    )
+)
+
+BODY_AMPLITUDE = register(
+    Effect(
+        id="body.amplitude",
+        name="tissue that follows the amplitude",
+        side="body",
+        pooling="varying",
+        places=("springs", "dampers"),
+        formula="z exp(x h), h = a^2/(1 + a^2), a = (f_0/f)^q",
+        story="The tissue is softer or stiffer the further it moves, and it moves less at higher frequencies. "
+        "An element therefore has another value at the low end of the band than at its high end.",
+        look_for="a slope of the magnitude over frequency without the corresponding phase",
+        separates="a recording at another drive level, at which the step lies at another frequency",
+        source="Fairley and Griffin 1989: a body softens with the magnitude of the vibration",
+        operation="amplitude",
+        coefficients=(
+            Coefficient("change", ""),
+            Coefficient("corner", "Hz", "log", 1.5, 0.7),
+            Coefficient("steepness", "", "log", (1.0, 2.0), 0.5),
+        ),
+        signed=True,
+        needs_repetitions=True,
     )
 )
 

@@ -11,7 +11,7 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.runtime.user_table import choice_in, number_in, text_in
 
 LINKS = ("linear", "log", "logit")
-UNITS = ("m", "n", "r", "k", "c", "s", "Hz", "")
+UNITS = ("m", "n", "r", "k", "c", "l", "s", "Hz", "")
 """Units of coefficients, see :class:`Coefficient`."""
 
 
@@ -51,8 +51,8 @@ class Coefficient:
     name : str
         As in ``verdict.json``.
     unit : str
-        ``s``, ``Hz`` (the operation takes rad/s) or nothing; ``m``, ``n``, ``r``, ``k``, ``c`` stand for the unit of a
-        mass, a compliance, a damper, a stiffness and a power law in the dataset's unit.
+        ``s``, ``Hz`` (the operation takes rad/s) or nothing; ``m``, ``n``, ``r``, ``k``, ``c``, ``l`` stand for the
+        unit of a mass, a compliance, a damper, a stiffness, a power law and a semi-inductance in the dataset's unit.
     link : str
         ``linear`` (x = scale u), ``log`` (positive: exp u) or ``logit`` (between 0 and 1).
     grid : tuple of float, or float
@@ -106,6 +106,7 @@ class Coefficient:
             "m": s.z_high / s.high,
             "r": s.z_middle,
             "c": s.z_middle,
+            "l": s.z_middle,
             "k": s.z_low * s.low,
             "n": 1 / (s.z_high * s.high),
             "s": 1 / s.high,

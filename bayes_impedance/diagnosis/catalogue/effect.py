@@ -48,6 +48,10 @@ _DAMPER_LEVELS = (0.1, 0.5)
 and one of strong damping; each further level adds as many candidates again."""
 
 
+_PLACES_OF = {"m": "masses", "n": "springs", "r": "dampers"}
+"""Kind of place that an element is."""
+
+
 @dataclass(frozen=True)
 class Effect:
     """An entry of the catalogue.
@@ -73,6 +77,8 @@ class Effect:
         Notation of a one-port put ``beside`` the place or in ``series`` with it.
     signed : bool
         Whether the coefficient may be negative.
+    needs_repetitions : bool
+        Whether only people who were recorded again can show it (:mod:`bayes_impedance.diagnosis.catalogue.offered`).
     """
 
     id: str
@@ -90,6 +96,7 @@ class Effect:
     branch: str = ""
     connection: str = "beside"
     signed: bool = False
+    needs_repetitions: bool = False
 
     def __post_init__(self) -> None:
         what = f"effect '{text_in(self.id, 'the id of an effect')}'"
@@ -100,8 +107,9 @@ class Effect:
         choice_in(self.side, f"{what}: side", SIDES)
         choice_in(self.pooling, f"{what}: pooling", POOLINGS)
         choice_in(self.connection, f"{what}: connection", CONNECTIONS)
-        if not isinstance(self.signed, bool):
-            raise InputError(f"{what}: signed is {shown(self.signed)}, but must be True or False")
+        for name in ("signed", "needs_repetitions"):
+            if not isinstance(getattr(self, name), bool):
+                raise InputError(f"{what}: {name} is {shown(getattr(self, name))}, but must be True or False")
         if not isinstance(self.places, tuple) or not self.places:
             raise InputError(f'{what}: places is {shown(self.places)}, but must be a tuple such as ("port",)')
         for place in self.places:
@@ -148,6 +156,11 @@ class Effect:
         """Whether it acts on the port after all other effects: an effect of the rig acts on the whole body."""
         return self.side == "rig"
 
+    @property
+    def is_innermost(self) -> bool:
+        """Whether it changes the element at its place before all other effects there."""
+        return bool(self.operation) and self.traits.of_the_element
+
     def setting(self, scales: Scales, compliance: float = float("nan")) -> Setting:
         """Units and typical sizes of an operation's parameters, with the compliance of the element at the place."""
         return Setting(
@@ -175,10 +188,7 @@ class Effect:
         for place in network.places():
             node = network.at(place)
             letter = kind_of(node.name).letter if isinstance(node, Element) else ""
-            kinds = {"port"} if not place.path else {"elements", "springs", "dampers"} if letter else {"groups"}
-            if letter:
-                kinds -= {"springs"} if letter != "n" else {"dampers"}
-                kinds -= {"dampers"} if letter != "r" else {"springs"}
+            kinds = {"port"} if not place.path else {"elements", _PLACES_OF[letter]} if letter else {"groups"}
             if kinds & wanted:
                 found.setdefault(self._outermost(network, place.path), place)
         return tuple(found.values())

@@ -165,3 +165,21 @@ RIG_RESONANCE = register(
         branch="m-(r|n)",
     )
 )
+
+RIG_SEMI_INDUCTANCE = register(
+    Effect(
+        id="rig.semi_inductance",
+        name="semi-inductance of a coil",
+        side="rig",
+        pooling="shared",
+        places=("port",),
+        formula="z + c s^a, 0 < a < 1",
+        story="Eddy currents behind a coil, or in the iron around it, keep part of the field out. "
+        "The coil then acts between a resistance and an inductance, and its phase is constant over decades.",
+        look_for="Re z and Im z that grow together as a power of frequency, towards the high end of the band",
+        separates="the coil alone, blocked or without the magnet",
+        source="Vanderkooy 1989: loudspeakers with eddy currents",
+        operation="semi_inductance",
+        coefficients=(Coefficient("coefficient", "l"), Coefficient("exponent", "", "logit", (0.3, 0.5, 0.7))),
+    )
+)

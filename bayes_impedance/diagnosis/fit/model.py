@@ -206,7 +206,11 @@ def build(network: Network, additions: Sequence[Addition], scales: Scales, start
     inner = _with_labels(network)
     names = {place.name: _inner_name(inner, place) for place in network.places()}
     grown, parameters, found = inner, list[Parameter](), list[tuple[Addition, tuple[str, ...], int]]()
-    order = sorted(range(len(additions)), key=lambda i: additions[i].effect.is_outermost)  # the rig is outermost
+    # What changes an element itself is innermost at its place, and the rig is outermost.
+    order = sorted(
+        range(len(additions)),
+        key=lambda i: (additions[i].effect.is_outermost, not additions[i].effect.is_innermost),
+    )
     branch_parameters: list[Parameter] = []
     for i in order:
         addition, shape = additions[i], starts[i]

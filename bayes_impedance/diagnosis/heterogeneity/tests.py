@@ -1,11 +1,19 @@
-"""All tests of the population: covariates, drift, subgroups, correlations, as entries of the verdict.
+r"""All tests of the population: covariates, drift, subgroups, correlations, as entries of the verdict.
 
 The tests are those of :mod:`bayes_impedance.diagnosis.heterogeneity.regression` and its neighbours; here each person's
 quadratic likelihood is computed from a fit, and significant structures are collected.
+
+What was added to the network and differs between people may follow a covariate as well, such as the exponent of a power
+law that follows temperature. Such a parameter x enters beside the elements by its logarithm, which near the median
+person is a multiple of the parameter u that is fitted:
+
+.. math:: \ln x \approx \text{const} + u/\bar u \text{ (linear)}, \qquad
+          \ln x = u \text{ (log)}, \qquad \ln x \approx \text{const} + (1 - \bar x)\,u \text{ (logit)} .
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,25 +38,81 @@ ALPHA = 0.003
 """Corrected level of each family of tests. There are four families; by the union bound they raise 1.2 % false alarms
 together, about as many as the search for missing physics (1 %)."""
 
+_FROM_ZERO = 2.0
+"""Standard deviations between people by which a linear coefficient must differ from zero for its logarithm to be a
+quantity. By choice: 2.3 % of people are then on the other side."""
 
-def person_likelihoods(fit: Refit) -> PersonLikelihoods:
-    """Each person's likelihood of the log elements, deviations between repetitions integrated out."""
-    h, linear = _recordings(fit)
+
+@dataclass(frozen=True)
+class Added:
+    """A parameter of an addition that differs between people.
+
+    Attributes
+    ----------
+    name, place : str
+        In texts, and where it acts.
+    column : int
+        Among the parameters of the model.
+    per_log : float
+        Change of u for a change of the parameter's logarithm by one.
+    """
+
+    name: str
+    place: str
+    column: int
+    per_log: float
+
+
+def added_parameters(fit: Refit) -> tuple[Added, ...]:
+    """Parameters of the additions that differ between people and whose logarithm is meaningful."""
+    model, found = fit.model, []
+    for i, addition in enumerate(model.additions):
+        if not addition.effect.operation or addition.only_in_some:
+            continue
+        for coefficient, column in zip(addition.effect.coefficients, model.columns(i), strict=True):
+            own = fit.u[:, column]
+            centre, spread = float(own.mean()), float(own.std())
+            if model.shared[column] or (coefficient.link == "linear" and abs(centre) < _FROM_ZERO * spread):
+                continue
+            per_log = {
+                "linear": centre,
+                "log": 1.0,
+                "logit": 1 / (1 - float(coefficient.value(centre, model.scales))),
+            }[coefficient.link]
+            where = "the port" if addition.place == "port" else addition.place
+            name = f"{coefficient.name.replace('_', ' ')} of {addition.effect.name} at {where}"
+            found.append(Added(name, addition.place, column, per_log))
+    return tuple(found)
+
+
+def person_likelihoods(fit: Refit, added: Sequence[Added] = ()) -> PersonLikelihoods:
+    """Each person's likelihood of the log elements, deviations between repetitions integrated out.
+
+    Parameters
+    ----------
+    fit : Refit
+    added : sequence of Added
+        Parameters of additions whose logarithms come after those of the elements.
+    """
     e = fit.model.n_elements
-    precision = np.maximum(fit.population.rho[:e], LEAST_RHO) ** -2.0
+    h, linear = _recordings(fit, [*range(e), *(a.column for a in added)])
+    per_log = np.array([1.0] * e + [a.per_log for a in added])
+    h, linear = h * np.outer(per_log, per_log), linear * per_log
+    rho = np.append(fit.population.rho[:e], np.zeros(len(added)))
+    precision = np.maximum(rho, LEAST_RHO) ** -2.0
     pulled = np.linalg.solve(h + np.diag(precision), np.concatenate([h, linear[..., None]], axis=2))
     information = h - np.einsum("mpq,mqr->mpr", h, pulled[..., :-1])
     reduced = linear - np.einsum("mpq,mq->mp", h, pulled[..., -1])
     n = len(fit.data)
     total = sums(information, fit.owner, n)
-    names = fit.model.network.elements
+    names = (*fit.model.network.elements, *(a.name for a in added))
     return PersonLikelihoods(names, sums(reduced, fit.owner, n), 0.5 * (total + np.swapaxes(total, 1, 2)))
 
 
 def repetition_likelihoods(fit: Refit) -> RepetitionLikelihoods:
     """Likelihoods of the deviations of every repetition from the person's elements."""
-    h, linear = _recordings(fit)
     e = fit.model.n_elements
+    h, linear = _recordings(fit, range(e))
     centred = linear - np.einsum("mpq,mq->mp", h, fit.persons[fit.owner][:, :e])
     rows = [np.flatnonzero(fit.owner == i) for i in range(len(fit.data))]
     return RepetitionLikelihoods(
@@ -59,12 +123,12 @@ def repetition_likelihoods(fit: Refit) -> RepetitionLikelihoods:
     )
 
 
-def _recordings(fit: Refit) -> tuple[np.ndarray, np.ndarray]:
-    """Information (M, E, E) and linear term (M, E) of every recording's elements, additions held."""
-    e = slice(0, fit.model.n_elements)
+def _recordings(fit: Refit, columns: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Information (M, C, C) and linear term (M, C) of some parameters of every recording, all others held."""
+    c = np.array(columns)
     w = fit.weight[fit.owner]
-    h = w[:, None, None] * fit.equations.information[:, e, e]
-    return h, np.einsum("mpq,mq->mp", h, fit.u[:, e]) - w[:, None] * fit.equations.gradient[:, e]
+    h = w[:, None, None] * fit.equations.information[:, c[:, None], c]
+    return h, np.einsum("mpq,mq->mp", h, fit.u[:, c]) - w[:, None] * fit.equations.gradient[:, c]
 
 
 @dataclass(frozen=True)
@@ -79,12 +143,15 @@ class ElementTrends:
         The most significant first; at least one.
     gain, gain_se : float
         On held-out people, with its standard error.
+    place : str
+        Of the first; an element is its own place.
     """
 
     covariate: str | None
     trends: tuple[Trend, ...]
     gain: float
     gain_se: float
+    place: str
 
 
 Structure = ElementTrends | Subgroup | CorrelationTest
@@ -109,18 +176,22 @@ def find_structures(
     people = person_likelihoods(fit)
     values = covariates_of(recordings)
     if values:
-        tested = find_covariates(people, values)
+        added = added_parameters(fit)
+        with_added = person_likelihoods(fit, added)
+        places = {a.name: a.place for a in added}
+        tested = find_covariates(with_added, values)
         remarks += [f"Covariates: {text}" for text in (tested.reason, *tested.remarks) if text]
         for name in dict.fromkeys(t.covariate for t in tested.trends if t.p_corrected < ALPHA):
             rows = tuple(t for t in tested.trends if t.covariate == name and t.p_corrected < ALPHA)
             regressor = regressors_of({name: values[name]}, [])[name][0]
-            gain = gain_of_covariate(people, regressor, [t.element for t in rows], seed)
-            found.append(ElementTrends(name, rows, *gain))
+            gain = gain_of_covariate(with_added, regressor, [t.element for t in rows], seed)
+            found.append(ElementTrends(name, rows, *gain, places.get(rows[0].element, rows[0].element)))
     if any(len(s.repetitions) > 1 for s in recordings.subjects):
         repetitions = repetition_likelihoods(fit)
         rows = tuple(t for t in find_drift(repetitions).trends if t.p_corrected < ALPHA)
         if rows:
-            found.append(ElementTrends(None, rows, *gain_of_drift(repetitions, [t.element for t in rows], seed)))
+            gain = gain_of_drift(repetitions, [t.element for t in rows], seed)
+            found.append(ElementTrends(None, rows, *gain, rows[0].element))
     e = fit.model.n_elements
     group = find_subgroup(people, fit.population.mu[:e], fit.population.covariance[:e, :e], seed)
     if group.p_corrected < ALPHA:

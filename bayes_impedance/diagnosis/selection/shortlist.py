@@ -18,6 +18,7 @@ from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection import far_starts
 from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, FEWEST_TO_VARY, log_evidence
+from bayes_impedance.diagnosis.selection.lookalikes import from_the_leader, lookalikes
 from bayes_impedance.diagnosis.selection.score_scan import Screening
 
 ALPHA = 0.01
@@ -242,7 +243,22 @@ def try_shortlist(refitter: Refitter, fit: Refit, screening: Screening, begin: R
             else:
                 size = float(screening.size[k])
                 trials.append(try_candidate(refitter, fit, other, size, (leader.pooling,), begin=begin)[-1])
-    return trials
+    return trials + _lookalikes(refitter, fit, screening, max(trials, key=_physical_gain))
+
+
+def _physical_gain(trial: Trial) -> float:
+    return trial.gain if trial.physical and np.isfinite(trial.gain) else -np.inf
+
+
+def _lookalikes(refitter: Refitter, fit: Refit, screening: Screening, leader: Trial) -> list[Trial]:
+    """What looks like the leader at its place, from where the leader ended."""
+    if not leader.effect.operation:
+        return []
+    found = []
+    for candidate in lookalikes(screening, leader.candidate):
+        grown = from_the_leader(refitter, leader.fit, candidate, _FIRST_ROUNDS + _MORE_ROUNDS)
+        found.append(_trial(candidate, grown.model.additions[-1].pooling, grown, fit))
+    return found
 
 
 def from_afar(refitter: Refitter, fit: Refit, effects: Sequence[Effect], seed: int) -> list[Trial]:

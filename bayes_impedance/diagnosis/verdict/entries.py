@@ -280,7 +280,7 @@ def _trend_entry(found: ElementTrends) -> Physics:
         for k, row in enumerate(found.trends)
     }
     evidence = _evidence(first.statistic**2, first.p_corrected, found.gain, found.gain_se)
-    entry = _of_population("trend", kind, first.element, parameters, evidence)
+    entry = _of_population("trend", kind, found.place, parameters, evidence)
     name = entry.name if covariate is None else f"{first.element} follows {covariate}"
     return replace(entry, name=name, covariate=covariate, elements=tuple(row.element for row in found.trends))
 

@@ -8,6 +8,7 @@ from importlib.metadata import version
 
 import numpy as np
 
+from bayes_impedance.diagnosis.catalogue.offered import withheld
 from bayes_impedance.diagnosis.extended_network import ExtendedNetwork, no_networks
 from bayes_impedance.diagnosis.fit.baseline import Fitted
 from bayes_impedance.diagnosis.fit.coefficient_posterior import CoefficientPosterior
@@ -217,7 +218,7 @@ def make_verdict(
         improvement=_improvement(evidence, physics),
         network=(str(network.sharing(fitted.shared)), after.network if after is not None else str(before.network)),
         detectable=limits,
-        not_identifiable=("gain", *hidden),
+        not_identifiable=("gain", *hidden, *(f"{name} in one sweep of each" for name in withheld(recordings))),
         elements_not_identified=tuple(
             e for e, known in zip(network.elements, fitted.determined, strict=True) if not known
         ),
@@ -308,8 +309,8 @@ def _where(evidence: Evidence, physics: tuple[Physics, ...]) -> Where:
     if evidence.changed:
         part, acting = change_of(evidence.final, residuals)
         bands = bands or acting
-    elif lead.elements:
-        bands = reach_of(found.base, lead.elements, residuals)
+    elif own := [e for e in lead.elements if e in found.base.model.network.elements]:
+        bands = reach_of(found.base, own, residuals)
     if lead.kind == "hum" and hum is not None:
         near = max(hum.near, _LINE_WIDTH)
         bands = _merged([(f * (1 - near), f * (1 + near)) for f in hum.frequencies_hz])

@@ -33,7 +33,7 @@ BAND = (5.0, 5000.0)
 FREQUENCY = np.geomspace(*BAND, 97)  # none of those at which the package computes the error, but the ends
 VALUES = {"m1": 8e-4, "m2": 5e-3, "r1": 5.0, "r3": 60.0, "r5": 3.0, "n1": 1e-3, "n2": 2e-3, "n3": 7e-7, "n5": 0.01}
 VALUES |= {"p1": 30.0, "a1": 0.3, "p2": 0.05, "b1": 1.6, "e1": 0.1, "g1": 1.1, "k2": 50.0, "m_x": 1e-4, "f1": 3.0}
-VALUES |= {"d1": 0.03, "k1": 200.0, "t1": 1e-4}
+VALUES |= {"d1": 0.03, "k1": 200.0, "t1": 1e-4, "t2": 0.02}
 
 needs_ngspice = pytest.mark.skipif(shutil.which("ngspice") is None, reason="ngspice is not installed")
 needs_control = pytest.mark.skipif(
@@ -51,6 +51,8 @@ LADDERS = (
     "line_fixed[r5](n5)",
     "line_matched[r5](n5)",
     "r1|gain[g1](line_fixed[r5](n5-r3))",
+    "squeeze_film[r5, t1](m1|n1)",
+    "gain[g1](squeeze_film[r5, t2](m1|n1))",
 )
 
 

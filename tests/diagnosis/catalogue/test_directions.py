@@ -18,7 +18,10 @@ from bayes_impedance.diagnosis.catalogue.effect import (
 from bayes_impedance.diagnosis.fit.model import Addition, Model, build
 from bayes_impedance.diagnosis.residuals.sensitivity import INSIDE, local_impedances
 from bayes_impedance.network.notation import parse
-from bayes_impedance.network.operations import line_mass
+from bayes_impedance.network.operations import line_compliance, line_mass
+
+SECANT = ("line", "free_line")
+"""Operations that are screened by a secant."""
 
 
 def assert_direction(effect: Effect, place: str, shape: dict[str, float], before: Sequence[Addition] = ()) -> None:
@@ -44,7 +47,7 @@ def assert_direction(effect: Effect, place: str, shape: dict[str, float], before
     assert_slope(curve, change * local.adjoint, np.abs(change / local.z) + np.abs(change * local.adjoint / curve(0.0)))
 
 
-@pytest.mark.parametrize("effect", [e for e in registered() if e.operation != "line"], ids=own_name)
+@pytest.mark.parametrize("effect", [e for e in registered() if e.operation not in SECANT], ids=own_name)
 def test_directions_are_the_derivatives_of_the_model(effect: Effect) -> None:
     """At every place and with every shape, by differences of the impedance of the model with the effect in it."""
     sites = effect.sites(NETWORK)
@@ -54,7 +57,7 @@ def test_directions_are_the_derivatives_of_the_model(effect: Effect) -> None:
             assert_direction(effect, place.name, shape)
 
 
-@pytest.mark.parametrize("effect", [e for e in registered() if e.operation != "line"], ids=own_name)
+@pytest.mark.parametrize("effect", [e for e in registered() if e.operation not in SECANT], ids=own_name)
 def test_directions_behind_other_additions(effect: Effect) -> None:
     for place in effect.sites(NETWORK):
         if effect.side == "body" and place.name == "port":
@@ -82,6 +85,20 @@ def test_a_line_is_screened_by_its_secant() -> None:
     tiny = direction(entry("body.line"), {"level": 1e-6}, SCALES, OMEGA, local.z)
     np.testing.assert_allclose(tiny, np.broadcast_to(S / 3, tiny.shape), rtol=1e-5)
     assert line_mass(OMEGA, local.z) == pytest.approx(np.abs(local.z[:, -1]) / OMEGA[-1])
+
+
+@pytest.mark.parametrize(("name", "place"), [("body.free_line", "m1"), ("body.diffusion", "r1")])
+def test_a_free_line_is_screened_by_its_secant(name: str, place: str) -> None:
+    """Its mobility is that of the element, and to first order a third of the compliance in series."""
+    local = local_impedances(build(NETWORK, (), SCALES, ()), THETA, OMEGA)[place]
+    for level in (0.3, 3.0):
+        n = level * line_compliance(OMEGA, local.z)
+        w = S * n[:, None] * local.z
+        expected = (local.z * np.tanh(np.sqrt(w)) / np.sqrt(w) - local.z) / n[:, None]
+        found = direction(entry(name), {"level": level}, SCALES, OMEGA, local.z)
+        np.testing.assert_allclose(found, expected, rtol=1e-7)  # differences of a thin line
+    tiny = direction(entry(name), {"level": 1e-4}, SCALES, OMEGA, local.z)
+    np.testing.assert_allclose(tiny, -(local.z**2) * S / 3, rtol=1e-4)
 
 
 @pytest.mark.parametrize("effect", BRANCHES, ids=own_name)

@@ -52,6 +52,12 @@ IDS = (
     "body.subgroup",
     "body.drift",
     "body.correlation",
+    "body.squeeze_film",
+    "body.free_line",
+    "body.diffusion",
+    "body.reflex_velocity",
+    "body.amplitude",
+    "rig.semi_inductance",
 )
 """What a diagnosis may name; these ids are stable."""
 
@@ -79,7 +85,7 @@ def entries() -> list[object]:
 
 def test_every_row_of_the_table_has_an_entry() -> None:
     assert {effect.id for effect in registered()} | set(STRUCTURES) == set(IDS)
-    assert len(IDS) == 21
+    assert len(IDS) == 27
     assert all(key == entry.id for key, entry in STRUCTURES.items())
 
 
@@ -97,7 +103,7 @@ def test_every_entry_tells_its_story(entry: Effect) -> None:
 
 @pytest.mark.parametrize("effect", registered(), ids=own_name)
 def test_every_coefficient_has_a_unit(effect: Effect) -> None:
-    dimensionless = {"exponent", "loss_factor", "damping_ratio", "change", "time_law"}
+    dimensionless = {"exponent", "loss_factor", "damping_ratio", "change", "time_law", "steepness"}
     for coefficient in effect.coefficients:
         assert (unit_of(coefficient.unit, "N s/m") == "") == (coefficient.name in dimensionless)
     names = [coefficient.name for coefficient in effect.coefficients]

@@ -34,7 +34,7 @@ def kinds_of_place(effect: Effect, network: Network) -> list[Place]:
         if not place.path:
             kind = {"port"}
         elif isinstance(node, Element):
-            kind = {"elements", {"n": "springs", "r": "dampers"}.get(node.name[0], "")}
+            kind = {"elements", {"n": "springs", "r": "dampers", "m": "masses"}[node.name[0]]}
         else:
             kind = {"groups"}
         if kind & set(effect.places):

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
-from experiments import TOY, Experiment, toy
+from experiments import TOY, Experiment, entry, recovered, toy
 
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.heterogeneity.correlations import CorrelationTest
 from bayes_impedance.diagnosis.heterogeneity.subgroups import Subgroup
 from bayes_impedance.diagnosis.heterogeneity.tests import (
     ElementTrends,
+    added_parameters,
     covariates_of,
     find_structures,
     person_likelihoods,
@@ -148,3 +151,59 @@ def test_covariates_are_collected_by_name_with_nan_where_unknown() -> None:
 def test_what_cannot_be_tested_is_remarked_upon() -> None:
     _, remarks = entries(toy(*TOY, seed=9, n=4), np.ones(4))
     assert remarks == ["Covariates: only 4 persons; at least 5 are needed"]
+
+
+TEMPERATURE = np.random.default_rng(12).uniform(5.0, 40.0, N)
+
+
+def with_power_law(exponent: np.ndarray) -> Experiment:
+    def hidden(s: np.ndarray, z: np.ndarray, _rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        return z.real + 1j * z.imag * (s / 400.0) ** exponent[:, None, None], exponent
+
+    return toy(*TOY, seed=8, n=N, hidden=hidden)
+
+
+def with_its_fit(exponent: np.ndarray) -> tuple[Experiment, Refit]:
+    experiment = with_power_law(exponent)
+    return experiment, recovered(experiment, entry("body.springpot", "power"), "n1", "varying")
+
+
+def test_a_parameter_of_an_addition_that_follows_a_covariate_is_an_entry() -> None:
+    rng = np.random.default_rng(2)
+    experiment, fit = with_its_fit(0.2 * np.exp(-0.03 * (TEMPERATURE - 22.5) + 0.1 * rng.normal(size=N)))
+    given = recordings(experiment, TEMPERATURE)
+    given = replace(
+        given,
+        subjects=tuple(
+            replace(s, covariates={"temperature_c": t}) for s, t in zip(given.subjects, TEMPERATURE, strict=True)
+        ),
+    )
+    found, _ = find_structures(fit, given, False, 1)
+    (structure,) = found
+    assert isinstance(structure, ElementTrends)
+    assert structure.place == "n1"
+    (trend,) = structure.trends
+    assert trend.element == "exponent of power-law tissue at n1"
+    assert trend.q05 < -0.03 < trend.q95
+    assert trend.transform == "linear"
+    assert structure.gain > 2 * structure.gain_se > 0
+
+
+def test_a_parameter_of_an_addition_that_follows_nothing_is_no_entry() -> None:
+    experiment, fit = with_its_fit(0.2 * np.exp(0.3 * np.random.default_rng(3).normal(size=N)))
+    (added,) = added_parameters(fit)
+    assert (added.place, added.column) == ("n1", fit.model.n_elements)
+    found, _ = find_structures(fit, recordings(experiment, FORCE), False, 1)
+    assert found == ()
+
+
+def test_likelihoods_with_added_parameters_are_those_of_the_elements_and_more() -> None:
+    """Elements alone are a slice of the whole; in logarithms a linear coefficient is scaled by its mean."""
+    _, fit = with_its_fit(0.2 * np.exp(0.3 * np.random.default_rng(3).normal(size=N)))
+    added = added_parameters(fit)
+    whole, plain = person_likelihoods(fit, added), person_likelihoods(fit)
+    mode = np.linalg.solve(whole.information, whole.linear[..., None])[..., 0]
+    relative = fit.persons[:, -1] / fit.u[:, added[0].column].mean()
+    sd = np.sqrt(np.linalg.inv(whole.information)[:, -1, -1])
+    assert np.all(np.abs(mode[:, -1] - relative) < 5 * sd)  # persons are drawn to the population's mean
+    assert whole.elements == (*plain.elements, added[0].name)

@@ -1,0 +1,72 @@
+"""Effects that look like the leading one: who they are, and that their refits arrive where the leader's did."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from experiments import entry, recovered, screened, toy
+
+from bayes_impedance.diagnosis.catalogue.effect import Candidate
+from bayes_impedance.diagnosis.fit.extend import extended, extended_start
+from bayes_impedance.diagnosis.selection.compare import log_evidence
+from bayes_impedance.diagnosis.selection.lookalikes import MOST, from_the_leader, lookalikes
+
+R, TIME = 1.5, 3e-3
+
+
+def relaxing(s: np.ndarray, z: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    r = R * np.exp(0.2 * rng.normal(size=len(z)))
+    return z + (r[:, None, None] / (1 + s * TIME)), r
+
+
+@pytest.fixture(scope="module")
+def experiment():
+    return toy("m1|r1", {"m1": 2e-3, "r1": 2.0}, seed=3, n=16, hidden=relaxing)
+
+
+def test_lookalikes_are_other_effects_of_the_same_side_and_place(experiment) -> None:
+    screening = screened(experiment.fit())
+    (leader,) = [
+        c
+        for c in screening.candidates
+        if c.effect.id == "body.relaxation" and c.place == "port" and 0.4 < c.shape["time_constant"] / TIME < 1.0
+    ][:1]
+    found = lookalikes(screening, leader)
+    assert 1 <= len(found) <= MOST
+    assert "body.squeeze_film" in [c.effect.id for c in found]
+    assert all(c.place == "port" and c.effect.side == "body" and c.effect != leader.effect for c in found)
+    elsewhere = Candidate(leader.effect, "nowhere", leader.shape)
+    assert lookalikes(screening, elsewhere) == []
+
+
+@pytest.mark.parametrize("pooling", ["shared", "varying", "free"])
+def test_a_lookalike_arrives_where_the_leader_did(experiment, pooling: str) -> None:
+    """From far away: the scan's shape is wrong by a factor of 30, and the leader's is taken."""
+    fit, refitter = experiment.fit(), experiment.refitter
+    model = extended(fit.model, Candidate(entry("body.relaxation"), "port", {"time_constant": TIME}), "shared", R)
+    leader = refitter.fit(model, *extended_start(fit, model), 40)
+    if pooling != "shared":
+        model = extended(fit.model, Candidate(entry("body.relaxation"), "port", {"time_constant": TIME}), pooling, R)
+        leader = refitter.fit(model, *extended_start(leader, model), 40)
+    gain = log_evidence(leader) - log_evidence(fit)
+    assert gain > 100
+    film = Candidate(entry("body.squeeze_film"), "port", {"time_constant": 30 * TIME})
+    grown = from_the_leader(refitter, leader, film, 30)
+    assert [a.effect.id for a in grown.model.additions] == ["body.squeeze_film"]
+    assert grown.model.additions[0].pooling == pooling
+    assert 0.8 * gain < log_evidence(grown) - log_evidence(fit) < gain
+    # Without a shape that could differ, only the coefficient does.
+    mass = from_the_leader(refitter, leader, Candidate(entry("body.mass"), "port", {}), 5)
+    assert mass.model.additions[0].pooling == ("varying" if pooling == "free" else pooling)
+
+
+def test_a_lookalike_of_a_later_addition_keeps_the_earlier_ones(experiment) -> None:
+    damped = recovered(experiment, entry("rig.delay"), "port", "shared")
+    relaxation = Candidate(entry("body.relaxation"), "port", {"time_constant": TIME})
+    model = extended(damped.model, relaxation, "varying", R)
+    leader = experiment.refitter.fit(model, *extended_start(damped, model), 40)
+    grown = from_the_leader(
+        experiment.refitter, leader, Candidate(entry("body.squeeze_film"), "port", {"time_constant": TIME}), 30
+    )
+    assert [a.effect.id for a in grown.model.additions] == ["rig.delay", "body.squeeze_film"]
+    assert log_evidence(grown) - log_evidence(damped) > 0.8 * (log_evidence(leader) - log_evidence(damped))
