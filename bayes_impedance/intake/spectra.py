@@ -85,6 +85,12 @@ def spectra_of(contents: Contents, who: Who, settings: SpectraSettings) -> tuple
     columns, guessed = columns_of(contents, given)
     notes += guessed if recipe is None else ()
     frequency = _frequency(contents, columns, settings)
+    for column in columns.values():
+        if column.variable.values.size != frequency.size:
+            raise InputError(
+                f"{contents.file}: {column.told} has {column.variable.values.size} values, but the frequency has "
+                f"{frequency.size}; name columns of equal length with --columns"
+            )
     measured, values = _measured(contents, columns)
     response, told = _response(contents, values, settings, recipe)
     notes += told
