@@ -8,6 +8,8 @@ from pathlib import Path
 from bayes_impedance.errors import InputError
 from bayes_impedance.runtime.user_table import shown
 
+LARGEST_OVERLAP = 0.95
+"""Of a segment. By choice: more gives the same spectra and only takes longer."""
 MOST_AVERAGES = 1_000_000
 """Most averages behind a spectrum. By choice: far above any measurement."""
 
@@ -32,6 +34,7 @@ def import_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--subjects", type=Path, metavar="FILE", help="table of the subjects' covariates")
     _names_and_tables(parser.add_argument_group("files"))
     _spectra(parser.add_argument_group("spectra"))
+    _signals(parser.add_argument_group("signals"))
 
 
 def _names_and_tables(group: argparse._ArgumentGroup) -> None:
@@ -73,6 +76,63 @@ def _spectra(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--averages", type=_averages, metavar="N", help="number of averages behind the files' coherence: gives noise_sd"
     )
+
+
+def _signals(group: argparse._ArgumentGroup) -> None:
+    group.add_argument(
+        "--force",
+        metavar="CHANNEL",
+        help="force, torque or what stands for it: NAME[N], or NAME@22.4 mV/N with a sensitivity (default: by units)",
+    )
+    group.add_argument("--motion", metavar="CHANNEL", help="acceleration, velocity or displacement: NAME[g], ...")
+    group.add_argument("--reference", metavar="NAME", help="signal sent to the exciter: its lines are the excited ones")
+    group.add_argument("--sampling-rate", type=_positive, metavar="HZ", help="if the file does not say it")
+    group.add_argument(
+        "--excitation", choices=("periodic", "noise", "hammer"), help="(default: found out from the force)"
+    )
+    group.add_argument(
+        "--estimator",
+        choices=("H1", "H2", "Hv", "local polynomial"),
+        default="H1",
+        help="of noise and hits (default: H1); periodic excitation has its own",
+    )
+    group.add_argument(
+        "--window", choices=("hann", "hamming", "blackman", "flattop", "boxcar"), help="of noise (default: hann)"
+    )
+    group.add_argument("--segment", type=_positive, metavar="S", help="seconds of each segment or hit")
+    group.add_argument("--overlap", type=_share, default=0.5, help="of segments of noise (default: 0.5)")
+    group.add_argument("--period", type=_positive, metavar="S", help="seconds (default: found out)")
+    group.add_argument(
+        "--drop-periods", type=_count, metavar="N", help="leading periods to leave out (default: until they settle)"
+    )
+    group.add_argument("--band", type=_positive, nargs=2, metavar=("LOW", "HIGH"), help="frequencies to keep, in Hz")
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{shown(text)} is not a number above zero")
+    return value
+
+
+def _share(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0 <= value <= LARGEST_OVERLAP:
+        raise argparse.ArgumentTypeError(f"{shown(text)} is not a number from 0 to {LARGEST_OVERLAP}")
+    return value
+
+
+def _count(text: str) -> int:
+    digits = text.strip()
+    if not (digits.isascii() and digits.isdigit() and len(digits) <= 9):
+        raise argparse.ArgumentTypeError(f"{shown(text)} is not a whole number from 0")
+    return int(digits)
 
 
 def _averages(text: str) -> int:

@@ -60,6 +60,7 @@ def settings_of(options: argparse.Namespace) -> ImportSettings:
     from bayes_impedance.intake.names import pattern_of
     from bayes_impedance.intake.quantities import form_named
     from bayes_impedance.intake.recipes import recipe_named
+    from bayes_impedance.intake.signals import SignalSettings
     from bayes_impedance.intake.spectra import SpectraSettings
     from bayes_impedance.intake.text_tables import TableFormat
 
@@ -75,6 +76,21 @@ def settings_of(options: argparse.Namespace) -> ImportSettings:
             conjugated=options.conjugated,
             negated=options.negated,
             averages=options.averages,
+        ),
+        signals=SignalSettings(
+            force=options.force,
+            motion=options.motion,
+            reference=options.reference,
+            excitation=options.excitation,
+            rate_hz=options.sampling_rate,
+            estimator=options.estimator,
+            window=options.window,
+            segment_s=options.segment,
+            overlap=options.overlap,
+            period_s=options.period,
+            drop=options.drop_periods,
+            band_hz=None if options.band is None else (options.band[0], options.band[1]),
+            negated=options.negated,
         ),
         table=TableFormat(
             separator=options.separator,

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+
+import numpy as np
 
 from bayes_impedance.errors import InputError
 from bayes_impedance.intake.contents import Array, Contents, Variable
@@ -240,6 +242,7 @@ def _known_case(unit: str) -> str:
     return known.get(unit, unit)
 
 
-def with_unit(column: Column, unit: str) -> Column:
-    """The column in another unit."""
-    return replace(column, unit=unit)
+def is_frequency_name(name: str) -> bool:
+    """Whether a column of this name is guessed to be the frequency."""
+    stem = _read_name(Variable(name=name, values=np.empty(0)))[1]
+    return any(re.fullmatch(pattern, stem) for pattern in _GUESSES["frequency"])

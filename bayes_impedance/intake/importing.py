@@ -15,9 +15,12 @@ import numpy as np
 
 from bayes_impedance.errors import InputError
 from bayes_impedance.intake.assembly import assemble
+from bayes_impedance.intake.channels import guessed_channels
+from bayes_impedance.intake.columns import is_frequency_name
 from bayes_impedance.intake.contents import Contents
 from bayes_impedance.intake.formats.registry import files_of, read_file
-from bayes_impedance.intake.names import Who, who_is
+from bayes_impedance.intake.names import who_is
+from bayes_impedance.intake.signals import Record, SignalSettings, record_of, spectrum_of
 from bayes_impedance.intake.spectra import SpectraSettings, spectra_of
 from bayes_impedance.intake.spectrum import Spectrum
 from bayes_impedance.intake.text_tables import TableFormat
@@ -37,6 +40,8 @@ class ImportSettings:
     Attributes
     ----------
     spectra : SpectraSettings
+    signals : SignalSettings
+        Files hold signals if they name a channel.
     table : TableFormat
     record : str or None
         Sheet, group or record to use of files that have several.
@@ -47,6 +52,7 @@ class ImportSettings:
     """
 
     spectra: SpectraSettings = field(default_factory=SpectraSettings)
+    signals: SignalSettings = field(default_factory=SignalSettings)
     table: TableFormat = field(default_factory=TableFormat)
     record: str | None = None
     who: re.Pattern[str] | None = None
@@ -126,12 +132,14 @@ def import_recordings(
     spectra: list[Spectrum] = []
     notes: list[str] = []
     digests = []
-    for i, file in enumerate(files):
-        progress("reading files", i, len(files))
-        found, told = _recordings_of(file, settings)
+    done = 0
+    for group in _groups(files, settings):
+        progress("reading files", done, len(files))
+        found, told = _recordings_of(group, settings)
         spectra += found
         notes += told
-        digests.append((str(file), _digest(file)))
+        digests += [(str(file), _digest(file)) for file in group]
+        done += len(group)
     progress("reading files", len(files), len(files))
     subjects, kept, told = assemble(spectra)
     notes += told
@@ -150,19 +158,45 @@ def import_recordings(
     return Imported(recordings=recordings, spectra=tuple(kept), notes=recordings.warnings, sources=tuple(digests))
 
 
-def _recordings_of(file: Path, settings: ImportSettings) -> tuple[list[Spectrum], list[str]]:
-    who = who_is(str(file), settings.who)
+def _groups(files: Sequence[Path], settings: ImportSettings) -> list[list[Path]]:
+    """Files of one subject and repetition that differ in the realisation are read together, all others one by one."""
+    groups: dict[tuple[str, ...], list[Path]] = {}
+    for file in files:
+        who = who_is(str(file), settings.who)
+        own = (who.subject, who.repetition) if who.realisation else (str(file),)
+        groups.setdefault(own, []).append(file)
+    return list(groups.values())
+
+
+def _recordings_of(files: Sequence[Path], settings: ImportSettings) -> tuple[list[Spectrum], list[str]]:
+    """Recordings of one file, or the one of several realisations; only their contents are in memory."""
     spectra: list[Spectrum] = []
+    records: list[Record] = []
     notes: list[str] = []
-    for contents in read_file(file, settings.table, settings.record):
-        found, told = _of_contents(contents, who, settings)
-        spectra += found
+    for file in files:
+        who = who_is(str(file), settings.who)
+        for contents in read_file(file, settings.table, settings.record):
+            if settings.signals.given or _holds_signals(contents, settings):
+                record, told = record_of(contents, settings.signals)
+                records.append(record)
+                notes += told
+            else:
+                found, told = spectra_of(contents, who, settings.spectra)
+                spectra += found
+                notes += told
+    if records:
+        found_one, told = spectrum_of(records, who_is(str(files[0]), settings.who), settings.signals)
+        spectra.append(found_one)
         notes += told
     return spectra, notes
 
 
-def _of_contents(contents: Contents, who: Who, settings: ImportSettings) -> tuple[list[Spectrum], list[str]]:
-    return spectra_of(contents, who, settings.spectra)
+def _holds_signals(contents: Contents, settings: ImportSettings) -> bool:
+    """Whether a file that nothing is said about has one channel of force and one of motion, and no frequency."""
+    said = settings.spectra
+    if said.columns or said.recipe is not None or said.form is not None or said.unit is not None:
+        return False
+    return guessed_channels(contents) is not None and not any(is_frequency_name(name) for name in contents.names)
 
 
 def _facts(one: Spectrum) -> dict[str, object]:

@@ -226,3 +226,8 @@ def channel_of(unit: str) -> tuple[str, str, float] | None:
         return None
     quantity, domain = _CHANNEL_OF[found.dimension]
     return quantity, domain, found.factor
+
+
+def channel_of_dimension(dimension: Dimension) -> tuple[str, str] | None:
+    """Quantity and domain of a channel with a dimension; None if it is no force and no motion."""
+    return _CHANNEL_OF.get(dimension)

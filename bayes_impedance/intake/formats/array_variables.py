@@ -9,7 +9,7 @@ import numpy as np
 from bayes_impedance.intake.contents import Variable
 
 MOST_COLUMNS = 64
-"""Most columns of a matrix that are taken as variables. By choice: analysers have fewer channels; more are a picture."""
+"""Most columns of a matrix taken as variables. By choice: analysers have fewer channels, and more are a picture."""
 _RATES = ("fs", "samplerate", "samplingrate", "samplefrequency", "samplingfrequency", "timesamplerate", "ratehz")
 _STEPS = ("dt", "ts", "sampletime", "deltat")
 
