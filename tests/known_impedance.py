@@ -28,3 +28,14 @@ def table(columns: dict[str, np.ndarray], separator: str = ",", decimal: str = "
     rows = zip(*(map(repr, map(float, column)) for column in columns.values()), strict=True)
     lines = [separator.join(cell.replace(".", decimal) for cell in row) for row in rows]
     return "\n".join([separator.join(columns), *lines]) + "\n"
+
+
+def spectra_written(folder: Path) -> tuple[np.ndarray, np.ndarray, dict[str, str]]:
+    """Frequencies and impedance of a dataset of one recording, and what is noted of it, as they stand in the files.
+
+    The reader of datasets refuses some of them: the motor bench's Re z is below zero at most frequencies.
+    """
+    rows = np.loadtxt(folder / "recordings.csv", delimiter=",", skiprows=1, usecols=(2, 3, 4))
+    noted = folder / "repetitions.csv"
+    names, values = noted.read_text(encoding="utf-8").splitlines() if noted.exists() else ("", "")
+    return rows[:, 0], rows[:, 1] + 1j * rows[:, 2], dict(zip(names.split(","), values.split(","), strict=True))

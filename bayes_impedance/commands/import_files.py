@@ -66,6 +66,10 @@ def settings_of(options: argparse.Namespace) -> ImportSettings:
 
     if options.recipe is not None and options.columns:
         raise InputError("--recipe and --columns exclude each other, because each says the columns; leave one out")
+    if options.band is not None and not options.band[0] < options.band[1]:
+        raise InputError(
+            f"--band {options.band[0]:g} {options.band[1]:g}: the lower end must be below its upper end; exchange them"
+        )
     return ImportSettings(
         spectra=SpectraSettings(
             columns=parse_assignments(options.columns),

@@ -64,7 +64,10 @@ class Spectra:
             if estimator == "H2":
                 return np.asarray(self.motion / self.cross.conj())
             root = np.sqrt((self.force - self.motion) ** 2 + 4 * np.abs(self.cross) ** 2)
-            return np.asarray((self.motion - self.force + root) / (2 * self.cross.conj()))
+            # Two forms of the same number: neither may subtract what is nearly equal.
+            small = 2 * self.cross / (root + self.force - self.motion)
+            large = (root + self.motion - self.force) / (2 * self.cross.conj())
+            return np.where(self.force > self.motion, small, large)
 
 
 def segments_of(signal: FloatArray, length: int, overlap: float) -> FloatArray:
@@ -90,7 +93,7 @@ def averaged_spectra(
     from scipy.signal import get_window
 
     count, length = force.shape
-    w = get_window(window, length)
+    w = get_window(window, length, fftbins=False)
     f, x = (np.fft.rfft((s - s.mean(axis=1, keepdims=True)) * w, axis=1) for s in (force, motion))
     return Spectra(
         frequency_hz=np.arange(length // 2 + 1) * (rate_hz / length),

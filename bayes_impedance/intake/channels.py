@@ -157,6 +157,8 @@ def _seconds(variable: Variable) -> float:
 
 
 def _is_time(variable: Variable) -> bool:
+    if channel_of(variable.unit or unit_in_name(variable.name) or "?"):
+        return False  # T [N m] is a torque
     stem = re.sub(r"[\[\(/].*$|_(s|ms|us)$", "", variable.name.strip().lower())
     return _TIME_NAMES.fullmatch(re.sub(r"[\s_]", "", stem)) is not None and not variable.is_text
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from bayes_impedance.errors import InputError
 from bayes_impedance.intake.contents import Array, Contents, Variable
-from bayes_impedance.intake.quantities import SYNONYMS
+from bayes_impedance.intake.quantities import SYNONYMS, hertz_factor
 from bayes_impedance.intake.text_tables import is_unit
 from bayes_impedance.runtime.user_table import hint, shown
 
@@ -205,7 +205,9 @@ def _best(contents: Contents, role: str, candidates: Sequence[Variable]) -> Colu
         fitting = []
         for variable in candidates:
             negated, stem, unit = _read_name(variable)
-            if re.fullmatch(pattern, stem):
+            # F [N] is no frequency.
+            fits = role != "frequency" or not unit or hertz_factor(unit) is not None
+            if fits and re.fullmatch(pattern, stem):
                 if role == "frequency" and not unit and _RADIAN_NAMES.fullmatch(stem):
                     unit = "rad/s"
                 fitting.append(Column(role=role, variable=variable, unit=unit, negated=negated))
@@ -244,5 +246,7 @@ def _known_case(unit: str) -> str:
 
 def is_frequency_name(name: str) -> bool:
     """Whether a column of this name is guessed to be the frequency."""
-    stem = _read_name(Variable(name=name, values=np.empty(0)))[1]
-    return any(re.fullmatch(pattern, stem) for pattern in _GUESSES["frequency"])
+    _, stem, unit = _read_name(Variable(name=name, values=np.empty(0)))
+    return (not unit or hertz_factor(unit) is not None) and any(
+        re.fullmatch(pattern, stem) for pattern in _GUESSES["frequency"]
+    )

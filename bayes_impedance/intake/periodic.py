@@ -35,6 +35,9 @@ SIGNIFICANT = 4.0
 MANY_LINES, GAP = 20, 3.0
 """Lines, and factor between sorted levels. By choice: of twenty lines or more of one excitation, sorted by level,
 neighbours differ by less; distortion lies further below."""
+ALIKE = 1.2
+"""By choice: closer than scatter allows would find multiples of the period, which only costs averages; further would
+take a part of the signal for all of it."""
 TRANSIENT_LEVEL = 0.001
 """Probability of taking a settled first period for a transient. By choice."""
 
@@ -111,7 +114,7 @@ def excited_lines(spectra: PeriodSpectra) -> np.ndarray:
     """Indices of the lines that the excitation holds, by the significance and level of force and motion.
 
     Of many significant lines (:data:`MANY_LINES`) the sorted levels of the force have a gap between excitation and
-    distortion, if there is distortion; without a gap of a factor :data:`GAP`, and of few lines, every significant line is excited that has
+    distortion, if there is any; without a gap of a factor :data:`GAP`, and of few lines, a line is excited that has
     :data:`LINE_LEVEL` of the largest one within an octave, in force or motion.
     """
     strong = np.zeros(spectra.frequency_hz.size, dtype=bool)
@@ -214,8 +217,8 @@ def distortion(spectra: PeriodSpectra, lines: np.ndarray) -> dict[str, float]:
 def find_period(signal: FloatArray, largest: int) -> int | None:
     """Period in samples of a signal that repeats, up to noise; None if it does not.
 
-    The smallest lag at which the mean squared difference of the signal from itself is within twice of the smallest
-    one at any lag up to `largest`, and below half of the variance of unrelated samples.
+    The smallest lag at which the mean squared difference of the signal from itself is within :data:`ALIKE` of the
+    smallest one at any lag up to `largest`, and below half of the variance of unrelated samples.
     """
     x = signal - signal.mean()
     n = x.size
@@ -236,7 +239,7 @@ def find_period(signal: FloatArray, largest: int) -> int | None:
     if best > 0.5 * float((energy / overlap)[unlike[0] + int(np.argmin(rest))]):
         return None
     # Within a valley of likeness, its bottom; the first valley that is as deep as any.
-    limit = 2 * max(best, 1e-12 * float(x @ x) / n)
+    limit = max(ALIKE * best, 1e-12 * float(x @ x) / n)
     first = unlike[0] + int(np.argmax(rest <= limit))
     last = first
     while last < largest and difference[last + 1] <= difference[last]:

@@ -16,12 +16,12 @@ def read(file: Path, record: str | None) -> list[Contents]:
     """All arrays of numbers."""
     arrays: dict[str, np.ndarray] = {}
     try:
-        content = np.load(file, allow_pickle=False)
-        if isinstance(content, np.ndarray):
-            named = content.dtype.names
-            arrays = {name: content[name] for name in named} if named else {"column": content}
-        else:
-            with content:
+        with file.open("rb") as stream:  # np.load leaves a file open that it cannot read
+            content = np.load(stream, allow_pickle=False)
+            if isinstance(content, np.ndarray):
+                named = content.dtype.names
+                arrays = {name: content[name] for name in named} if named else {"column": content}
+            else:
                 arrays = {name: content[name] for name in content.files}
     except Exception as error:  # zip, header and pickle each raise their own
         raise damaged(file, "a NumPy file", error) from error
