@@ -67,7 +67,7 @@ class Spectra:
             # Two forms of the same number: neither may subtract what is nearly equal.
             small = 2 * self.cross / (root + self.force - self.motion)
             large = (root + self.motion - self.force) / (2 * self.cross.conj())
-            return np.where(self.force > self.motion, small, large)
+            return np.asarray(np.where(self.force > self.motion, small, large))
 
 
 def segments_of(signal: FloatArray, length: int, overlap: float) -> FloatArray:

@@ -157,13 +157,14 @@ def spectrum_of(records: Sequence[Record], who: Who, settings: SignalSettings) -
                 f"{other.file}: rate or quantity differ from those of {first.file}, but both are of subject "
                 f"{shown(who.subject)}, repetition {shown(who.repetition)}; give them different names"
             )
-    excitation = settings.excitation
+    excitation, period = settings.excitation, None
     notes = []
     if excitation is None:
-        excitation = _kind(first, settings)
+        period = _found_period(first) if settings.period_s is None else None
+        excitation = _kind(first, settings, period)
         notes.append(f"{first.file}: the excitation is taken for {excitation}; --excitation says otherwise")
-    estimate = {"periodic": _periodic, "noise": _noise, "hammer": _hammer}[excitation]
-    ratio, told = estimate(records, settings)
+    estimate = _noise if excitation == "noise" else _hammer
+    ratio, told = _periodic(records, settings, period) if excitation == "periodic" else estimate(records, settings)
     notes += [f"{first.file}: {text}" for text in (*told, *ratio.notes)]
     z = _impedance(ratio, first.motion, settings)
     spectrum = Spectrum(
@@ -212,13 +213,13 @@ def _impedance(ratio: Ratio, motion: Channel, settings: SignalSettings) -> Point
     )
 
 
-def _kind(record: Record, settings: SignalSettings) -> str:
+def _kind(record: Record, settings: SignalSettings, period: int | None) -> str:
     if settings.period_s is not None:
         return "periodic"
     force = record.force.samples - np.median(record.force.samples)
     if np.abs(force).max() > CREST_OF_A_HAMMER * np.sqrt(np.mean(force**2)):
         return "hammer"
-    return "periodic" if _found_period(record) is not None else "noise"
+    return "noise" if period is None else "periodic"
 
 
 def _found_period(record: Record) -> int | None:
@@ -226,10 +227,10 @@ def _found_period(record: Record) -> int | None:
     return find_period(signal, signal.size // FEWEST_PERIODS)
 
 
-def _periodic(records: Sequence[Record], settings: SignalSettings) -> tuple[Ratio, list[str]]:
+def _periodic(records: Sequence[Record], settings: SignalSettings, period: int | None) -> tuple[Ratio, list[str]]:
     first, notes = records[0], []
     if settings.period_s is None:
-        found = _found_period(first)
+        found = _found_period(first) if period is None else period
         if found is None:
             raise InputError(
                 f"{first.file}: no period was found in {shown(first.force.name)}; give it in seconds with --period, or "

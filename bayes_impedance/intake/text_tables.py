@@ -9,6 +9,7 @@ names are in the last line before it, or in the last comment of the same width. 
 from __future__ import annotations
 
 import csv
+import itertools
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -28,6 +29,8 @@ _COMMA_NUMBER = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?$")
 _COMPLEX = re.compile(r"\(?[+-]?[\d.]+(?:[eE][+-]?\d+)?\s*[+-]\s*[\d.]+(?:[eE][+-]?\d+)?\s*\*?[ij]\)?$")
 _BEGINNING = 1000
 """Lines in which the table must begin. By choice: headers of instruments have a hundred."""
+_SAMPLED = 2**16
+"""Characters by which a binary file is told from text."""
 _LOOKED_AT = 30
 """Lines by which the separator is judged."""
 Splitter = Callable[[str], list[str]]
@@ -71,8 +74,8 @@ def decoded(data: bytes, file: str, encoding: str | None = None) -> tuple[str, t
                 raise InputError(f"{file}: the text is not {name}; name its encoding with --encoding") from None
             continue
         break
-    control = sum(text.count(chr(c)) for c in (*range(9), *range(14, 27)))
-    if control > len(text) / 1000:
+    beginning = text[:_SAMPLED]
+    if sum(beginning.count(chr(c)) for c in (*range(9), *range(14, 27))) > len(beginning) / 1000:
         raise InputError(
             f"{file}: this is a binary file, of a kind that is not known by its name; export the data as CSV, or give "
             "the file the suffix of its kind"
@@ -104,10 +107,9 @@ def read_text_table(data: bytes, file: str, how: TableFormat | None = None) -> C
     split = _splitter(SEPARATORS[name], '"' in text)
     first = _first_row(lines, split, file)
     width = len(split(lines[first]))
-    records, rows = _records(lines, first, width, split, file)
-    decimal = how.decimal or _decimal(records, file)
+    columns, rows = _columns(lines, first, width, split, SEPARATORS[name], file)
+    decimal = how.decimal or _decimal(columns, file)
     header, units = _header(lines[:first], width, split)
-    columns = list(zip(*records, strict=True))
     kept = [i for i in range(width) if header is None or header[i] or any(columns[i])]
     variables = []
     for i in kept:
@@ -143,8 +145,8 @@ def _splitter(separator: str, quoted: bool) -> Splitter:
 
 def _separator(lines: Sequence[str]) -> str:
     """The separator with which the largest share of cells are numbers, of those the one with most cells."""
-    filled = [line for line in lines if line.strip() and not _is_comment(line)]
-    middle = [line for line in filled[-_LOOKED_AT:] if any(c.isdigit() for c in line)]
+    filled = (line for line in reversed(lines) if line.strip() and not _is_comment(line))
+    middle = [line for line in itertools.islice(filled, _LOOKED_AT) if any(c.isdigit() for c in line)]
     best, chosen = (-1.0, 0), "comma"
     for name, separator in SEPARATORS.items():
         split = _splitter(separator, any('"' in line for line in middle))
@@ -187,10 +189,19 @@ def _first_row(lines: Sequence[str], split: Splitter, file: str) -> int:
     return start
 
 
-def _records(
-    lines: Sequence[str], first: int, width: int, split: Splitter, file: str
-) -> tuple[list[list[str]], npt.NDArray[np.int64]]:
-    """Cells of all rows of the table, and the line of each."""
+def _columns(
+    lines: Sequence[str], first: int, width: int, split: Splitter, separator: str, file: str
+) -> tuple[list[tuple[str, ...]], npt.NDArray[np.int64]]:
+    """Cells of all columns of the table, and the line of each row."""
+    block = lines[first:]
+    while block and not block[-1].strip():
+        block = block[:-1]
+    joined = "\n".join(block)
+    # Long signals: all rows at once, if nothing needs a closer look.
+    plain = separator != " " and not any(mark in joined for mark in ('"', "\n\n", *_COMMENTS))
+    if plain and all(line.count(separator) == width - 1 for line in block):
+        cells = joined.replace(separator, "\n").split("\n")
+        return [tuple(cells[i::width]) for i in range(width)], first + 1 + np.arange(len(block))
     records: list[list[str]] = []
     rows: list[int] = []
     for i in range(first, len(lines)):
@@ -208,11 +219,11 @@ def _records(
             )
         records.append(cells)
         rows.append(i + 1)
-    return records, np.array(rows)
+    return list(zip(*records, strict=True)), np.array(rows)
 
 
-def _decimal(records: Sequence[Sequence[str]], file: str) -> str:
-    sample = [cell for record in records[:_BEGINNING] for cell in record]
+def _decimal(columns: Sequence[Sequence[str]], file: str) -> str:
+    sample = [cell.strip() for column in columns for cell in column[:_BEGINNING]]
     comma = [cell for cell in sample if _COMMA_NUMBER.match(cell)]
     point = [cell for cell in sample if "." in cell and _NUMBER.match(cell)]
     if comma and point:
@@ -273,4 +284,4 @@ def _values(cells: Sequence[str], decimal: str) -> Array:
             raise ValueError
         return np.array((joined.replace(",", ".") if decimal == "," else joined).split("\n"), dtype=np.float64)
     except ValueError:
-        return np.array(cells, dtype=object)
+        return np.array([cell.strip() for cell in cells], dtype=object)
