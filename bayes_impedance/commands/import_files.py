@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,11 +35,17 @@ def import_dataset(options: argparse.Namespace, progress: Progress) -> Imported:
     """
     from bayes_impedance.intake import import_recordings
     from bayes_impedance.intake.importing import COHERENCE_FILE, REPETITIONS_FILE
+    from bayes_impedance.intake.persons import covariates_of_subjects
     from bayes_impedance.recordings.files import METADATA_FILE, RECORDINGS_FILES, SUBJECTS_FILE, write_recordings
 
     require_sources(options.sources)
-    imported = import_recordings(options.sources, settings_of(options), progress)
+    settings = settings_of(options)
+    imported = import_recordings(options.sources, settings, progress)
     beside = imported.beside()
+    if options.subjects is not None:
+        content, told = covariates_of_subjects(options.subjects, imported.recordings.names, settings.table)
+        beside[SUBJECTS_FILE] = content
+        imported = replace(imported, notes=(*imported.notes, *told))
     names = (*RECORDINGS_FILES, SUBJECTS_FILE, METADATA_FILE, COHERENCE_FILE, REPETITIONS_FILE)
     with output_folder(options.out, names, options.overwrite):
         write_recordings(imported.recordings, options.out, recipe=imported.recipe(arguments_of(options)), beside=beside)

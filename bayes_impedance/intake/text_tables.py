@@ -48,11 +48,14 @@ class TableFormat:
     decimal : str or None
         ``.`` or ``,``.
     encoding : str or None
+    of_words : bool
+        The first row has the names of the columns, and cells may all be words.
     """
 
     separator: str | None = None
     decimal: str | None = None
     encoding: str | None = None
+    of_words: bool = False
 
 
 def decoded(data: bytes, file: str, encoding: str | None = None) -> tuple[str, tuple[str, ...]]:
@@ -103,9 +106,9 @@ def read_text_table(data: bytes, file: str, how: TableFormat | None = None) -> C
     if not text.strip():
         raise InputError(f"{file}: the file is empty; it needs a row of column names and rows of numbers")
     lines = text.splitlines()
-    name = how.separator or _separator(lines)
+    name = how.separator or (_separator_of_names(lines) if how.of_words else _separator(lines))
     split = _splitter(SEPARATORS[name], '"' in text)
-    first = _first_row(lines, split, file)
+    first = _second_filled(lines, file) if how.of_words else _first_row(lines, split, file)
     width = len(split(lines[first]))
     columns, rows = _columns(lines, first, width, split, SEPARATORS[name], file)
     decimal = how.decimal or _decimal(columns, file)
@@ -156,6 +159,19 @@ def _separator(lines: Sequence[str]) -> str:
         if number and score > best:
             best, chosen = score, name
     return chosen
+
+
+def _separator_of_names(lines: Sequence[str]) -> str:
+    """The separator that the first row has most often; blanks are a part of names."""
+    names = next(line for line in lines if line.strip())
+    return max(("comma", "semicolon", "tab", "bar"), key=lambda name: names.count(SEPARATORS[name]))
+
+
+def _second_filled(lines: Sequence[str], file: str) -> int:
+    filled = [i for i, line in enumerate(lines) if line.strip()]
+    if len(filled) < 2:
+        raise InputError(f"{file}: there are column names but no rows below them; add one row for each subject")
+    return filled[1]
 
 
 def _first_row(lines: Sequence[str], split: Splitter, file: str) -> int:
