@@ -88,7 +88,9 @@ def _signals(group: argparse._ArgumentGroup) -> None:
     group.add_argument("--reference", metavar="NAME", help="signal sent to the exciter: its lines are the excited ones")
     group.add_argument("--sampling-rate", type=_positive, metavar="HZ", help="if the file does not say it")
     group.add_argument(
-        "--excitation", choices=("periodic", "noise", "hammer"), help="(default: found out from the force)"
+        "--excitation",
+        choices=("periodic", "stepped sine", "noise", "hammer"),
+        help="(default: found out, except stepped sines)",
     )
     group.add_argument(
         "--estimator",
@@ -103,7 +105,10 @@ def _signals(group: argparse._ArgumentGroup) -> None:
     group.add_argument("--overlap", type=_share, default=0.5, help="of segments of noise (default: 0.5)")
     group.add_argument("--period", type=_positive, metavar="S", help="seconds (default: found out)")
     group.add_argument(
-        "--drop-periods", type=_count, metavar="N", help="leading periods to leave out (default: until they settle)"
+        "--drop-periods",
+        type=_count,
+        metavar="N",
+        help="leading periods to leave out (default: until they settle; 5 of each step)",
     )
     group.add_argument("--band", type=_positive, nargs=2, metavar=("LOW", "HIGH"), help="frequencies to keep, in Hz")
 

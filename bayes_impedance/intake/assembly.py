@@ -1,7 +1,7 @@
 """From recordings of single files to a dataset: names of repetitions, common frequencies, one unit.
 
 Files of one person may differ in the last digits of their frequencies, or in a few lines; a dataset has one grid for
-each person. Frequencies that agree to :data:`SAME_FREQUENCY` are one; those that not all repetitions have are left out
+each person. Frequencies that agree to a recording's tolerance are one; those that not all repetitions have are left out
 with a word, and if less than half remain the files are refused.
 """
 
@@ -18,9 +18,6 @@ from bayes_impedance.recordings.dataset import Subject
 from bayes_impedance.recordings.repetitions import MINIMUM_COMMON, MINIMUM_POINTS
 from bayes_impedance.runtime.user_table import shown
 from bayes_impedance.units import HIGHEST_HZ, LARGEST_IMPEDANCE, LOWEST_HZ, SMALLEST_IMPEDANCE
-
-SAME_FREQUENCY = 1e-6
-"""Relative. By choice: instruments write six digits or more, and no two lines of a spectrum are as close."""
 
 
 def assemble(spectra: Sequence[Spectrum]) -> tuple[list[Subject], list[Spectrum], list[str]]:
@@ -88,9 +85,10 @@ def _on_common_grid(own: list[Spectrum]) -> tuple[list[Spectrum], list[str]]:
     grids = [one.frequency_hz for one in own]
     if all(grid.shape == grids[0].shape and np.array_equal(grid, grids[0]) for grid in grids):
         return own, []
+    tolerance = max(one.frequency_tolerance for one in own)
     common = grids[0]
     for grid in grids[1:]:
-        common = common[np.abs(_nearest(grid, common) - common) <= SAME_FREQUENCY * common]
+        common = common[np.abs(_nearest(grid, common) - common) <= tolerance * common]
     longest = max(grid.size for grid in grids)
     if common.size < max(MINIMUM_COMMON * longest, MINIMUM_POINTS):
         other = next(one for one in own[1:] if not np.array_equal(one.frequency_hz, grids[0]))

@@ -28,10 +28,11 @@ from bayes_impedance.intake.periodic import (
 )
 from bayes_impedance.intake.quantities import FORMS, IMPEDANCE_UNIT, si_response
 from bayes_impedance.intake.ratio import FloatArray, Ratio
-from bayes_impedance.intake.spectrum import Spectrum
+from bayes_impedance.intake.spectrum import SAME_FREQUENCY, Spectrum
+from bayes_impedance.intake.stepped_sine import FREQUENCY_TOLERANCE, SETTLE, stepped_ratio
 from bayes_impedance.runtime.user_table import shown
 
-EXCITATIONS = ("periodic", "noise", "hammer")
+EXCITATIONS = ("periodic", "noise", "hammer", "stepped sine")
 CREST_OF_A_HAMMER = 10.0
 """Largest force over its root mean square. By choice: of a million samples of noise the largest is five, and a pulse
 that lasts a hundredth of its record has ten."""
@@ -62,7 +63,7 @@ class SignalSettings:
     overlap : float
     period_s : float or None
     drop : int or None
-        Leading periods to leave out; None to test for transients.
+        Leading periods to leave out (of every step of a stepped sine); None to test for transients (five of each step).
     band_hz : (float, float) or None
         Frequencies to keep.
     negated : bool
@@ -163,7 +164,7 @@ def spectrum_of(records: Sequence[Record], who: Who, settings: SignalSettings) -
         period = _found_period(first) if settings.period_s is None else None
         excitation = _kind(first, settings, period)
         notes.append(f"{first.file}: the excitation is taken for {excitation}; --excitation says otherwise")
-    estimate = _noise if excitation == "noise" else _hammer
+    estimate = {"noise": _noise, "hammer": _hammer, "stepped sine": _stepped}.get(excitation, _noise)
     ratio, told = _periodic(records, settings, period) if excitation == "periodic" else estimate(records, settings)
     notes += [f"{first.file}: {text}" for text in (*told, *ratio.notes)]
     z = _impedance(ratio, first.motion, settings)
@@ -178,6 +179,7 @@ def spectrum_of(records: Sequence[Record], who: Who, settings: SignalSettings) -
         degrees_of_freedom=ratio.degrees_of_freedom,
         coherence=z[3],
         facts={**who.facts, **ratio.facts},
+        frequency_tolerance=FREQUENCY_TOLERANCE if excitation == "stepped sine" else SAME_FREQUENCY,
     )
     if spectrum.frequency_hz.size < MINIMUM_POINTS:
         raise InputError(
@@ -283,6 +285,22 @@ def _periodic(records: Sequence[Record], settings: SignalSettings, period: int |
     notes.append(f"{lines.size} lines are excited, from {spectra.frequency_hz[lines[0]]:g} to "
                  f"{spectra.frequency_hz[lines[-1]]:g} Hz")  # fmt: skip
     return best_linear_approximation(settled, lines), notes
+
+
+def _stepped(records: Sequence[Record], settings: SignalSettings) -> tuple[Ratio, list[str]]:
+    first = records[0]
+    if len(records) > 1:
+        raise InputError(
+            f"{records[1].file}: stepped sines of one subject and repetition must be in one record; name repetitions"
+        )
+    settle = SETTLE if settings.drop is None else settings.drop
+    ratio = stepped_ratio(first.force.samples, first.motion.samples, first.rate_hz, first.reference, settle)
+    if ratio is None:
+        raise InputError(
+            f"{first.file}: no steps of {settle} periods to settle and {FEWEST_PERIODS} or more to average were found; "
+            "give --reference, or fewer --drop-periods"
+        )
+    return ratio, []
 
 
 def _noise(records: Sequence[Record], settings: SignalSettings) -> tuple[Ratio, list[str]]:

@@ -11,6 +11,10 @@ FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
 
 
+SAME_FREQUENCY = 1e-6
+"""Relative. By choice: instruments write six digits or more, and no two lines of a spectrum are as close."""
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Spectrum:
     """Impedance of one subject and repetition.
@@ -34,6 +38,8 @@ class Spectrum:
     coherence : ndarray of float, shape (F,), or None
     facts : dict of str to str or float
         What is noted of the repetition.
+    frequency_tolerance : float
+        Relative difference of what is one frequency in two repetitions.
     """
 
     subject: str
@@ -46,3 +52,4 @@ class Spectrum:
     degrees_of_freedom: float | None = None
     coherence: FloatArray | None = None
     facts: dict[str, str | float] = field(default_factory=dict)
+    frequency_tolerance: float = SAME_FREQUENCY
