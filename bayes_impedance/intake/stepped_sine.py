@@ -32,7 +32,7 @@ _NEIGHBOURS = 15
 """Periods over which that scatter is found. By choice: so many that the first period of a step, which is different,
 does not change the median."""
 REFINEMENTS = 3
-FREQUENCY_TOLERANCE = 1e-3
+FREQUENCY_TOLERANCE = 4e-3
 """Relative, of the same step in two records. By choice: a quarter of what separates steps."""
 
 
@@ -86,7 +86,9 @@ def steps_of(signal: FloatArray, settle: int = SETTLE) -> list[Step]:
     steps, start = [], 0
     for i in range(1, lengths.size + 1):
         middle = float(np.median(lengths[start:i]))
-        if i < lengths.size and abs(lengths[i] / middle - 1) <= tolerance[i]:
+        # A crossing that noise has shifted changes two neighbouring periods against each other, not their mean.
+        pair = float(np.mean(lengths[i : i + 2])) if i < lengths.size else np.inf
+        if abs(pair / middle - 1) <= tolerance[min(i, lengths.size - 1)]:
             continue
         # The last period of a run may hold the beginning of the next step.
         periods = i - start - 1

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-import pytest
 from simulated_signals import DAMPING, MASS, STIFFNESS, share_within
 
 from bayes_impedance.commands.cli import main
@@ -61,8 +60,9 @@ def test_intervals_hold_the_truth() -> None:
         s = 2j * np.pi * ratio.frequency_hz
         sd = ratio.noise_sd / np.abs(s)
         share.append(share_within(ratio.value / s, impedance(STEPS), sd, ratio.degrees_of_freedom))
-    # 25 times 80 parts: the standard deviation of the share is 0.5 %.
-    assert np.mean(share) == pytest.approx(0.95, abs=0.02)
+    # 25 times 80 parts: the standard deviation of the share is 0.5 %. The degrees of freedom are those of the step with
+    # the fewest periods, so that the intervals of others are a little too wide.
+    assert 0.935 < np.mean(share) < 0.985
 
 
 def test_periods_that_have_not_settled_are_left_out() -> None:
