@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
+from bayes_impedance.commands.import_arguments import import_arguments
 from bayes_impedance.commands.terminal import tell
 from bayes_impedance.errors import InputError
 from bayes_impedance.runtime.user_table import number_in, shown
@@ -44,6 +45,10 @@ def parser_of_commands() -> argparse.ArgumentParser:
     _dataset(run)
     _fit_arguments(run)
     _with(run)
+
+    imports = commands.add_parser("import", help="signals or other programs' files to a dataset")
+    import_arguments(imports)
+    _overwrite(imports)
 
     check = commands.add_parser("check", help="what a dataset contains and what looks wrong in it")
     _dataset(check)
@@ -124,6 +129,13 @@ def parser_of_commands() -> argparse.ArgumentParser:
     simulate.add_argument("--seed", type=_whole(LARGEST_SEED, at_least=0), default=1, help="random seed (default: 1)")
     _overwrite(simulate)
     return parser
+
+
+def option_names(command: str) -> dict[str, str]:
+    """Options of a command: name of the attribute of the parsed arguments to the option as it is typed."""
+    (commands,) = (a for a in parser_of_commands()._actions if isinstance(a, argparse._SubParsersAction))
+    actions = commands.choices[command]._actions
+    return {action.dest: action.option_strings[-1] for action in actions if action.option_strings}
 
 
 def _dataset(parser: argparse.ArgumentParser) -> None:

@@ -222,6 +222,29 @@ def _check(options: argparse.Namespace) -> int:
     return DONE
 
 
+def _import(options: argparse.Namespace) -> int:
+    from bayes_impedance.commands.import_files import import_dataset, recorded_arguments
+
+    if options.again is not None:
+        if options.sources:
+            raise InputError("SOURCE and --again exclude each other; leave one out")
+        words = ["import", *recorded_arguments(options.again), "-o", str(options.out)]
+        again = parser_of_commands().parse_args([*words, *(["--overwrite"] if options.overwrite else [])])
+        return _import(again)
+    with Bars() as bars:
+        imported = import_dataset(options, bars)
+    for note in imported.notes:
+        tell(f"note: {note}")
+    subjects = imported.recordings.subjects
+    points = sorted({subject.frequency_hz.size for subject in subjects})
+    count = f"{points[0]}" if len(points) == 1 else f"{points[0]} to {points[-1]}"
+    tell(
+        f"{len(subjects)} subject(s), up to {imported.recordings.repetitions_max} repetition(s), {count} frequencies, "
+        f"z in {imported.recordings.unit}: {options.out}"
+    )
+    return DONE
+
+
 def _simulate(options: argparse.Namespace) -> int:
     from bayes_impedance.commands.simulate import simulate_dataset
 
@@ -242,6 +265,7 @@ def _simulate(options: argparse.Namespace) -> int:
 
 _JOBS = {
     "run": _run,
+    "import": _import,
     "check": _check,
     "fit": _fit,
     "compare": _compare,

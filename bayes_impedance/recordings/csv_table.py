@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bayes_impedance.errors import InputError
+from bayes_impedance.recordings.categories import DECIMAL_COMMA, MISSING_CELLS, indicators_of, is_categorical
 from bayes_impedance.runtime.input_files import decode
 from bayes_impedance.runtime.user_table import shown
 
@@ -26,11 +27,7 @@ IntArray = npt.NDArray[np.int64]
 ComplexArray = npt.NDArray[np.complex128]
 Cells = npt.NDArray[Any]
 
-#: Cells (lower case) that mean "no value", besides what `float` itself reads as not finite.
-MISSING_CELLS = frozenset({"", "-", "na", "n/a", "#n/a", "null", "none"})
-
 _SEPARATOR_NAMES = {";": "semicolons", "\t": "tabs", "|": "bars"}
-_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
 
 
 @dataclass(frozen=True)
@@ -235,7 +232,7 @@ def _number(cell: str, table: Table, column: str, index: int) -> float:
         return float(text)
     except ValueError:
         where = f"{table.file}, row {table.row[index]}: {column} is {shown(text)}"
-    if _DECIMAL_COMMA.fullmatch(text):
+    if DECIMAL_COMMA.fullmatch(text):
         raise InputError(f"{where}, which has a decimal comma; write decimal points in the whole file")
     raise InputError(f"{where}, which is not a number; correct it, or leave the cell empty where there is no value")
 
@@ -273,7 +270,7 @@ class CovariateTable:
 
 
 def parse_covariates(data: bytes, file: str) -> CovariateTable:
-    """Read a table of covariates: a column `subject` and any columns of numbers.
+    """Read a table of covariates: a column `subject`, columns of numbers, and columns of text, which are categories.
 
     Raises
     ------
@@ -294,9 +291,17 @@ def parse_covariates(data: bytes, file: str) -> CovariateTable:
         raise InputError(
             f'{file}, row {table.row[again]}: subject "{subject[again]}" appears twice; keep one row for each subject'
         )
-    covariates = tuple(name for name in table.columns if name != "subject")
-    columns = {name: numbers(table, name) for name in covariates}
-    warnings = tuple(
+    columns: dict[str, FloatArray] = {}
+    categorical: list[str] = []
+    for name in table.columns:
+        if name != "subject" and not is_categorical(table.columns[name]):
+            columns[name] = numbers(table, name)
+        elif name != "subject":
+            indicators, said = indicators_of(name, table.columns[name])
+            columns |= {key: values for key, values in indicators.items() if key not in table.columns}
+            categorical.append(f"{file}: {said}")
+    covariates = tuple(columns)
+    warnings = tuple(categorical) + tuple(
         f"{file}: {name} is missing for {int(np.isnan(column).sum())} of {subject.size} subjects, "
         f"the first in row {table.row[np.flatnonzero(np.isnan(column))[0]]}"
         for name, column in columns.items()

@@ -12,7 +12,7 @@ import hashlib
 import io
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -258,6 +258,8 @@ def write_recordings(
     *,
     significant_digits: int | None = None,
     compress: bool = False,
+    recipe: str = "",
+    beside: Mapping[str, bytes] | None = None,
 ) -> Path:
     """Write a dataset that `read_recordings` reads; an existing dataset is replaced.
 
@@ -272,6 +274,11 @@ def write_recordings(
         always exact.
     compress : bool
         Write `recordings.csv.gz`. The same data give the same bytes.
+    recipe : str
+        TOML that is appended to `dataset.toml`: the table that records how the dataset was made.
+    beside : mapping of str to bytes, optional
+        Further files of the folder, which appear together with the others; a `subjects.csv` replaces that of the
+        covariates.
 
     Returns
     -------
@@ -290,7 +297,8 @@ def write_recordings(
     contents = {RECORDINGS_FILES[compress]: _gzip(table) if compress else table}
     if any(subject.covariates for subject in recordings.subjects):
         contents[SUBJECTS_FILE] = recordings.subjects_table().to_csv(lineterminator="\n").encode()
-    contents[METADATA_FILE] = _metadata_toml(recordings).encode()
+    contents[METADATA_FILE] = "\n".join(filter(None, (_metadata_toml(recordings), recipe))).encode()
+    contents |= beside or {}
     write_together({target / name: content for name, content in contents.items()})
     # Files of an earlier dataset would be read together with the new ones.
     for name in {*RECORDINGS_FILES, SUBJECTS_FILE} - contents.keys():

@@ -28,6 +28,8 @@ from bayes_impedance.units import HIGHEST_HZ, LARGEST_IMPEDANCE, LOWEST_HZ, SMAL
 CARTESIAN = ("z_re", "z_im")
 POLAR = ("magnitude", "phase_deg")
 KNOWN = ("subject", "repetition", "frequency_hz", *CARTESIAN, *POLAR, "noise_sd")
+ONLY_REPETITION = "1"
+"""Name of the repetition of everybody in a file without a column of repetitions."""
 _REMEDY = {
     "subject": "add it, with a name for each person or object measured",
     "repetition": "add it, with 1 in every row if each subject was measured once",
@@ -101,7 +103,7 @@ def parse_recordings(data: bytes, file: str) -> RecordingTable:
     ----------
     data : bytes
         Uncompressed CSV with columns `subject, repetition, frequency_hz, z_re, z_im`, or `magnitude, phase_deg` in
-        place of the last two, and optionally `noise_sd`.
+        place of the last two, and optionally `noise_sd`. Without `repetition` everybody was measured once.
     file : str
         Name to use in messages.
 
@@ -124,7 +126,10 @@ def check_cells(cells: Table, may_be_empty: bool = False) -> RecordingTable:
     value_columns, warnings = _check_columns(cells)
     polar = value_columns == POLAR
     subject_names, subject = encode(names(cells, "subject"))
-    repetition_names, repetition = encode(names(cells, "repetition"))
+    if "repetition" in cells.columns:
+        repetition_names, repetition = encode(names(cells, "repetition"))
+    else:
+        repetition_names, repetition = (ONLY_REPETITION,), np.zeros(cells.row.size, dtype=np.int64)
     if polar:
         magnitude = numbers(cells, POLAR[0])
         _refuse(cells, magnitude < 0, lambda i: _magnitude_message(magnitude[i]))
@@ -211,6 +216,8 @@ def _check_columns(cells: Table) -> tuple[tuple[str, str], tuple[str, ...]]:
     for name in ("subject", "repetition", "frequency_hz", *value_columns):
         if name not in found:
             guess = similar(name, [other for other in found if other not in KNOWN])
+            if name == "repetition" and guess is None:
+                continue  # everybody was measured once
             remedy = f'{_REMEDY[name]}, or rename "{guess}" if it is that' if guess else _REMEDY[name]
             raise InputError(f'{cells.file}, row 1: column "{name}" is missing (found: {", ".join(found)}); {remedy}')
     used = {"subject", "repetition", "frequency_hz", "noise_sd", *value_columns}

@@ -81,7 +81,7 @@ def test_an_interrupted_command_promises_only_what_it_has(
         raise KeyboardInterrupt
 
     monkeypatch.setitem(cli._JOBS, command, interrupted)
-    place = ["-o"] if command == "simulate" else []
+    place = ["-o"] if command in ("simulate", "import") else []
     assert cli.main([command, *place, str(tmp_path / "place")]) == cli.FAILED
     said = capsys.readouterr().err
     assert "interrupted" in said

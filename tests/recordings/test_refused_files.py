@@ -24,8 +24,8 @@ BAD_RECORDINGS: dict[str, Bad] = {
     "no_header": (GOOD.removeprefix(HEADER), ["row 1", '"1" is a number', "insert a row of column names"]),
     "no_subject": (GOOD.replace("subject,", "who,"), ["row 1", '"subject" is missing', "who", "add it"]),
     "no_repetition": (
-        "subject,frequency_hz,z_re,z_im\nA,1,1,0\n",
-        ["row 1", '"repetition" is missing', "add it, with 1 in every row"],
+        "subject,repetitions,frequency_hz,z_re,z_im\nA,1,1,1,0\n",
+        ["row 1", '"repetition" is missing', 'rename "repetitions" if it is that'],
     ),
     "renamed_frequency": (
         GOOD.replace("frequency_hz", "frequency"),

@@ -1,0 +1,12 @@
+"""Intake: raw signals and other people's files to recordings.
+
+Input: files of spectra in any of six forms, or of force and motion signals. Output: :class:`Imported`, recordings with
+their noise, and how to do it again. Open :mod:`.importing` first (the whole job). It reads files (:mod:`.formats`,
+:mod:`.text_tables`) to variables (:mod:`.contents`), finds out which variable is what (:mod:`.columns`,
+:mod:`.recipes`, :mod:`.names`), makes impedances of spectra (:mod:`.spectra`, :mod:`.quantities`), and puts the
+repetitions of each person together (:mod:`.assembly`).
+"""
+
+from bayes_impedance.intake.importing import Imported, ImportSettings, import_recordings
+
+__all__ = ["ImportSettings", "Imported", "import_recordings"]

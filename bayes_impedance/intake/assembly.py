@@ -1,0 +1,137 @@
+"""From recordings of single files to a dataset: names of repetitions, common frequencies, one unit.
+
+Files of one person may differ in the last digits of their frequencies, or in a few lines; a dataset has one grid for
+each person. Frequencies that agree to a recording's tolerance are one; those that not all repetitions have are left out
+with a word, and if less than half remain the files are refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from bayes_impedance.errors import InputError
+from bayes_impedance.intake.spectrum import FloatArray, Spectrum
+from bayes_impedance.recordings.dataset import Subject
+from bayes_impedance.recordings.repetitions import MINIMUM_COMMON, MINIMUM_POINTS
+from bayes_impedance.runtime.user_table import shown
+from bayes_impedance.units import HIGHEST_HZ, LARGEST_IMPEDANCE, LOWEST_HZ, SMALLEST_IMPEDANCE
+
+
+def assemble(spectra: Sequence[Spectrum]) -> tuple[list[Subject], list[Spectrum], list[str]]:
+    """Subjects in the order of their first file; the recordings as they are in them; what was changed.
+
+    Raises
+    ------
+    InputError
+        If units differ, a name is impossible or there twice, or repetitions share too few frequencies.
+    """
+    if not spectra:
+        raise InputError("there is no recording in the files; name others")
+    for spectrum in spectra:
+        if spectrum.unit != spectra[0].unit:
+            raise InputError(
+                f"{spectrum.source}: its impedance is in {spectrum.unit}, but that of {spectra[0].source} in "
+                f"{spectra[0].unit}; import the two kinds into different datasets"
+            )
+        _check_values(spectrum)
+    people: dict[str, list[Spectrum]] = {}
+    for spectrum in spectra:
+        people.setdefault(spectrum.subject, []).append(spectrum)
+    notes: list[str] = []
+    subjects, kept = [], []
+    for own in people.values():
+        named = _repetitions(own)
+        gridded, told = _on_common_grid(named)
+        notes += told
+        kept += gridded
+        noise = [one.noise_sd for one in gridded if one.noise_sd is not None]
+        if noise and len(noise) < len(gridded):
+            notes.append(f"subject {shown(own[0].subject)}: noise is not known of all repetitions, and is left out")
+        try:
+            subjects.append(
+                Subject(
+                    name=own[0].subject,
+                    frequency_hz=gridded[0].frequency_hz,
+                    z=np.array([one.z for one in gridded]),
+                    repetitions=tuple(one.repetition for one in gridded),
+                    noise_sd=np.array(noise) if len(noise) == len(gridded) else None,
+                )
+            )
+        except ValueError as error:
+            raise InputError(f"{own[0].source}: {error}") from None
+    return subjects, kept, notes
+
+
+def _repetitions(own: Sequence[Spectrum]) -> list[Spectrum]:
+    """Recordings of one person with names of repetitions that differ; those without a name are numbered."""
+    if all(not one.repetition for one in own):
+        return [replace(one, repetition=str(i + 1)) for i, one in enumerate(own)]
+    named = [one if one.repetition else replace(one, repetition="1") for one in own]
+    seen: dict[str, Spectrum] = {}
+    for one in named:
+        other = seen.setdefault(one.repetition, one)
+        if other is not one:
+            raise InputError(
+                f"{one.source}: subject {shown(one.subject)}, repetition {shown(one.repetition)} is also in "
+                f"{other.source}; give them different names, for instance with --subject-from-name"
+            )
+    return named
+
+
+def _on_common_grid(own: list[Spectrum]) -> tuple[list[Spectrum], list[str]]:
+    grids = [one.frequency_hz for one in own]
+    if all(grid.shape == grids[0].shape and np.array_equal(grid, grids[0]) for grid in grids):
+        return own, []
+    tolerance = max(one.frequency_tolerance for one in own)
+    common = grids[0]
+    for grid in grids[1:]:
+        common = common[np.abs(_nearest(grid, common) - common) <= tolerance * common]
+    longest = max(grid.size for grid in grids)
+    if common.size < max(MINIMUM_COMMON * longest, MINIMUM_POINTS):
+        other = next(one for one in own[1:] if not np.array_equal(one.frequency_hz, grids[0]))
+        raise InputError(
+            f"{other.source}: of {other.frequency_hz.size} frequencies of subject {shown(other.subject)} only "
+            f"{common.size} are in all of its files, e.g. in {own[0].source}; give its repetitions the same "
+            "frequencies, or make them different subjects with --subject-from-name"
+        )
+    told = []
+    if common.size < longest:
+        told = [
+            f"subject {shown(own[0].subject)}: repetitions have different frequencies and were reduced to the "
+            f"{common.size} that all have (of up to {longest})"
+        ]
+    return [_at(one, common) for one in own], told
+
+
+def _nearest(grid: FloatArray, wanted: FloatArray) -> FloatArray:
+    nearest: FloatArray = grid[_nearest_index(grid, wanted)]
+    return nearest
+
+
+def _nearest_index(grid: FloatArray, wanted: FloatArray) -> np.ndarray:
+    right = np.clip(np.searchsorted(grid, wanted), 1, grid.size - 1) if grid.size > 1 else np.zeros(wanted.size, int)
+    left = np.maximum(right - 1, 0)
+    return np.where(np.abs(grid[left] - wanted) <= np.abs(grid[right] - wanted), left, right)
+
+
+def _at(one: Spectrum, common: FloatArray) -> Spectrum:
+    index = _nearest_index(one.frequency_hz, common)
+    parts = [None if array is None else array[index] for array in (one.noise_sd, one.coherence)]
+    return replace(one, frequency_hz=common, z=one.z[index], noise_sd=parts[0], coherence=parts[1])
+
+
+def _check_values(one: Spectrum) -> None:
+    """Refuse what no dataset can hold, as its reader would."""
+    for name, values, low, high in (
+        ("frequency", one.frequency_hz, LOWEST_HZ, HIGHEST_HZ),
+        ("|z|", np.abs(one.z), SMALLEST_IMPEDANCE, LARGEST_IMPEDANCE),
+    ):
+        wrong = ~((values >= low) & (values <= high))
+        if wrong.any():
+            raise InputError(
+                f"{one.source}: {name} is {values[wrong][0]:g} (subject {shown(one.subject)}), which cannot be a "
+                "measured value; check columns, form and unit"
+            )
