@@ -39,7 +39,7 @@ $(VENV)/.run: $(BIN)/python pyproject.toml
 	$(call install,.)
 
 $(VENV)/.test: $(BIN)/python pyproject.toml
-	$(call install,.[test$(comma)oracle])
+	$(call install,.[test$(comma)oracle$(comma)intake])
 	@touch $(VENV)/.run
 
 $(VENV)/.lint: $(BIN)/python pyproject.toml
