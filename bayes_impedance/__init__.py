@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from bayes_impedance.design import PHANTOM, Device, Section, Users, design_answer, population_of, read_device
     from bayes_impedance.diagnosis import Diagnosis, diagnose
     from bayes_impedance.errors import InputError
+    from bayes_impedance.intake import ImportSettings, import_recordings
     from bayes_impedance.network import PAPER_NETWORK, Element, Kernel, Network, parse
     from bayes_impedance.population import FitSettings, PopulationFit, fit_population
     from bayes_impedance.population.simulate import FINGERTIP, VirtualPopulation, simulate_recordings
@@ -70,6 +71,8 @@ _MODULES = {
     "population_of": "design",
     "read_device": "design",
     "InputError": "errors",
+    "ImportSettings": "intake",
+    "import_recordings": "intake",
     "Kernel": "network",
     "PAPER_NETWORK": "network",
     "Element": "network",
@@ -104,6 +107,7 @@ __all__ = [
     "Diagnosis",
     "Element",
     "FitSettings",
+    "ImportSettings",
     "InputError",
     "Kernel",
     "Network",
@@ -122,6 +126,7 @@ __all__ = [
     "diagnose",
     "fit_population",
     "identify",
+    "import_recordings",
     "load_result",
     "make_result",
     "map_to_network",

@@ -223,17 +223,19 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _import(options: argparse.Namespace) -> int:
-    from bayes_impedance.commands.import_files import import_dataset, recorded_arguments
+    from bayes_impedance.commands.import_files import import_dataset, recorded_arguments, recorded_digests
 
+    digests: dict[str, str] | None = None
     if options.again is not None:
         if options.sources:
             raise InputError("SOURCE and --again exclude each other; leave one out")
+        digests = recorded_digests(options.again)
         words = ["import", *recorded_arguments(options.again), "-o", str(options.out)]
-        again = parser_of_commands().parse_args([*words, *(["--overwrite"] if options.overwrite else [])])
-        return _import(again)
+        options = parser_of_commands().parse_args([*words, *(["--overwrite"] if options.overwrite else [])])
     with Bars() as bars:
         imported = import_dataset(options, bars)
-    for note in imported.notes:
+    changed = [] if digests is None else [name for name, digest in imported.sources if digests.get(name) != digest]
+    for note in (*imported.notes, *(f"{name}: has changed since the first import" for name in changed)):
         tell(f"note: {note}")
     subjects = imported.recordings.subjects
     points = sorted({subject.frequency_hz.size for subject in subjects})

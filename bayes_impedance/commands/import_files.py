@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bayes_impedance.commands.import_arguments import require_sources
 from bayes_impedance.errors import InputError
@@ -136,6 +136,13 @@ def arguments_of(options: argparse.Namespace) -> list[str]:
     return words
 
 
+def recorded_digests(dataset: Path) -> dict[str, str]:
+    """SHA-256 of every source of a dataset when it was imported, by the file's name."""
+    recorded = _recipe(dataset).get("sources")
+    entries = [entry for entry in recorded if isinstance(entry, dict)] if isinstance(recorded, list) else []
+    return {str(entry.get("file")): str(entry.get("sha256")) for entry in entries}
+
+
 def recorded_arguments(dataset: Path) -> list[str]:
     """Arguments with which a dataset was imported.
 
@@ -144,11 +151,15 @@ def recorded_arguments(dataset: Path) -> list[str]:
     InputError
         If its dataset.toml has no recipe of an import.
     """
+    words = _recipe(dataset).get("arguments")
+    if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
+        raise InputError(f"{dataset}: has no arguments of an import; give SOURCE and options instead of --again")
+    return words
+
+
+def _recipe(dataset: Path) -> dict[str, Any]:
     from bayes_impedance.runtime.input_files import read_toml
 
     file = dataset / "dataset.toml" if dataset.is_dir() else dataset
     recipe = read_toml(file, "a dataset.toml that 'import' has written").get("import")
-    words = recipe.get("arguments") if isinstance(recipe, dict) else None
-    if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
-        raise InputError(f"{file}: has no arguments of an import; give SOURCE and options instead of --again")
-    return words
+    return recipe if isinstance(recipe, dict) else {}

@@ -80,7 +80,8 @@ def channel_from(contents: Contents, text: str, option: str) -> Channel:
             problem = f"unit {shown(unit)} is neither of a force nor of a motion" if unit else "has no unit"
             raise InputError(f"{where}: {problem}; write it behind the name, e.g. {name}[N] or {name}[m/s^2]")
         quantity, domain, factor = found
-    samples = contents.numbers(variable) * (-factor if negated else factor)
+    with np.errstate(over="ignore", invalid="ignore"):
+        samples = contents.numbers(variable) * (-factor if negated else factor)
     return Channel(name=variable.name, samples=samples, quantity=quantity, domain=domain, rate_hz=variable.rate_hz)
 
 

@@ -10,8 +10,6 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from bayes_impedance.errors import InputError
 from bayes_impedance.intake.contents import Array, Contents, Variable
 from bayes_impedance.intake.quantities import SYNONYMS, hertz_factor
@@ -244,9 +242,9 @@ def _known_case(unit: str) -> str:
     return known.get(unit, unit)
 
 
-def is_frequency_name(name: str) -> bool:
-    """Whether a column of this name is guessed to be the frequency."""
-    _, stem, unit = _read_name(Variable(name=name, values=np.empty(0)))
+def looks_like_frequency(variable: Variable) -> bool:
+    """Whether a column is guessed to be the frequency, by its name and unit."""
+    _, stem, unit = _read_name(variable)
     return (not unit or hertz_factor(unit) is not None) and any(
         re.fullmatch(pattern, stem) for pattern in _GUESSES["frequency"]
     )

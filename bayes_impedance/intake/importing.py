@@ -16,7 +16,7 @@ import numpy as np
 from bayes_impedance.errors import InputError
 from bayes_impedance.intake.assembly import assemble
 from bayes_impedance.intake.channels import guessed_channels
-from bayes_impedance.intake.columns import is_frequency_name
+from bayes_impedance.intake.columns import looks_like_frequency
 from bayes_impedance.intake.contents import Contents
 from bayes_impedance.intake.formats.registry import files_of, read_file
 from bayes_impedance.intake.names import who_is
@@ -196,7 +196,9 @@ def _holds_signals(contents: Contents, settings: ImportSettings) -> bool:
     said = settings.spectra
     if said.columns or said.recipe is not None or said.form is not None or said.unit is not None:
         return False
-    return guessed_channels(contents) is not None and not any(is_frequency_name(name) for name in contents.names)
+    return guessed_channels(contents) is not None and not any(
+        looks_like_frequency(variable) for variable in contents.variables
+    )
 
 
 def _facts(one: Spectrum) -> dict[str, object]:

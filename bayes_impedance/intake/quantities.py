@@ -132,14 +132,15 @@ class Response:
             z in `unit`.
         """
         power, inverse = FORMS[self.form]
-        h = self.factor * np.asarray(measured, dtype=np.complex128)
-        s = (2j * np.pi * frequency_hz) ** power
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(all="ignore"):
+            h = self.factor * np.asarray(measured, dtype=np.complex128)
+            s = (2j * np.pi * frequency_hz) ** power
+        with np.errstate(all="ignore"):  # what is not finite is left out
             return np.asarray(s / h if inverse else s * h)
 
     def noise(self, z: ComplexArray, measured: ComplexArray, sd: FloatArray) -> FloatArray:
         """Standard deviation of each part of z, from that of each part of the measured ratio (shapes (F,))."""
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(all="ignore"):
             return np.asarray(sd * np.abs(z) / np.abs(measured))
 
 

@@ -36,6 +36,8 @@ EXCITATIONS = ("periodic", "noise", "hammer", "stepped sine")
 CREST_OF_A_HAMMER = 10.0
 """Largest force over its root mean square. By choice: of a million samples of noise the largest is five, and a pulse
 that lasts a hundredth of its record has ten."""
+LARGEST_SAMPLE = 1e12
+"""Of force or motion, in SI units. By choice: far above anything, and squares of it stay finite."""
 SEGMENTS = 16
 """Segments into which noise is cut by default. By choice: the standard deviation is then known to about a sixth."""
 MINIMUM_POINTS = 3
@@ -134,6 +136,12 @@ def record_of(contents: Contents, settings: SignalSettings) -> tuple[Record, lis
                 f"{contents.where(int(lost[0]))}: {shown(channel.name)} has no value (and {lost.size - 1} more); cut "
                 "the recording there"
             )
+        largest = float(np.abs(channel.samples).max())
+        if largest > LARGEST_SAMPLE:
+            raise InputError(
+                f"{contents.file}: {shown(channel.name)} reaches {largest:.3g} in SI units, which cannot be measured; "
+                "the file is damaged, or the unit or sensitivity wrong"
+            )
         if not np.ptp(channel.samples) > 0:
             raise InputError(f"{contents.file}: {shown(channel.name)} never changes; name another channel")
     rate = sampling_rate_of(contents, force, motion, settings.rate_hz)
@@ -198,7 +206,8 @@ def _impedance(ratio: Ratio, motion: Channel, settings: SignalSettings) -> Point
         name for name, (power, inverse) in FORMS.items() if inverse == ratio.inverse and power == motion.order - 1
     )
     response = si_response(form, IMPEDANCE_UNIT[motion.domain])
-    z = response.impedance(ratio.frequency_hz, ratio.value) * (-1.0 if settings.negated else 1.0)
+    z = response.impedance(ratio.frequency_hz, ratio.value)
+    z = -z if settings.negated else z
     noise = None if ratio.noise_sd is None else response.noise(z, ratio.value, ratio.noise_sd)
     low, high = settings.band_hz or (0.0, np.inf)
     good = np.isfinite(z) & (z != 0) & (ratio.frequency_hz >= low) & (ratio.frequency_hz <= high)

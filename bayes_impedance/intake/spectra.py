@@ -247,11 +247,15 @@ def _noise(
 
 
 def _noise_of_coherence(z: ComplexArray, coherence: FloatArray, averages: int | None) -> FloatArray | None:
-    """Standard deviation of each part: |z| sqrt((1 - c) / (2 n c)), Bendat & Piersol, Random Data, section 9.2.3."""
+    """Standard deviation of each part: |z| sqrt((1 - c) / (2 c (n - 1))), as in :mod:`.averaged_spectra`.
+
+    Bendat & Piersol (Random Data, section 9.2.3) have n in place of n - 1, with the true coherence; the measured one of
+    n averages is larger on average by (1 - c) / n.
+    """
     if averages is None:
         return None
     inside = np.clip(coherence, np.finfo(float).eps, 1 - np.finfo(float).eps)
-    return np.asarray(np.abs(z) * np.sqrt((1 - inside) / (2 * averages * inside)))
+    return np.asarray(np.abs(z) * np.sqrt((1 - inside) / (2 * (averages - 1) * inside)))
 
 
 def _groups(contents: Contents, columns: dict[str, Column], who: Who) -> Iterator[tuple[str, str, np.ndarray]]:

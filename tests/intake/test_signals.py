@@ -169,3 +169,13 @@ def test_signals_that_cannot_be_used_are_refused(
     assert sentence in said
     assert len(said.splitlines()) == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_the_same_from_python(periodic: Path, tmp_path: Path) -> None:
+    from bayes_impedance import ImportSettings, import_recordings
+
+    subject = imported(tmp_path, periodic)
+    found = import_recordings([periodic], ImportSettings(title="mine"))
+    assert found.recordings.title == "mine"
+    np.testing.assert_array_equal(found.recordings.subjects[0].z, subject.z)
+    assert found.spectra[0].degrees_of_freedom == 10

@@ -107,19 +107,24 @@ def test_noise_from_a_column_and_from_coherence(tmp_path: Path) -> None:
     )
     assert imported(tmp_path, tmp_path / "b.csv").noise_sd is None
     with_noise = imported(tmp_path, tmp_path / "b.csv", "--averages", 8)
-    np.testing.assert_allclose(with_noise.noise_sd, [np.abs(Z) * np.sqrt(0.1 / (2 * 8 * 0.9))])
+    np.testing.assert_allclose(with_noise.noise_sd, [np.abs(Z) * np.sqrt(0.1 / (2 * 7 * 0.9))])
     kept = (tmp_path / "imported" / "coherence.csv").read_text(encoding="utf-8").splitlines()
     assert kept[:2] == ["subject,repetition,frequency_hz,coherence", "b,1,5.0,0.9"]
     assert "noise_degrees_of_freedom\nb,1,14\n" in (tmp_path / "imported" / "repetitions.csv").read_text()
 
 
-def test_the_recipe_makes_the_same_dataset_again(tmp_path: Path) -> None:
+def test_the_recipe_makes_the_same_dataset_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "a.csv").write_text(table({"f": F, "re": Z.real, "im": -Z.imag}), encoding="utf-8")
     columns = ("--columns", "frequency=f", "imaginary=-im", "real=re")
     imported(tmp_path, tmp_path / "a.csv", "--unit", "N s/m", "--title", 'A "title"', *columns)
     assert main(["import", "--again", str(tmp_path / "imported"), "-o", str(tmp_path / "again")]) == 0
     for name in ("recordings.csv", "dataset.toml"):
         assert (tmp_path / "imported" / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
+    assert "has changed" not in capsys.readouterr().out
+    (tmp_path / "a.csv").write_text(table({"f": F, "re": Z.real, "im": -2 * Z.imag}), encoding="utf-8")
+    again = ["import", "--again", str(tmp_path / "imported" / "dataset.toml"), "-o", str(tmp_path / "again")]
+    assert main(again) == 0
+    assert "a.csv: has changed since the first import" in capsys.readouterr().out
 
 
 GOOD = table({"f": F, "z_re": Z.real, "z_im": Z.imag})

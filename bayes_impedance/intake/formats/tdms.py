@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +19,10 @@ def read(file: Path, record: str | None) -> list[Contents]:
     """One record for each group with channels of numbers, or the group named by `record`."""
     nptdms = library("nptdms", "npTDMS", file)
     try:
-        groups = {group.name: group.channels() for group in nptdms.TdmsFile.read(file).groups()}
+        with _complaints("nptdms") as complaints:
+            groups = {group.name: group.channels() for group in nptdms.TdmsFile.read(file).groups()}
+        if complaints:
+            raise ValueError(complaints[0])  # it reads what there is of a file that is cut short
         if record is not None and record not in groups:
             raise InputError(f"{file}: there is no group {shown(record)}; {hint(record, groups)}")
         wanted = {name: channels for name, channels in groups.items() if record in (None, name)}
@@ -32,6 +38,23 @@ def read(file: Path, record: str | None) -> list[Contents]:
     return [
         Contents(file=str(file), variables=variables, part="" if single else name) for name, variables in found.items()
     ]
+
+
+@contextmanager
+def _complaints(library_name: str) -> Iterator[list[str]]:
+    """Warnings that a library writes to its log meanwhile, in place of showing them."""
+    said: list[str] = []
+    handler = logging.Handler(logging.WARNING)
+    handler.emit = lambda record: said.append(record.getMessage())  # type: ignore[method-assign]
+    loggers = [logging.getLogger(n) for n in list(logging.root.manager.loggerDict) if n.split(".")[0] == library_name]
+    before = [(logger, logger.propagate, logger.handlers) for logger in loggers]
+    for logger in loggers:
+        logger.propagate, logger.handlers = False, [handler]
+    try:
+        yield said
+    finally:
+        for logger, propagate, handlers in before:
+            logger.propagate, logger.handlers = propagate, handlers
 
 
 def _variables(channels: list) -> tuple[Variable, ...]:

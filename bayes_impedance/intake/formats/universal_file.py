@@ -67,6 +67,10 @@ def _driving_points(
         notes = (
             f"{file}: {len(own)} of {len(responses)} frequency responses are driving points; the others are not used",
         )
+    if any(_unit(one) and not is_response_unit(_label(one)) for one in wanted):
+        notes += (
+            f"{file}: units are taken to be SI, as the header says which quantities they are; --unit says otherwise",
+        )
     found = []
     for i, one in enumerate(wanted):
         variables = [
@@ -94,6 +98,12 @@ def _unit(one: dict[str, Any]) -> str:
     kinds = [int(one.get(f"{k}_spec_data_type") or 0) for k in ("ordinate", "orddenom")]
     units = [label if channel_of(label) else _SI.get(kind, "") for label, kind in zip(labels, kinds, strict=True)]
     return f"({units[0]})/({units[1]})" if all(units) else ""
+
+
+def _label(one: dict[str, Any]) -> str:
+    """Unit of a response by the labels of its axes alone."""
+    labels = [str(one.get(f"{k}_axis_units_lab") or "").strip() for k in ("ordinate", "orddenom")]
+    return labels[0] if is_response_unit(labels[0]) else f"({labels[0]})/({labels[1]})"
 
 
 def _signal(one: dict[str, Any], index: int) -> Variable:
