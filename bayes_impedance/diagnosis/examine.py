@@ -253,5 +253,6 @@ def _outliers(fit: PopulationFit) -> list[str]:
     who, it, s = ("Subjects", "them", "") if far.size > 1 else ("Subject", "it", "s")
     return [
         f"{who} {names} lie{s} far outside the population of the others ({_p_value(float(p.min()))}) and bias"
-        f"{'es' if s else ''} its central values and dispersions; check the recording{'' if s else 's'}, or leave {it} out."
+        f"{'es' if s else ''} its central values and dispersions; check the recording{'' if s else 's'}, or leave "
+        f"{it} out."
     ]

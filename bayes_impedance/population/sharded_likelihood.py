@@ -153,7 +153,7 @@ class KeptDraws:
         equations = [None] * n if point.shared_equations is None else point.shared_equations.gathered()
         drawn = map_persons(executor, partial(_draws_of, plan), data, fits, equations, means, seeds)
         watched = _watched(drawn, n, progress)
-        parts = [_part(plan, watched, *_told(fits[rows]), means[rows], covariates[rows]) for rows in parts_of(n)]
+        parts = [_part(plan, watched, *_repetitions_of(fits[rows]), means[rows], covariates[rows]) for rows in parts_of(n)]
         return cls(parts, executor)
 
     def __call__(self, parameters: PopulationParameters) -> np.ndarray:
@@ -241,10 +241,10 @@ def _drawn_part(
 ) -> Part:
     own = [None] * len(data) if equations is None else equations
     drawn = (_draws_of(plan, *row) for row in zip(data, fits, own, means, seeds, strict=True))
-    return _part(plan, drawn, *_told(fits), means, covariates)
+    return _part(plan, drawn, *_repetitions_of(fits), means, covariates)
 
 
-def _told(fits: Sequence[PersonFit]) -> tuple[np.ndarray, tuple[Contrasts, ...]]:
+def _repetitions_of(fits: Sequence[PersonFit]) -> tuple[np.ndarray, tuple[Contrasts, ...]]:
     """Numbers of repetitions, and the contrasts between them."""
     return np.array([len(fit.deviations) for fit in fits]), tuple(contrasts_of(fits).values())
 
