@@ -48,7 +48,7 @@ _DAMPER_LEVELS = (0.1, 0.5)
 and one of strong damping; each further level adds as many candidates again."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Effect:
     """An entry of the catalogue.
 
