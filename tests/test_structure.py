@@ -31,6 +31,18 @@ def test_names_of_test_files_are_unique() -> None:
     assert sorted(names) == sorted(set(names))
 
 
+def test_classes_with_more_than_five_fields_are_keyword_only() -> None:
+    """Nobody knows the order of six values, and a new field must not change what the others mean."""
+    large = []
+    for file in sorted(PACKAGE.rglob("*.py")):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef) and len([k for k in node.body if isinstance(k, ast.AnnAssign)]) > 5:
+                made = [ast.unparse(d) for d in node.decorator_list if "dataclass" in ast.unparse(d)]
+                large += [(node.name, d) for d in made]
+    assert len(large) > 20
+    assert not [name for name, decorator in large if "kw_only=True" not in decorator]
+
+
 def test_no_test_file_imports_another() -> None:
     """Shared helpers live in files without tests: an imported test file would be run twice, or bring its fixtures."""
     for file in (ROOT / "tests").rglob("*.py"):

@@ -111,12 +111,12 @@ def read_chain(file: Path, backend: Any) -> dict[str, Any] | None:
 
 def _seal(file: Path, chain: dict[str, Any], adapted: dict[str, Any], random_state: Any) -> str:
     """Digest of all that the continuation depends on."""
-    states = repr([_told(adapted["random_state"]), _told(random_state)])
+    states = repr([_as_lists(adapted["random_state"]), _as_lists(random_state)])
     arrays = chain | {name: adapted[name] for name in _ADAPTED}
     return seal_of(file.parent, {name: np.asarray(v, dtype=float) for name, v in arrays.items()} | {"states": states})
 
 
-def _told(state: Any) -> Any:
+def _as_lists(state: Any) -> Any:
     if state is None:
         return None
     kind, keys, position, has_normal, normal = state

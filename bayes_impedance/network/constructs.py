@@ -225,7 +225,7 @@ CONSTRUCTS: dict[str, Construct] = {
             formula=_line(lambda root: 1 / np.tanh(root)),
             text="sqrt(y z) coth sqrt(y/z)",
             story="A layer with distributed mass (or resistance); its far side does not move (in circuits: an open "
-            "end).",
+            "end). A layer whose far side is mechanically free is `line_fixed`.",
             source="Warburg 1899; Barsoukov and Macdonald 2005, section 2.1.3",
         ),
         Construct(
@@ -235,7 +235,8 @@ CONSTRUCTS: dict[str, Construct] = {
             passive=True,
             formula=_line(np.tanh),
             text="sqrt(y z) tanh sqrt(y/z)",
-            story="The same layer; no force acts on its far side (in circuits: a short circuit).",
+            story="The same layer; no force acts on its far side, which moves freely (in circuits: a short circuit). A "
+            "layer whose far side is held is `line_free`.",
             source="Warburg 1899; Barsoukov and Macdonald 2005, section 2.1.3",
         ),
         Construct(

@@ -25,6 +25,7 @@ import numpy as np
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.mode import find_mode
+from bayes_impedance.population.e_step import PersonFit
 from bayes_impedance.population.em import Estimate
 from bayes_impedance.population.parameters import PopulationParameters, Prior
 from bayes_impedance.units import NORMAL_Q95
@@ -67,38 +68,35 @@ def dependent(point: Estimate, parameters: PopulationParameters, known: np.ndarr
     if not unknown.size or not known.any():
         return result
     kernel, half = point.pooling.at(point.shared), NORMAL_Q95 * parameters.mu.std(axis=0)
-    likelihoods, thetas = point.likelihoods, [mode.theta for mode in point.modes]
     for h in unknown:
         values = prior.centre[h] + prior.centre_sds[h] * np.linspace(-_REACH, _REACH, _VALUES)
-        result |= known & (movement(kernel, likelihoods, thetas, int(h), values) > half)
+        of_person = partial(_profile, kernel=kernel, element=int(h), values=values)
+        result |= known & (movement(point.data.each(of_person, point.fits).gathered()) > half)
     return result
 
 
-def movement(
-    kernel: Kernel, likelihoods: Sequence[Likelihood], thetas: Sequence[np.ndarray], element: int, values: np.ndarray
-) -> np.ndarray:
+def movement(profiles: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
     """How far the means over persons move while one element takes values that are as likely as its best.
 
     Parameters
     ----------
-    kernel : Kernel
-    likelihoods : sequence of Likelihood
-    thetas : sequence of ndarray, shape (P,)
-        Everybody's mode.
-    element : int
-        Which is held, the same for all.
-    values : ndarray, shape (K,)
-        Ascending.
+    profiles : sequence of tuple
+        Everybody's modes (K, P) and objectives (K,), from :func:`profile` at the same K values.
 
     Returns
     -------
     ndarray, shape (P,)
         Largest less smallest mean; zero if only one value is likely.
     """
-    followed = map(partial(profile, kernel, element=element, values=values), likelihoods, thetas)
-    ends, objectives = (np.array(a) for a in zip(*followed, strict=True))
+    ends, objectives = (np.array(a) for a in zip(*profiles, strict=True))
     total = objectives.sum(axis=0)
     return np.asarray(np.ptp(ends.mean(axis=0)[total - total.min() < _AS_LIKELY], axis=0))
+
+
+def _profile(
+    likelihood: Likelihood, fit: PersonFit, kernel: Kernel, element: int, values: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    return profile(kernel, likelihood.moved(fit.deviations), fit.theta, element, values)
 
 
 def profile(

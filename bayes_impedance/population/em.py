@@ -204,7 +204,7 @@ def estimate(
 
     def keep() -> None:
         if checkpoint is not None:
-            save_arrays(checkpoint, state.told() | {"rounds": rounds, "moved": moved, "rivals": np.array(rivals)})
+            save_arrays(checkpoint, state.snapshot() | {"rounds": rounds, "moved": moved, "rivals": np.array(rivals)})
 
     while moved >= 0 and rounds < _MAX_ROUNDS and not (rounds >= _FEWEST_ROUNDS and moved < _TOLERANCE):
         rounds += 1

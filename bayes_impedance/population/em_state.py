@@ -116,7 +116,7 @@ class State:
         self.fits = data.each(begin, theta)
         self.begun = False  # whether everybody has been fitted with the shared parameters as they are
 
-    def told(self) -> dict[str, np.ndarray]:
+    def snapshot(self) -> dict[str, np.ndarray]:
         """Arrays that determine the next iteration, for the checkpoint."""
         places = self.fits.gathered(_place)
         return {
@@ -130,12 +130,12 @@ class State:
             "repetitions": np.array([len(deviations) for _, deviations in places]),
         }
 
-    def restore(self, told: Mapping[str, np.ndarray]) -> None:
-        """Restore the state from what `told` returned."""
-        self.mu, self.slopes, self.covariance, self.rho = (told[k] for k in ("mu", "slopes", "covariance", "rho"))
-        self.phi = told["phi"]
-        own = np.split(told["deviations"], np.cumsum(told["repetitions"])[:-1])
-        self.fits = self.data.each(_begun_at, told["theta"], own)
+    def restore(self, snapshot: Mapping[str, np.ndarray]) -> None:
+        """Restore the state from what `snapshot` returned."""
+        self.mu, self.slopes, self.covariance, self.rho = (snapshot[k] for k in ("mu", "slopes", "covariance", "rho"))
+        self.phi = snapshot["phi"]
+        own = np.split(snapshot["deviations"], np.cumsum(snapshot["repetitions"])[:-1])
+        self.fits = self.data.each(_begun_at, snapshot["theta"], own)
 
     @property
     def means(self) -> np.ndarray:

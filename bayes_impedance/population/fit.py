@@ -338,9 +338,14 @@ def _one_person(
     log_density = marginal_log_likelihood(kernel, likelihood, ridge, theta) + constant
     n, p = theta.shape
     nothing = np.full((n, p), np.nan)
-    parameters = PopulationParameters(theta, nothing, np.tile(np.eye(p), (n, 1, 1)), nothing, np.zeros((n, p, 0)))
+    parameters = PopulationParameters(
+        mu=theta,
+        between_persons=nothing,
+        correlation_cholesky=np.tile(np.eye(p), (n, 1, 1)),
+        between_repetitions=nothing,
+        slopes=np.zeros((n, p, 0)),
+    )
     ensembles = settings.sampler.ensembles
-    diagnostics = assess(recordings, point, chains, None, parameters, 0)
     return PopulationFit(
         recordings=recordings,
         kernel=whole.kernel,
@@ -358,7 +363,7 @@ def _one_person(
         noise=(_scaled_noise(first.model, recordings.subjects[0], mode.scale),),
         noise_scale=np.array([mode.scale]),
         identified=point.determined & (theta.std(axis=0) < IDENTIFIED_SD),
-        diagnostics=diagnostics,
+        diagnostics=assess(recordings, point, chains, None, parameters, 0),
         seconds=clock.seconds,
     )
 

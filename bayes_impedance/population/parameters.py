@@ -80,7 +80,7 @@ class Prior:
         return replace(self, centre=self.centre[columns], centre_sd=self.centre_sds[columns])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PopulationParameters:
     """W sets of population parameters.
 
@@ -125,12 +125,12 @@ class PopulationParameters:
 
     def __getitem__(self, rows: slice | np.ndarray) -> PopulationParameters:
         return PopulationParameters(
-            self.mu[rows],
-            self.between_persons[rows],
-            self.correlation_cholesky[rows],
-            self.between_repetitions[rows],
-            self.slopes[rows],
-            None if self.shared is None else self.shared[rows],
+            mu=self.mu[rows],
+            between_persons=self.between_persons[rows],
+            correlation_cholesky=self.correlation_cholesky[rows],
+            between_repetitions=self.between_repetitions[rows],
+            slopes=self.slopes[rows],
+            shared=None if self.shared is None else self.shared[rows],
         )
 
 
@@ -223,7 +223,14 @@ class Coordinates:
         if self.correlated:
             chosen = np.array(free)
             cholesky[:, chosen[:, None], chosen] = _cholesky_from_partial(np.tanh(partial), len(free))
-        return PopulationParameters(mu, tau, cholesky, rho, b, self._shared(shared))
+        return PopulationParameters(
+            mu=mu,
+            between_persons=tau,
+            correlation_cholesky=cholesky,
+            between_repetitions=rho,
+            slopes=b,
+            shared=self._shared(shared),
+        )
 
     def _shared(self, coordinates: np.ndarray) -> np.ndarray | None:
         if self.shared_prior is None or self.held_shared is None:

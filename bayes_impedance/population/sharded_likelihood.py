@@ -70,7 +70,7 @@ class Part:
         return self.theta.nbytes + self.log_ratio.nbytes + self.marginal.nbytes
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Plan:
     """Settings common to the draws of all persons."""
 
@@ -134,7 +134,14 @@ class KeptDraws:
             If there are parameters that are the same for everybody: how far they may move.
         """
         n = len(means)
-        plan = _Plan(kernel, point.between_repetitions, covariance, n_draws, along_valley, sharing)
+        plan = _Plan(
+            kernel=kernel,
+            rho=point.between_repetitions,
+            covariance=covariance,
+            n_draws=n_draws,
+            along_valley=along_valley,
+            sharing=sharing,
+        )
         seeds = seed.spawn(n)
         if isinstance(executor, Cluster):
             equations = (
@@ -153,7 +160,8 @@ class KeptDraws:
         equations = [None] * n if point.shared_equations is None else point.shared_equations.gathered()
         drawn = map_persons(executor, partial(_draws_of, plan), data, fits, equations, means, seeds)
         watched = _watched(drawn, n, progress)
-        parts = [_part(plan, watched, *_told(fits[rows]), means[rows], covariates[rows]) for rows in parts_of(n)]
+        rows_of = parts_of(n)
+        parts = [_part(plan, watched, *_repetitions_of(fits[r]), means[r], covariates[r]) for r in rows_of]
         return cls(parts, executor)
 
     def __call__(self, parameters: PopulationParameters) -> np.ndarray:
@@ -226,7 +234,9 @@ def part_of(
     along_valley: bool,
 ) -> Part:
     """Draw for some persons, in this process; the arguments are those of :meth:`KeptDraws.made`."""
-    plan = _Plan(kernel, rho, covariance, n_draws, along_valley, None)
+    plan = _Plan(
+        kernel=kernel, rho=rho, covariance=covariance, n_draws=n_draws, along_valley=along_valley, sharing=None
+    )
     return _drawn_part(plan, data, fits, None, means, covariates, seeds)
 
 
@@ -241,10 +251,10 @@ def _drawn_part(
 ) -> Part:
     own = [None] * len(data) if equations is None else equations
     drawn = (_draws_of(plan, *row) for row in zip(data, fits, own, means, seeds, strict=True))
-    return _part(plan, drawn, *_told(fits), means, covariates)
+    return _part(plan, drawn, *_repetitions_of(fits), means, covariates)
 
 
-def _told(fits: Sequence[PersonFit]) -> tuple[np.ndarray, tuple[Contrasts, ...]]:
+def _repetitions_of(fits: Sequence[PersonFit]) -> tuple[np.ndarray, tuple[Contrasts, ...]]:
     """Numbers of repetitions, and the contrasts between them."""
     return np.array([len(fit.deviations) for fit in fits]), tuple(contrasts_of(fits).values())
 

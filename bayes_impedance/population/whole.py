@@ -49,12 +49,12 @@ class Whole:
         slopes = np.zeros((w, self.unit.size, sampled.slopes.shape[2]))
         slopes[:, v] = sampled.slopes
         return PopulationParameters(
-            self.pooling.whole(sampled.mu, sampled.shared) * self.unit,
-            self.without(sampled.between_persons),
-            cholesky,
-            self.without(sampled.between_repetitions),
-            slopes,
-            sampled.shared,
+            mu=self.pooling.whole(sampled.mu, sampled.shared) * self.unit,
+            between_persons=self.without(sampled.between_persons),
+            correlation_cholesky=cholesky,
+            between_repetitions=self.without(sampled.between_repetitions),
+            slopes=slopes,
+            shared=sampled.shared,
         )
 
     def persons(self, theta: np.ndarray, shared: np.ndarray | None) -> np.ndarray:

@@ -78,7 +78,13 @@ def read_back(model, extended, u: dict[str, float]) -> np.ndarray:
     """The additions' parameters from the network's, as they are read from a posterior without any spread."""
     kernel = Kernel(extended.network)
     mu = np.array([[u[name] for name in kernel.elements]] * 2)
-    parameters = PopulationParameters(mu, 0 * mu, np.stack([np.eye(mu.shape[1])] * 2), 0 * mu, np.zeros((*mu.shape, 0)))
+    parameters = PopulationParameters(
+        mu=mu,
+        between_persons=0 * mu,
+        correlation_cholesky=np.stack([np.eye(mu.shape[1])] * 2),
+        between_repetitions=0 * mu,
+        slopes=np.zeros((*mu.shape, 0)),
+    )
     fit = SimpleNamespace(kernel=kernel, parameters=parameters, diagnostics=SimpleNamespace(problems=()))
     posterior = extended_posterior(model, extended, fit)
     assert not posterior.relative_dispersion.any()

@@ -32,6 +32,12 @@ def modes(likelihoods: list[Likelihood]) -> list[np.ndarray]:
     return [find_mode(KERNEL, one, start, start[0], np.eye(3) / 9).theta for one in likelihoods]
 
 
+def moved(likelihoods: list[Likelihood], mass: np.ndarray) -> np.ndarray:
+    return movement(
+        [profile(KERNEL, one, theta, 2, mass) for one, theta in zip(likelihoods, modes(likelihoods), strict=True)]
+    )
+
+
 def test_a_profile_is_that_of_least_squares() -> None:
     """With n1 held the impedance is linear in r1 and m1."""
     one = person(1, WIDE)
@@ -50,7 +56,7 @@ def test_in_a_narrow_band_a_compliance_moves_with_the_mass() -> None:
     """Reactance is -k/w + w m: without a mass of 1 g the compliance would be 4.75e-4 in place of 4e-4."""
     likelihoods = [person(seed, NARROW) for seed in range(8)]
     values = np.log(CENTRAL["m1"]) + np.linspace(-6, 6, 25)
-    n1, r1, m1 = movement(KERNEL, likelihoods, modes(likelihoods), 2, values)
+    n1, r1, m1 = moved(likelihoods, values)
     assert n1 > 0.15
     assert r1 < 0.01
     assert m1 > 1.0
@@ -60,7 +66,7 @@ def test_in_a_narrow_band_a_compliance_moves_with_the_mass() -> None:
 def test_what_is_not_seen_and_what_is_determined_move_nothing(band_hz: tuple[float, float], mass: float) -> None:
     likelihoods = [person(seed, band_hz, mass) for seed in range(8)]
     values = np.log(mass) + np.linspace(-6, 6, 25)
-    n1, r1, _ = movement(KERNEL, likelihoods, modes(likelihoods), 2, values)
+    n1, r1, _ = moved(likelihoods, values)
     assert n1 < 0.03
     assert r1 < 0.03
 

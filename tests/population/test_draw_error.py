@@ -45,7 +45,13 @@ def populations() -> tuple[np.ndarray, PopulationParameters]:
     u = np.random.default_rng(5).normal(size=(POPULATIONS, 2))
     mu, tau = 0.2 * u[:, :1], 0.4 * np.exp(0.25 * u[:, 1:])
     none = np.zeros((POPULATIONS, 1))
-    return u, PopulationParameters(mu, tau, np.ones((POPULATIONS, 1, 1)), none, np.zeros((POPULATIONS, 1, 0)))
+    return u, PopulationParameters(
+        mu=mu,
+        between_persons=tau,
+        correlation_cholesky=np.ones((POPULATIONS, 1, 1)),
+        between_repetitions=none,
+        slopes=np.zeros((POPULATIONS, 1, 0)),
+    )
 
 
 def exact(parameters: PopulationParameters) -> np.ndarray:

@@ -55,7 +55,13 @@ def parameters(w, seed=0, covariates=0, rho=True):
     factors = np.linalg.cholesky([c / np.outer(t, t) for c, t in zip(covariances, tau, strict=True)])
     between_repetitions = rng.uniform(0.05, 0.3, (w, P)) * rho
     slopes = rng.normal(0, 0.1, (w, P, covariates))
-    return PopulationParameters(rng.normal(0, 0.15, (w, P)), tau, factors, between_repetitions, slopes)
+    return PopulationParameters(
+        mu=rng.normal(0, 0.15, (w, P)),
+        between_persons=tau,
+        correlation_cholesky=factors,
+        between_repetitions=between_repetitions,
+        slopes=slopes,
+    )
 
 
 def closed_form(p, centres, covariances, repetitions, covariates):
@@ -149,7 +155,11 @@ def test_zero_slopes_equal_no_covariates():
     draws, _ = gaussian_draws(centres, covariances, means, 256, 3)
     p = parameters(5)
     zero = PopulationParameters(
-        p.mu, p.between_persons, p.correlation_cholesky, p.between_repetitions, np.zeros((5, P, 2))
+        mu=p.mu,
+        between_persons=p.between_persons,
+        correlation_cholesky=p.correlation_cholesky,
+        between_repetitions=p.between_repetitions,
+        slopes=np.zeros((5, P, 2)),
     )
     covariates = np.random.default_rng(1).normal(size=(N, 2))
     shared = ImportanceLikelihood(draws, means, REFERENCE_COVARIANCE, repetitions, np.zeros((N, 0)), ())

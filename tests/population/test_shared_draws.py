@@ -241,12 +241,12 @@ def populations(w: World, sharing: Sharing, t: np.ndarray, seed: int = 5) -> Pop
     """Shared parameters at t (W, S), each with a population of its own near the true one."""
     rng, size = np.random.default_rng(seed), (len(t), w.mean.size)
     return PopulationParameters(
-        w.mean + 0.05 * rng.normal(size=size),
-        w.tau * np.exp(0.1 * rng.normal(size=size)),
-        np.tile(np.eye(w.mean.size), (len(t), 1, 1)),
-        np.tile(w.rho, (len(t), 1)),
-        np.zeros((*size, 0)),
-        sharing.origin + t @ sharing.factor.T,
+        mu=w.mean + 0.05 * rng.normal(size=size),
+        between_persons=w.tau * np.exp(0.1 * rng.normal(size=size)),
+        correlation_cholesky=np.tile(np.eye(w.mean.size), (len(t), 1, 1)),
+        between_repetitions=np.tile(w.rho, (len(t), 1)),
+        slopes=np.zeros((*size, 0)),
+        shared=sharing.origin + t @ sharing.factor.T,
     )
 
 

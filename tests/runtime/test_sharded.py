@@ -177,7 +177,14 @@ def test_sums_over_parts_are_those_over_all_persons() -> None:
         root = rng.normal(size=(own, size, 2 * size))
         information = np.moveaxis(root @ np.swapaxes(root, 1, 2), 0, -1)
         contrasts.append(Contrasts(np.ascontiguousarray(information), rng.normal(size=(size, own))))
-    plan = sharded_likelihood._Plan(Kernel(parse("m1|r1")), np.zeros(2), np.eye(2), k, False, None)
+    plan = sharded_likelihood._Plan(
+        kernel=Kernel(parse("m1|r1")),
+        rho=np.zeros(2),
+        covariance=np.eye(2),
+        n_draws=k,
+        along_valley=False,
+        sharing=None,
+    )
     parts = []
     for rows in parts_of(n):
         inside = np.zeros(n, dtype=bool)
@@ -194,11 +201,11 @@ def test_sums_over_parts_are_those_over_all_persons() -> None:
         )
     assert len(parts) > 2
     sets = PopulationParameters(
-        rng.normal(size=(5, 2)),
-        rng.uniform(0.5, 1, (5, 2)),
-        np.tile(np.eye(2), (5, 1, 1)),
-        rng.uniform(0.05, 0.2, (5, 2)),
-        rng.normal(size=(5, 2, 1)),
+        mu=rng.normal(size=(5, 2)),
+        between_persons=rng.uniform(0.5, 1, (5, 2)),
+        correlation_cholesky=np.tile(np.eye(2), (5, 1, 1)),
+        between_repetitions=rng.uniform(0.05, 0.2, (5, 2)),
+        slopes=rng.normal(size=(5, 2, 1)),
     )
     whole = ImportanceLikelihood(draws, means, np.eye(2), repetitions, covariates, contrasts)
     with ThreadPoolExecutor(1) as executor:

@@ -52,7 +52,7 @@ _PLACES_OF = {"m": "masses", "n": "springs", "r": "dampers"}
 """Kind of place that an element is."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Effect:
     """An entry of the catalogue.
 

@@ -42,7 +42,7 @@ _LEAST_GAIN = 3.0
 """Log evidence by which another start must be better: smaller differences are convergence error."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Fitted:
     """The network fitted to a dataset, before anything is added.
 
@@ -108,7 +108,14 @@ def fit_network(
     fit = refitter.fit(model, u, Population(point.mu, point.covariance, point.between_repetitions), 80)
     fit = _gathered(refitter, refitter.settle(fit, seed))
     fit = refitter.settle(fit, seed)
-    return Fitted(recordings, fit, refitter, point.determined, _trust(fit, point), tuple(held))
+    return Fitted(
+        recordings=recordings,
+        fit=fit,
+        refitter=refitter,
+        determined=point.determined,
+        remarks=_trust(fit, point),
+        shared=tuple(held),
+    )
 
 
 def _shared_values(pooling: Pooling, point: Estimate) -> dict[str, float]:

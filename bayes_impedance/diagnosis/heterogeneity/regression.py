@@ -72,7 +72,7 @@ _COLLINEAR = 0.1
 combination of the others to within 10 %, and their effects cannot be separated."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Trend:
     """The slope of one element.
 
@@ -336,9 +336,20 @@ def _trends(fit: Fit, wanted: Mapping[int, str], covariate: str, transform: str,
         half = float(student.ppf(0.95, df)) * sd / unit
         estimate = float(fit.coefficients[c]) / unit
         p_value = float(2 * student.sf(abs(statistic), df))
-        interval = estimate, estimate - half, estimate + half
         found.append(
-            Trend(element, covariate, transform, *interval, statistic, df, p_value, p_value, fit.pull.shape[0])
+            Trend(
+                element=element,
+                covariate=covariate,
+                transform=transform,
+                estimate=estimate,
+                q05=estimate - half,
+                q95=estimate + half,
+                statistic=statistic,
+                degrees_of_freedom=df,
+                p_value=p_value,
+                p_corrected=p_value,
+                persons=fit.pull.shape[0],
+            )
         )
     return found
 

@@ -132,7 +132,13 @@ def verdict_with(*bands_hz: tuple[float, float], **changes: Any) -> Verdict:
         quick=True,
     )
     recordings = recordings_of(e)
-    fitted = Fitted(recordings, look.base, e.refitter, np.array([True, False]), ("the fit's",))
+    fitted = Fitted(
+        recordings=recordings,
+        fit=look.base,
+        refitter=e.refitter,
+        determined=np.array([True, False]),
+        remarks=("the fit's",),
+    )
     return make_verdict(recordings, fitted, replace(evidence, **changes), extended_network(look.final.model), seed=5)
 
 
