@@ -5,8 +5,8 @@ Run from the repository's root::
     python analyses/motor_bench/run.py [-o out/motor_bench] [--diagnose] [--average]
 
 Writes one dataset for each type of excitation (A, B) and each source of the velocity (velocity, encoder). With
-``--diagnose`` each is diagnosed alone, and the velocity channel also with the encoder's recordings as the simulation; the
-results are printed and written to ``results/verdicts.json`` beside this file. The signals are found through the
+``--diagnose`` each is diagnosed alone, and the velocity channel also with the encoder's recordings as the simulation;
+the results are printed and written to ``results/verdicts.json`` beside this file. The signals are found through the
 environment variable BAYES_IMPEDANCE_REAL_DATA.
 """
 

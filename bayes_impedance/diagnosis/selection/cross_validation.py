@@ -91,7 +91,7 @@ def people_gain(refitter: Refitter, before: Refit, after: Refit, seed: int) -> t
 
 def block_gains(refitter: Refitter, before: Refit, after: Refit) -> np.ndarray:
     """Gain of log predictive density of each person and each block of frequencies that was held out, (N, BLOCKS)."""
-    return _blocks(refitter, after) - _blocks(refitter, before)
+    return np.asarray(_blocks(refitter, after) - _blocks(refitter, before))
 
 
 def _se(difference: np.ndarray) -> float | None:
