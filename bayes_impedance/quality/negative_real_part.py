@@ -30,12 +30,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayes_impedance.recordings.csv_table import ComplexArray, FloatArray
-from bayes_impedance.recordings.files import WRONG_SIGN
 from bayes_impedance.recordings.phase_relation import excess_phase
 from bayes_impedance.units import number_with_unit
 
-_HARDLY_NEGATIVE = 0.05
-"""Fraction of points with Re < 0 up to which a quantity counts as passive: noise around zero at an end of the band."""
+_HARDLY_NEGATIVE, _MUCH_NEGATIVE = 0.05, 0.2
+"""Fraction of points with Re < 0 up to which a quantity counts as passive (noise around zero at an end of the band),
+and from which the recorded one may be another quantity. By choice."""
 
 _DIAGNOSE = "keep the points, they take part in fits, and 'bayes-impedance diagnose'"
 
@@ -71,7 +71,7 @@ def explain(frequency_hz: FloatArray, z: ComplexArray) -> Explanation:
         return Explanation(found.cause, found.size)
     s = 1j * frequency_hz
     negative, other = np.mean(z.real < 0), min(np.mean((z / s).real < 0), np.mean((z * s).real < 0))
-    return Explanation("quantity" if negative > WRONG_SIGN and other < _HARDLY_NEGATIVE else "filter")
+    return Explanation("quantity" if negative > _MUCH_NEGATIVE and other < _HARDLY_NEGATIVE else "filter")
 
 
 def sentence(whose: str, where: str, depth: str, explanations: Sequence[Explanation]) -> str:

@@ -49,8 +49,9 @@ from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood
 from bayes_impedance.person.marginal_likelihood import LEAST_RHO
 from bayes_impedance.population.em_state import PRIOR_PERSONS, SMALLEST_DISPERSION
 
-_LONGEST_STEP = 1.0
-"""Largest step of the additions, in prior standard deviations or units of the coefficient. By choice."""
+_LONGEST_STEP, _LONGEST_SHARE = 1.0, 0.3
+"""Largest step of the additions, in prior standard deviations or units of the coefficient, and as a share of it if that
+is more: a filter in the middle of the band has 100 units. By choice."""
 
 
 @dataclass(frozen=True)
@@ -155,9 +156,7 @@ class Refitter:
         )
 
     def settle(self, fit: Refit, seed: int, tries: int = 6, rounds: int = 3, hold: bool = False) -> Refit:
-        """Look for better optima of every person, from the median person and draws of the population.
-
-        This is repeated until none is found.
+        """Look for better optima of every person, from the median person and from draws, until none is found.
 
         One person in a local optimum looks like missing physics.
 
@@ -297,7 +296,9 @@ class Refitter:
         target = marginal(model, h, d, tau)
         step = target.mean - now
         prior = np.array([p.prior_sd for p in model.parameters])
-        step /= max(1.0, float(np.abs(step / np.minimum(prior, 1.0)).max()) / _LONGEST_STEP)
+        linear = np.array([p.is_coefficient for p in model.parameters])
+        longest = np.maximum(_LONGEST_STEP * np.minimum(prior, 1.0), _LONGEST_SHARE * np.abs(now) * linear)
+        step /= max(1.0, float(np.abs(step / longest).max()))
         before = self._misfit(equations.chi)
         # A well-determined coefficient does not follow the population's mean: dc_i/dmu = (1 + T D_cc)^-1.
         follows = np.linalg.inv(np.eye(int(varying.sum())) + np.diag(tau[varying] ** 2) @ d[:, varying][:, :, varying])

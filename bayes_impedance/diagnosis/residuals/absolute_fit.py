@@ -11,7 +11,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bayes_impedance.quality.curve_anomalies import duplicates
+from bayes_impedance.quality.curve_anomalies import duplicates, suspect_units
+from bayes_impedance.quality.negative_real_part import explain
 from bayes_impedance.recordings.files import Recordings
 
 GROSS_ERROR = 0.3
@@ -64,6 +65,34 @@ def copies(recordings: Recordings) -> list[str]:
     return [
         f"{len(again)} of {n} subjects are copies of others ({_some(sorted(again))}): they are not different people, "
         "and no dispersion or interval follows from them; delete the copies"
+    ]
+
+
+def no_impedance(recordings: Recordings, remains: bool) -> list[str]:
+    """Whether the recordings are of another quantity than force over velocity, whatever describes them.
+
+    Another quantity of a passive load, such as accelerance, looks like an impedance behind a filter whose corner is
+    outside of the band. It is taken for one if the filter describes it.
+
+    Parameters
+    ----------
+    recordings : Recordings
+    remains : bool
+        Whether structure without a name was found beside the effects with a name.
+    """
+    if "phase_conjugated" in suspect_units(recordings.subjects, recordings.polar):
+        return [
+            "the recordings are complex conjugates: the phase agrees with the slope of the magnitude only if its sign "
+            "is reversed; change the sign of the imaginary part or of the phase"
+        ]
+    if not remains:
+        return []
+    others = [explain(s.frequency_hz, s.mean).cause == "quantity" for s in recordings.subjects]
+    if np.mean(others) <= 0.5:  # most people decide
+        return []
+    return [
+        "the recordings are no impedance of a passive load, but would be one if they were divided or multiplied by jw; "
+        "check that the motion is a velocity, and not an acceleration or a displacement"
     ]
 
 

@@ -5,8 +5,8 @@ says what a *small* effect would do. A low-pass in the middle of the band, or a 
 the recordings by more than their magnitude: a mass then looks like a negative resistance, the best fit of the network
 is no description of it at all, and the derivative there says nothing about the right effect.
 
-If the network is that far off, effects of the measurement chain with one coefficient x are therefore also fitted from
-many random starts, as a network is (:mod:`bayes_impedance.population.starting_fits`): the elements of a typical person
+If the network is that far off, delays and filters, effects with one coefficient x, are therefore also fitted from many
+random starts, as a network is (:mod:`bayes_impedance.population.starting_fits`): the elements of a typical person
 together with x, at sizes of either sign from the smallest that the band shows to the largest. Everybody begins at the
 best of these.
 """
@@ -65,12 +65,17 @@ def wholly_off(fit: Refit) -> bool:
 
 
 def of_the_chain(fit: Refit, effects: Sequence[Effect]) -> list[Candidate]:
-    """Effects of the measurement chain with one coefficient, at the port, that the model has not."""
+    """Delays and filters, at the port, that the model has not.
+
+    Masses, springs and dampers of the rig are left out: an over-subtraction of more than the whole load describes
+    recordings of anything, also complex conjugates.
+    """
     taken = {addition.key for addition in fit.model.additions}
     return [
         Candidate(effect, place.name, {})
         for effect in effects
-        if effect.side == "rig" and effect.operation and len(effect.coefficients) == 1 and effect.pooling == "shared"
+        if effect.side == "rig" and effect.operation and len(effect.coefficients) == 1
+        if effect.traits.connection == "replaces" and not effect.traits.passive
         for place in effect.sites(fit.model.network)
         if (effect.id, effect.form, place.name) not in taken
     ]
@@ -128,5 +133,5 @@ def _search(model: Model, u: np.ndarray, typical: Likelihood, signed: bool, seed
     spread = np.where(sd == _ELEMENT_SD, _START_SPREAD, 0.0)
     starts = centre + spread * np.random.default_rng(seed).normal(size=(sizes.size, _STARTS, centre.size))
     starts[..., coefficient] = sizes[:, None]
-    centre[coefficient] = 0.0
+    centre[coefficient], sd[coefficient] = 0.0, sizes.max()  # all of these sizes are as likely
     return search_modes(model.kernel, typical, starts.reshape(-1, centre.size), Prior(centre, sd), _ENDS)

@@ -18,7 +18,7 @@ from bayes_impedance.diagnosis.folds import FOLDS
 from bayes_impedance.diagnosis.heterogeneity.gain import HELD_OUT
 from bayes_impedance.diagnosis.heterogeneity.tests import Structure
 from bayes_impedance.diagnosis.hum.line import Hum
-from bayes_impedance.diagnosis.residuals.absolute_fit import badly_described, copies, far_off
+from bayes_impedance.diagnosis.residuals.absolute_fit import badly_described, copies, far_off, no_impedance
 from bayes_impedance.diagnosis.residuals.locate import Location
 from bayes_impedance.diagnosis.selection.cross_validation import HeldOut
 from bayes_impedance.diagnosis.selection.identifiability import felt
@@ -209,7 +209,7 @@ def make_verdict(
     limits, hidden = detection_limits(found.base.model, found.steps[0].screening)
     effects = [entry for entry in physics if entry.kind == "effect"]
     differences = evidence.differences
-    gross, partial = _shortcomings(recordings, evidence.final)
+    gross, partial = _shortcomings(recordings, evidence.final, evidence.unknown is not None)
     verdict = Verdict(
         summary="",
         where=_where(evidence, physics),
@@ -264,14 +264,17 @@ def _left_out(evidence: Evidence) -> tuple[str, ...]:
     return (f"{', '.join(ids)} cannot be written as a network: 'run --with' fits the other effects only.",)
 
 
-def _shortcomings(recordings: Recordings, final: Refit) -> tuple[list[str], list[str]]:
-    """Results of the absolute checks of the final model: for all people, and for some."""
+def _shortcomings(recordings: Recordings, final: Refit, remains: bool) -> tuple[list[str], list[str]]:
+    """Results of the absolute checks of the final model: for all people, and for some.
+
+    `remains` says whether there is unnamed structure.
+    """
     scale = final.weight**-0.5
     error = []
     for i, s in enumerate(recordings.subjects):
         model = final.model.kernel.impedance(final.u[final.owner == i], s.frequency_hz)
         error.append(float(relative_rms(model.mean(axis=0), s.mean)))
-    gross = [*copies(recordings), *far_off(np.array(error), scale)]
+    gross = [*copies(recordings), *far_off(np.array(error), scale), *no_impedance(recordings, remains)]
     return gross, badly_described(recordings.names, scale)
 
 
