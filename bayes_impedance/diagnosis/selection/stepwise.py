@@ -21,7 +21,7 @@ from bayes_impedance.diagnosis.fit.model import Addition
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN, compare, log_evidence
-from bayes_impedance.diagnosis.selection.finalists import finalists
+from bayes_impedance.diagnosis.selection.finalists import finalists, with_lookalikes
 from bayes_impedance.diagnosis.selection.score_scan import Screening, screen
 from bayes_impedance.diagnosis.selection.shortlist import ALPHA, Trial, try_shortlist
 from bayes_impedance.runtime.progress import Progress
@@ -144,6 +144,7 @@ def search(
         if number < most and step.log_p < np.log(ALPHA):
             trials = try_shortlist(refitter, fit, screening, begin)
             ranked = finalists(refitter, fit, trials, effects, seed)
+            ranked = with_lookalikes(refitter, fit, screening, ranked, effects, seed)
             chosen, better = None, None
             for trial in ranked[:_SECOND_CHANCES]:
                 grown, measure = measured(refitter, trial.fit, seed)
