@@ -19,7 +19,8 @@ from bayes_impedance.diagnosis.fit.extend import extended_start, has_shapes, is_
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import FEWEST_TO_VARY, LEAST_GAIN, log_evidence
-from bayes_impedance.diagnosis.selection.shortlist import Trial
+from bayes_impedance.diagnosis.selection.score_scan import Screening
+from bayes_impedance.diagnosis.selection.shortlist import Trial, lookalike_trials
 
 MOST = 4
 """Explanations that are refitted to convergence: each costs as much as all first refits together. In 31 steps with
@@ -62,6 +63,19 @@ def finalists(
     some = [t for t in order if t.effect.pooling == "some" and t not in close[:MOST]]
     grown = [_with_own_shapes(refitter, fit, t) for t in (*close[:MOST], *some[:1])]
     return _at_rest(refitter, fit, in_order(grown, effects), effects, seed)
+
+
+def with_lookalikes(
+    refitter: Refitter, fit: Refit, screening: Screening, ranked: Sequence[Trial], effects: Sequence[Effect], seed: int
+) -> list[Trial]:
+    """The finalists, best first, and what looks like the leader at its place, from where the leader came to rest."""
+    if not ranked:
+        return []
+    own = [
+        _better_of(trial, _again(trial, refitter.settle(trial.fit, seed), fit))  # as the leader is
+        for trial in lookalike_trials(refitter, fit, screening, ranked[0])
+    ]
+    return in_order([*ranked, *(t for t in own if t.physical and np.isfinite(t.gain))], effects)
 
 
 def _with_own_shapes(refitter: Refitter, fit: Refit, trial: Trial) -> Trial:

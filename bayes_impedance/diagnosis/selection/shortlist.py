@@ -18,6 +18,7 @@ from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection import far_starts
 from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, FEWEST_TO_VARY, log_evidence
+from bayes_impedance.diagnosis.selection.level_starts import best_levels, from_level
 from bayes_impedance.diagnosis.selection.lookalikes import from_the_leader, lookalikes
 from bayes_impedance.diagnosis.selection.score_scan import Screening
 
@@ -229,7 +230,7 @@ def try_shortlist(refitter: Refitter, fit: Refit, screening: Screening, begin: R
         trials += try_candidate(refitter, fit, candidate, float(screening.size[k]), poolings, _FIRST_ROUNDS, begin)
         if candidate.effect.side == "body" and "varying" in poolings and has_shapes(candidate.effect) and differs:
             trials.append(own_shapes(refitter, fit, screening, k, _FIRST_ROUNDS, begin))
-    trials = _continued(refitter, fit, trials)
+    trials = _continued(refitter, fit, trials) + _from_levels(refitter, fit, screening)
     possible = [t for t in trials if t.physical and np.isfinite(t.gain)]
     if not possible:
         return trials
@@ -243,14 +244,22 @@ def try_shortlist(refitter: Refitter, fit: Refit, screening: Screening, begin: R
             else:
                 size = float(screening.size[k])
                 trials.append(try_candidate(refitter, fit, other, size, (leader.pooling,), begin=begin)[-1])
-    return trials + _lookalikes(refitter, fit, screening, max(trials, key=_physical_gain))
+    return trials
 
 
-def _physical_gain(trial: Trial) -> float:
-    return trial.gain if trial.physical and np.isfinite(trial.gain) else -np.inf
+def _from_levels(refitter: Refitter, fit: Refit, screening: Screening) -> list[Trial]:
+    """Effects with poles of their own, from the coefficients on a grid that fit best."""
+    if len(refitter.data) < FEWEST_TO_VARY:
+        return []
+    found = []
+    for candidate, size in best_levels(fit, screening.candidates):
+        grown = from_level(refitter, fit, candidate, size, _FIRST_ROUNDS + _MORE_ROUNDS)
+        trial = _trial(candidate, "varying", grown, fit)
+        found.append(_from_cold(refitter, fit, trial, _FIRST_ROUNDS + _MORE_ROUNDS))
+    return found
 
 
-def _lookalikes(refitter: Refitter, fit: Refit, screening: Screening, leader: Trial) -> list[Trial]:
+def lookalike_trials(refitter: Refitter, fit: Refit, screening: Screening, leader: Trial) -> list[Trial]:
     """What looks like the leader at its place, from where the leader ended."""
     if not leader.effect.operation:
         return []

@@ -22,7 +22,7 @@ from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, pers
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN, compare, log_evidence
 from bayes_impedance.diagnosis.selection.few_people import holds_beside
-from bayes_impedance.diagnosis.selection.finalists import finalists
+from bayes_impedance.diagnosis.selection.finalists import finalists, with_lookalikes
 from bayes_impedance.diagnosis.selection.misfit import dependence
 from bayes_impedance.diagnosis.selection.score_scan import Screening, screen
 from bayes_impedance.diagnosis.selection.shortlist import ALPHA, Trial, from_afar, try_shortlist
@@ -150,6 +150,7 @@ def search(
         if number < most and step.log_p < np.log(ALPHA):
             trials = [*try_shortlist(refitter, fit, screening, begin), *from_afar(refitter, fit, possible, seed)]
             ranked = finalists(refitter, fit, trials, possible, seed)
+            ranked = with_lookalikes(refitter, fit, screening, ranked, possible, seed)
             chosen, better = None, None
             for trial in ranked[:_SECOND_CHANCES]:
                 grown, measure = measured(refitter, trial.fit, seed)

@@ -1,0 +1,98 @@
+r"""Starts of effects that bring poles of their own, such as lines: a coefficient from a grid.
+
+A line whose standing waves lie inside the band has no path from zero: on the way poles cross the band, and every
+crossing is another optimum. So a grid of coefficients is tried in each person. With the coefficient at x, the elements
+one step of Gauss and Newton further and the person's noise scale integrated out
+(:mod:`bayes_impedance.diagnosis.fit.fitter`), the person's log likelihood is
+
+.. math:: \ell_i(x) = -(\alpha + N_i)\,\ln\bigl(\beta + \tfrac12\,|(1 - QQ^T)\,r_i(x)|^2\bigr)
+
+with Q a basis of what the elements can absorb there. The median of the best x is everybody's start, because a person
+whose best lies far from it is as likely on a wrong branch; what people gain together decides whether a refit is tried.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from bayes_impedance.diagnosis.catalogue.effect import Candidate
+from bayes_impedance.diagnosis.fit.extend import extended, extended_start
+from bayes_impedance.diagnosis.fit.fitter import Refitter
+from bayes_impedance.diagnosis.fit.model import Model
+from bayes_impedance.diagnosis.fit.person_residuals import orthonormal, real_and_imaginary
+from bayes_impedance.diagnosis.fit.refit import Refit
+from bayes_impedance.diagnosis.residuals.sensitivity import local_impedances
+from bayes_impedance.person.likelihood import SCALE_SHAPE
+
+_LEVELS = np.geomspace(0.1, 60.0, 14)
+"""Coefficients that are tried, relative to the one that equals the place at the upper end of the band: w there. The
+first standing wave enters the band at 2.5, the third leaves the grid at 60. Steps of 1.6 by choice."""
+
+_PEOPLE, _POINTS = 16, 100
+"""Largest numbers of people and of frequencies for the grid. By choice: only a start is wanted."""
+
+_LEAST_GAIN, _LEAST_SHARE = 10.0, 0.3
+"""Of log likelihood, and relative to the best effect and place: what gains less is not refitted. By choice: a line in
+the right place gained 0.6 and 1.0 of the best in two populations of fingertips."""
+
+MOST = 5
+"""Largest number of refits from such starts. By choice."""
+
+
+def level_start(fit: Refit, candidate: Candidate) -> tuple[float, float]:
+    """A coefficient in the effect's unit, the median of people's best, and what these gain together in log likelihood.
+
+    A person's best is found from one recording, of some of the people and at some of the frequencies if there are many.
+    """
+    model = extended(fit.model, candidate, "varying", 0.0)
+    u = extended_start(fit, model)[0]
+    (column,) = model.columns(len(model.additions) - 1)
+    scale, secant = candidate.effect.coefficients[0].scale(model.scales), candidate.effect.traits.secant
+    assert secant is not None  # by whom this is called
+    best, gain = [], 0.0
+    for i in range(0, len(fit.data), -(-len(fit.data) // _PEOPLE)):
+        row = int(np.flatnonzero(fit.owner == i)[0])
+        data = fit.data[i]
+        at = slice(None, None, -(-data.omega.size // _POINTS))
+        omega, z, weight = data.omega[at], (data.z[0, 0] + 1j * data.z[0, 1])[at], data.weight[0, at]
+        here = local_impedances(fit.model, fit.u[[row]], omega)[candidate.place].z
+        values = np.append(0.0, float(secant({"level": 1.0}, omega, here)[0]) * _LEVELS)
+        trial = np.repeat(u[[row]], values.size, axis=0)
+        trial[:, column] = values / scale
+        own = -(SCALE_SHAPE + omega.size) * np.log(SCALE_SHAPE + 0.5 * _misfits(model, trial, omega, z, weight))
+        own = np.nan_to_num(own, nan=-np.inf)
+        k = 1 + int(np.argmax(own[1:]))
+        best.append(values[k])
+        gain += float(own[k] - own[0])
+    return float(np.median(best)), gain
+
+
+def _misfits(model: Model, u: np.ndarray, omega: np.ndarray, z: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Squares (K,) of the whitened residuals of one recording outside of what the elements absorb at each u (K, P)."""
+    there, slope = model.kernel.derivative(u, omega / (2 * np.pi))
+    r = real_and_imaginary((z - there) * np.sqrt(weight))
+    basis = orthonormal(np.swapaxes(real_and_imaginary(slope[:, : model.n_elements] * np.sqrt(weight)), 1, 2))
+    return np.asarray(np.sum(r**2, axis=1) - np.sum(np.einsum("kfp,kf->kp", basis, r) ** 2, axis=1))
+
+
+def best_levels(fit: Refit, candidates: Sequence[Candidate]) -> list[tuple[Candidate, float]]:
+    """The effects and places whose grid gains most, with the coefficient of :func:`level_start`, best first."""
+    sites = {(c.effect, c.place): c for c in candidates if c.effect.operation and c.effect.traits.secant is not None}
+    rows = [(c, *level_start(fit, c)) for c in sites.values()]
+    top = max((gain for _, _, gain in rows), default=0.0)
+    rows = sorted((row for row in rows if row[2] > max(_LEAST_GAIN, _LEAST_SHARE * top)), key=lambda row: -row[2])
+    return [(c, size) for c, size, _ in rows[:MOST]]
+
+
+def from_level(refitter: Refitter, fit: Refit, candidate: Candidate, size: float, rounds: int) -> Refit:
+    """Refit with an effect that differs between people, everybody's coefficient beginning at one value."""
+    model = extended(fit.model, candidate, "varying", 0.0)
+    u, population = extended_start(fit, model)
+    (column,) = model.columns(len(model.additions) - 1)
+    u[:, column] = size / candidate.effect.coefficients[0].scale(model.scales)
+    mu = population.mu.copy()
+    mu[int(np.flatnonzero(np.flatnonzero(~model.shared) == column)[0])] = u[0, column]
+    return refitter.fit(model, u, replace(population, mu=mu), rounds)

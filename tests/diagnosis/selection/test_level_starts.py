@@ -1,0 +1,60 @@
+"""Starts of lines on a grid of coefficients: waves are found where a start from zero does not arrive."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from experiments import entry, recovered, toy
+
+from bayes_impedance.diagnosis.catalogue.effect import Candidate
+from bayes_impedance.diagnosis.selection.compare import log_evidence
+from bayes_impedance.diagnosis.selection.level_starts import MOST, best_levels, from_level, level_start
+
+MASS, COMPLIANCE = 2e-3, 8e-6
+
+
+def waves(compliance: float):
+    """A layer with a free surface in place of the mass of m1|r1."""
+
+    def hidden(s: np.ndarray, z: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        n = compliance * np.exp(0.2 * rng.normal(size=len(z)))
+        mass = 1j * z.imag
+        x = np.sqrt(s * mass * n[:, None, None])
+        return z - mass + mass * np.tanh(x) / x, n
+
+    return hidden
+
+
+@pytest.fixture(scope="module")
+def inside():
+    """The first standing wave is at 2 kHz, where the band ends: in half of the people it is inside."""
+    return toy("m1|r1", {"m1": MASS, "r1": 5.0}, seed=4, n=18, hidden=waves(COMPLIANCE))
+
+
+def candidate() -> Candidate:
+    return Candidate(entry("body.free_line"), "m1", {"level": 1.0})
+
+
+def test_the_grid_finds_the_compliance_and_the_refit_is_better_than_from_zero(inside) -> None:
+    fit = inside.fit()
+    size, gain = level_start(fit, candidate())
+    assert 0.5 < size / COMPLIANCE < 2.0
+    assert gain > 100
+    grown = from_level(inside.refitter, fit, candidate(), size, 40)
+    assert grown.settled
+    from_zero = recovered(inside, entry("body.free_line"), "m1", "varying", 60)
+    assert log_evidence(grown) > log_evidence(from_zero) + 100
+
+
+def test_places_are_sorted_by_what_they_gain(inside) -> None:
+    fit = inside.fit()
+    everywhere = [candidate(), Candidate(entry("body.diffusion"), "r1", {"level": 1.0})]
+    found = best_levels(fit, [*everywhere, Candidate(entry("body.mass"), "port", {})])
+    assert found[0][0] == candidate()
+    assert len(found) <= MOST
+    assert all(c.effect.operation == "free_line" and size > 0 for c, size in found)
+
+
+def test_where_there_are_no_waves_nothing_is_tried() -> None:
+    fit = toy("m1|r1", {"m1": MASS, "r1": 5.0}, seed=5, n=18).fit()
+    assert best_levels(fit, [candidate()]) == []
