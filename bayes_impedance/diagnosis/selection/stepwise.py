@@ -134,7 +134,7 @@ def search(
         Fit of the same model as `base`, at which the first step screens and starts its refits.
     """
     most, of_any_kind = MOST_ADDITIONS, max(1, len(refitter.data) // _PEOPLE_PER_ADDITION)
-    of_the_chain = tuple(effect for effect in effects if effect.side == "rig" and effect.operation)
+    of_the_chain = tuple(e for e in effects if e.side == "rig" and e.operation and len(e.coefficients) == 1)
     fit, steps, posterior = base, list[Step](), None
     number = repeats = 0
     while number <= most:
