@@ -15,8 +15,8 @@ residuals say one thing: 1 for noise, J for a structure that all repetitions sha
 model, exceeds :data:`~bayes_impedance.diagnosis.selection.compare.LEAST_GAIN`, and if it predicts blocks of frequencies
 that were held out better than the model without it does.
 
-In a motor's recordings a lag of 0.1 ms had 76 to 3000 nats, of which this leaves 43 to 67; after it a high-pass that the
-motor has not had 55, of which it leaves 2.6.
+In a motor's recordings a lag of 0.1 ms had 76 to 3000 nats, of which this leaves 43 to 67; after it a high-pass that
+the motor has not had 55, of which it leaves 2.6.
 """
 
 from __future__ import annotations
