@@ -261,17 +261,52 @@ def _marginal(model: Model, h: np.ndarray, d: np.ndarray, tau: np.ndarray) -> tu
     varying = ~model.shared[model.n_elements :]
     prior_sd = np.array([p.prior_sd for p in model.parameters])
     centre = np.array([p.centre for p in model.parameters])
-    dcc, dc, hc = d[:, varying][:, :, varying], d[:, :, varying], h[:, varying]
-    t = tau[:, None, varying, None] ** 2 * np.eye(int(varying.sum()))
-    root = np.eye(t.shape[-1]) + dcc @ t
-    w = np.linalg.solve(np.swapaxes(root, -1, -2), np.broadcast_to(t, root.shape))
-    precision = (d - dc @ w @ np.swapaxes(dc, 1, 2)).sum(axis=1) + np.diag(prior_sd**-2.0)
-    pulled = (w @ hc[..., None])[..., 0]
-    right = (h - (dc @ pulled[..., None])[..., 0]).sum(axis=1) + centre / prior_sd**2
+    contiguous = (np.ascontiguousarray(a) for a in (d, h, np.flatnonzero(varying), tau))
+    precision, right, value = _integrated(*contiguous)
+    precision += np.diag(prior_sd**-2.0)
+    right += centre / prior_sd**2
     mean = np.linalg.solve(precision, right[..., None])[..., 0]
-    value = 0.5 * np.sum(right * mean, axis=1) - 0.5 * np.linalg.slogdet(precision)[1]
-    value += 0.5 * np.sum(hc * pulled, axis=(1, 2)) - 0.5 * np.linalg.slogdet(root)[1].sum(axis=1)
+    value += 0.5 * np.sum(right * mean, axis=1) - 0.5 * np.linalg.slogdet(precision)[1]
     return value, mean, precision
+
+
+@compiled
+def _integrated(
+    d: np.ndarray, h: np.ndarray, varying: np.ndarray, tau: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    r"""Sums over people of D - D_c W D_c^T, of h - D_c W h_c, and of h_c W h_c / 2 - ln|1 + D_cc T| / 2.
+
+    With S the square root of T and :math:`L L^T = 1 + S D_{cc} S`, :math:`W = S L^{-T} L^{-1} S`.
+    """
+    n_grid, n, size, n_varying = tau.shape[0], h.shape[0], h.shape[1], varying.size
+    precision, right, value = np.zeros((n_grid, size, size)), np.zeros((n_grid, size)), np.zeros(n_grid)
+    factor, rows = np.zeros((n_varying, n_varying)), np.empty((n_varying, size + 1))
+    for g in range(n_grid):
+        for i in range(n):
+            for v in range(n_varying):
+                a, s = varying[v], tau[g, varying[v]]
+                for w in range(v + 1):
+                    total = s * tau[g, varying[w]] * d[i, a, varying[w]]
+                    if v == w:
+                        total += 1.0
+                    for k in range(w):
+                        total -= factor[v, k] * factor[w, k]
+                    factor[v, w] = np.sqrt(total) if v == w else total / factor[w, w]
+                for c in range(size + 1):
+                    entry = s * (d[i, c, a] if c < size else h[i, a])
+                    for k in range(v):
+                        entry -= factor[v, k] * rows[k, c]
+                    rows[v, c] = entry / factor[v, v]
+                value[g] += 0.5 * rows[v, size] ** 2 - np.log(factor[v, v])
+            for a in range(size):
+                right[g, a] += h[i, a]
+                for v in range(n_varying):
+                    right[g, a] -= rows[v, a] * rows[v, size]
+                for b in range(size):
+                    precision[g, a, b] += d[i, a, b]
+                    for v in range(n_varying):
+                        precision[g, a, b] -= rows[v, a] * rows[v, b]
+    return precision, right, value
 
 
 def sums(values: np.ndarray, owner: np.ndarray, n: int) -> np.ndarray:

@@ -39,6 +39,9 @@ _LEAST_GAIN = 3.0
 """Log likelihood by which "some have it" must exceed "all have it", which has one parameter less: a
 likelihood ratio of 20."""
 
+_AT_REST = 1e-9
+"""Relative change below which the rounds end: the log likelihood then changes by rounding only."""
+
 _START_DISPERSION, _SMALLEST_DISPERSION, _LARGEST_DISPERSION = 0.3, 1e-3, 1.5
 """Dispersions relative to the mean: a typical one; one that is numerically zero; and an upper limit beyond what a
 coefficient of one sign can have, so that a wide slab does not act as a second spike. By choice."""
@@ -99,9 +102,12 @@ def members(fit: Refit, addition: int) -> Members:
 def mixture(h: np.ndarray, d: np.ndarray) -> Members:
     """Maximum-likelihood spike and slab for quadratic log likelihoods h c - d c^2 / 2, both h and d of shape (N,)."""
     size = np.clip(h / d, *np.quantile(h / d, (_OUTLYING, 1 - _OUTLYING)))
-    everybody = _maximised(h, d, float(np.average(size, weights=d)), False)
-    candidates = [_maximised(h, d, float(np.quantile(size, q)), True) for q in _STARTS]
-    value, probability, fraction, mean, tau = max(candidates, key=lambda c: c[0])
+    starts = [float(np.average(size, weights=d)), *(float(np.quantile(size, q)) for q in _STARTS)]
+    some = np.array([False, *(True for _ in _STARTS)])
+    values, memberships, fractions, means, dispersions = _maximised(h, d, np.array(starts), some)
+    best = 1 + int(np.argmax(values[1:]))
+    probability, fraction = memberships[best], float(fractions[best])
+    mean, tau = float(means[best]), float(dispersions[best])
     from scipy.stats import beta
 
     count, n = float(probability.sum()), len(h)
@@ -117,25 +123,33 @@ def mixture(h: np.ndarray, d: np.ndarray) -> Members:
         mean=mean,
         mean_sd=sd,
         dispersion=relative,
-        gain=value - everybody[0],
+        gain=float(values[best] - values[0]),
     )
 
 
-def _maximised(h: np.ndarray, d: np.ndarray, mean: float, some: bool) -> tuple[float, np.ndarray, float, float, float]:
-    """Log likelihood, memberships (N,), share, mean and dispersion; the share is one unless only some have it."""
-    tau, fraction = max(_START_DISPERSION * abs(mean), 1e-12), 0.5 if some else 1.0
-    smallest = _SMALLEST_DISPERSION * max(abs(mean), 1e-12)
-    probability, value = np.ones(h.size), 0.0
+def _maximised(
+    h: np.ndarray, d: np.ndarray, mean: np.ndarray, some: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """From S starts of the mean: log likelihoods (S,), memberships (S, N), shares, means and dispersions (S,).
+
+    The share is one unless only some have the effect, bool, (S,).
+    """
+    tau, fraction = np.maximum(_START_DISPERSION * np.abs(mean), 1e-12), np.full(mean.size, 0.5)
+    smallest = _SMALLEST_DISPERSION * np.maximum(np.abs(mean), 1e-12)
+    value, probability = np.zeros(mean.size), np.ones((mean.size, h.size))
     for _ in range(_ROUNDS):
-        t = tau**2
-        present = (h**2 * t + 2 * h * mean - d * mean**2) / (2 * (1 + d * t)) - 0.5 * np.log1p(d * t)
-        value = float(np.sum(log_mixture(present, fraction) if some else present))
-        probability = membership(present, fraction) if some else np.ones(h.size)
+        before = np.stack([mean, tau, fraction])
+        t, m = tau[:, None] ** 2, mean[:, None]
+        present = (h**2 * t + 2 * h * m - d * m**2) / (2 * (1 + d * t)) - 0.5 * np.log1p(d * t)
+        value = np.where(some[:, None], log_mixture(present, fraction), present).sum(axis=1)
+        probability = np.where(some[:, None], membership(present, fraction), 1.0)
         variance = t / (1 + d * t)
-        posterior = variance * (h + mean / max(t, 1e-300))
-        weight = max(float(probability.sum()), 1e-9)
-        mean = float(probability @ posterior) / weight
-        tau = float(np.sqrt(probability @ ((posterior - mean) ** 2 + variance) / weight))
-        tau = min(max(tau, smallest), _LARGEST_DISPERSION * abs(mean) + smallest)
-        fraction = float(share_of(probability, _SMALLEST_FRACTION)) if some else 1.0
-    return value, probability, fraction, mean, tau
+        posterior = variance * (h + m / np.maximum(t, 1e-300))
+        weight = np.maximum(probability.sum(axis=1), 1e-9)
+        mean = np.sum(probability * posterior, axis=1) / weight
+        tau = np.sqrt(np.sum(probability * ((posterior - mean[:, None]) ** 2 + variance), axis=1) / weight)
+        tau = np.minimum(np.maximum(tau, smallest), _LARGEST_DISPERSION * np.abs(mean) + smallest)
+        fraction = np.where(some, share_of(probability, _SMALLEST_FRACTION), 0.5)
+        if np.all(np.abs(np.stack([mean, tau, fraction]) - before) <= _AT_REST * np.abs(before)):
+            break
+    return value, probability, np.where(some, fraction, 1.0), mean, tau
