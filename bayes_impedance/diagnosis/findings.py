@@ -35,7 +35,7 @@ from bayes_impedance.runtime.clock import Clock
 from bayes_impedance.runtime.progress import Progress
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Findings:
     """Result of one search.
 
@@ -146,7 +146,7 @@ def find(
         if remains:
             found, unknown = _one_network(fitted.refitter, found, unknown, names, seed, executor)
         progress("unknown physics", 1, 1)
-    return Findings(found, unknown, first, one_ports, gains, remains)
+    return Findings(found=found, unknown=unknown, first=first, one_ports=one_ports, gain_of=gains, remains=remains)
 
 
 def _one_network(

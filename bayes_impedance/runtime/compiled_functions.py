@@ -5,6 +5,9 @@ numba writes compiled functions beside the module, into the user's cache or into
 process and its child processes. numba loads its files without a check: a damaged file could end the process or give
 wrong numbers. Here every file ends with its digest, and a file with a wrong digest is ignored: the function is compiled
 again.
+
+numba compiles a function again if its own source file has changed, but not if a function or a constant of another file
+that is compiled into it has. Here the stamp of a function therefore holds theirs as well.
 """
 
 from __future__ import annotations
@@ -48,9 +51,23 @@ def kept_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         files = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
         if isinstance(files, _CacheFile):
             files.__class__ = _Sealed
+            files._source_stamp = (files._source_stamp, _compiled_in(function))
         return dispatcher
 
     return decorate
+
+
+def _compiled_in(function: Callable[..., Any]) -> tuple[Any, ...]:
+    """Stamps of the compiled functions and the numbers that a function takes from its module's names."""
+    stamps = []
+    for name in function.__code__.co_names:
+        value = function.__globals__.get(name)
+        if isinstance(value, bool | int | float | str | tuple):
+            stamps.append((name, value))
+        elif hasattr(value, "py_func"):
+            file = getattr(getattr(value, "_cache", None), "_cache_file", None)
+            stamps.append((name, getattr(file, "_source_stamp", None)))
+    return tuple(stamps)
 
 
 @cache

@@ -106,6 +106,29 @@ def test_what_was_compiled_is_taken_up_and_what_is_damaged_is_compiled_anew(modu
         assert result() == "3.0 1\n", (suffix, damage)
 
 
+@pytest.mark.parametrize(
+    ("before", "after"), [("other + b", "b - other"), ("other + b", "other + b + constant"), ("= 1.0", "= 5.0")]
+)
+def test_a_change_of_another_file_is_compiled_in(module: Path, before: str, after: str) -> None:
+    used = (
+        "from bayes_impedance.runtime.compiled_functions import kept_njit\nconstant = 1.0\n"
+        "@kept_njit()\ndef inner(other, b):\n    return other + b\n"
+    )
+    user = MODULE.replace("return a + b", "return constant * inner(a, b)")
+    (module / "used.py").write_text(used)
+    (module / "module.py").write_text("from used import constant, inner\n" + user)
+
+    def result() -> str:
+        return run(["script.py"], module, NUMBA_CACHE_DIR=str(module / "cache")).stdout
+
+    first = result()
+    assert result() == first.replace(" 0", " 1") == "3.0 1\n"
+    (module / "used.py").write_text(used.replace(before, after))
+    expected = {"b - other": 1.0, "other + b + constant": 4.0, "= 5.0": 15.0}[after]
+    assert result() == f"{expected} 0\n"
+    assert result() == f"{expected} 1\n"
+
+
 def test_where_nothing_can_be_written_a_temporary_folder_serves(module: Path, tmp_path: Path) -> None:
     """A file stands where each of numba's three folders would be made."""
     (module / "__pycache__").write_text("")

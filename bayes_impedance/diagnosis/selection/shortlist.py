@@ -187,7 +187,8 @@ def own_shapes(
 ) -> Trial:
     """Refit with shapes that differ between people, each person starting at the shape with the best own score.
 
-    A resonance at a different frequency in each person cannot be found from a common start.
+    A resonance at a different frequency in each person cannot be found from a common start. Coefficients start at most
+    at what changes the impedance by its magnitude: beyond it, the derivative says nothing about their size.
     """
     chosen = screening.candidates[k]
     effect = chosen.effect
@@ -206,7 +207,7 @@ def own_shapes(
     varying = np.flatnonzero(~model.shared)
     for coefficient, column in zip(effect.coefficients, columns, strict=True):
         if coefficient.link == "linear":
-            values = np.full(len(own), size / coefficient.scale(scales))
+            values = np.full(len(own), np.clip(size / coefficient.scale(scales), -1.0, 1.0))
         else:
             shapes = [coefficient.unbounded(screening.candidates[i].shape[coefficient.name], scales) for i in same]
             values = np.array(shapes)[own]

@@ -1,4 +1,5 @@
-"""Readers of files: each returns variables with units, without deciding what they mean.
+"""Formats: other people's files, read without deciding what their variables mean.
 
-Open :mod:`.registry` first: it chooses the reader by the suffix.
+Input: a file, by its path. Output: the file's variables with their units and texts
+(:class:`~bayes_impedance.intake.contents.Contents`). Open :mod:`.registry` first: it chooses the reader by the suffix.
 """
