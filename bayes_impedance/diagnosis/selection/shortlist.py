@@ -272,14 +272,20 @@ def lookalike_trials(refitter: Refitter, fit: Refit, screening: Screening, leade
 
 
 def from_afar(refitter: Refitter, fit: Refit, effects: Sequence[Effect], seed: int) -> list[Trial]:
-    """Trials that do not begin at the network, if it does not describe the recordings at all (:mod:`.far_starts`)."""
-    if not far_starts.wholly_off(fit):
+    """Trials of delays and filters that do not begin at the network (:mod:`.far_starts`).
+
+    They are made if it does not describe the recordings at all, or has driven elements away from everybody's values.
+    """
+    if not far_starts.wholly_off(fit) and (refitter.one_person or not driven_away(fit).any()):
         return []
-    trials = []
+    found = []
     for candidate in far_starts.of_the_chain(fit, effects):
-        grown = far_starts.refits_from_afar(refitter, fit, candidate, seed, _FIRST_ROUNDS + _MORE_ROUNDS)
-        trials.append(max((_trial(candidate, "shared", g, fit) for g in grown), key=lambda t: (t.physical, t.gain)))
-    return trials
+        begun = far_starts.refits_from_afar(refitter, fit, candidate, seed, _FIRST_ROUNDS)
+        best = max(begun, key=lambda g: float(g.evidence.sum()))
+        if not best.settled:
+            best = refitter.fit(best.model, best.u, best.population, _MORE_ROUNDS)
+        found.append(_trial(candidate, "shared", best, fit))
+    return found
 
 
 def _continued(refitter: Refitter, fit: Refit, trials: list[Trial]) -> list[Trial]:
