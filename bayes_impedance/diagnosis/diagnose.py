@@ -20,6 +20,7 @@ from bayes_impedance.diagnosis.fit.majority import joined
 from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.heterogeneity.compare_populations import compare_populations
+from bayes_impedance.diagnosis.heterogeneity.correlations import CorrelationTest
 from bayes_impedance.diagnosis.heterogeneity.subgroups import Subgroup
 from bayes_impedance.diagnosis.heterogeneity.tests import find_structures
 from bayes_impedance.diagnosis.hum.leakage import find_skirts
@@ -43,6 +44,16 @@ from bayes_impedance.runtime.progress import Progress
 _MAINS_ALPHA = 1e-3
 """Corrected level of the search for hum. By choice: stricter than other levels, because affected points are left
 out."""
+
+_OF_THE_SHAPE = (Subgroup, CorrelationTest)
+"""Findings about the shape of the population's distribution. Elements of a network without a name only come near what
+is there and have another distribution: a covariate or a drift still moves them, but groups and correlations may be of
+the network's making."""
+
+_SHAPE_UNKNOWN = (
+    "The elements are not distributed as the population's distribution says; whether people form groups cannot be "
+    "known while elements without a name describe them."
+)
 
 _NO_POSTERIOR = (
     "The posterior of the network with what was found is not reliable, and the intervals of what was found are those "
@@ -242,6 +253,9 @@ def _confirm(first: _First, look: Findings, claimed: Claim | None, job: _Job) ->
         if again is not look.final:  # they were in another optimum, or some of them were
             look = look.with_final(again)
             structures, remarks = find_structures(again, clean, job.diagonal, seed)
+    if look.unknown is not None and any(isinstance(s, _OF_THE_SHAPE) for s in structures):
+        structures = tuple(s for s in structures if not isinstance(s, _OF_THE_SHAPE))
+        remarks = [*remarks, _SHAPE_UNKNOWN]
     found, final = look.found, look.final
     changed = final is not found.base
     job.progress("confirming", 1, 3)

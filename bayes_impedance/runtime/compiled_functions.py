@@ -59,7 +59,7 @@ def kept_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 def _compiled_in(function: Callable[..., Any]) -> tuple[Any, ...]:
     """Stamps of the compiled functions and the numbers that a function takes from its module's names."""
-    stamps = []
+    stamps: list[tuple[str, Any]] = []
     for name in function.__code__.co_names:
         value = function.__globals__.get(name)
         if isinstance(value, bool | int | float | str | tuple):

@@ -9,8 +9,8 @@ If the network is that far off, delays and filters, effects with one coefficient
 random starts, as a network is (:mod:`bayes_impedance.population.starting_fits`): the elements of a typical person
 together with x, at sizes of either sign from the smallest that the band shows to the largest. Everybody begins at the
 best of these. The same is done where the network has driven elements away from everybody's values
-(:func:`~bayes_impedance.diagnosis.fit.cold_start.driven_away`): there the derivative had the wrong sign for a high-pass,
-and refits from the network ended 900 nats behind the truth.
+(:func:`~bayes_impedance.diagnosis.fit.cold_start.driven_away`): there the derivative had the wrong sign for a
+high-pass, and refits from the network ended 900 nats behind the truth.
 """
 
 from __future__ import annotations
