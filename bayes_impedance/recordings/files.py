@@ -1,7 +1,8 @@
 """Recordings on disk: reading and writing datasets.
 
-A dataset is a folder of `recordings.csv` (or `.csv.gz`), optionally `subjects.csv` with covariates and `dataset.toml`
-with title, unit, sign, network, source and licence; or one CSV file. Everything is checked before it is returned.
+A dataset is a folder of `recordings.csv` (or `.csv.gz`), optionally `subjects.csv` with covariates, `repetitions.csv`
+with what was noted of every repetition, and `dataset.toml` with title, unit, sign, network, source and licence; or one
+CSV file. Everything is checked before it is returned.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from bayes_impedance.errors import InputError
+from bayes_impedance.recordings.circumstances import CircumstanceTable, circumstances_csv, parse_circumstances
 from bayes_impedance.recordings.csv_table import CovariateTable, IntArray, parse_covariates
 from bayes_impedance.recordings.dataset import Recordings, Subject
 from bayes_impedance.recordings.long_table import CARTESIAN, KNOWN, RecordingTable, check_cells, parse_recordings
@@ -33,6 +35,7 @@ __all__ = ["Recordings", "Subject", "read_recordings", "write_recordings"]
 
 RECORDINGS_FILES = ("recordings.csv", "recordings.csv.gz", "recordings.parquet")
 SUBJECTS_FILE = "subjects.csv"
+REPETITIONS_FILE = "repetitions.csv"
 METADATA_FILE = "dataset.toml"
 WRONG_SIGN = 0.6
 """Fraction of points with Re z of the wrong sign above which the sign convention may be wrong. By choice: above one
@@ -78,16 +81,21 @@ def read_recordings(path: str | os.PathLike[str]) -> Recordings:
     if folder is not None and subjects_file.exists():
         described.append(read_bytes(subjects_file))
         covariates = parse_covariates(described[-1], str(subjects_file))
+    circumstances = CircumstanceTable()
+    repetitions_file = (folder or given.parent) / REPETITIONS_FILE
+    if folder is not None and repetitions_file.exists():
+        described.append(read_bytes(repetitions_file))
+        circumstances = parse_circumstances(described[-1], str(repetitions_file))
     metadata_file = (folder or given.parent) / METADATA_FILE
     if folder is not None and metadata_file.exists():
         described.append(read_bytes(metadata_file, LARGEST_DESCRIPTION))
         metadata = parse_metadata(described[-1], str(metadata_file), metadata.title)
-    reading = _Reading(file, metadata, covariates)
+    reading = _Reading(file, metadata, covariates, circumstances)
     for table, place in _tables(file, digest):
         reading.add(table, *place)
     for content in described:
         digest.update(content)
-    unused = reading.match_covariates(str(subjects_file))
+    unused = (*reading.match_covariates(str(subjects_file)), *circumstances.unmatched(reading.subjects))
     reading.check_sign(str(metadata_file))
     return Recordings(
         title=metadata.title,
@@ -97,7 +105,14 @@ def read_recordings(path: str | os.PathLike[str]) -> Recordings:
         licence=metadata.licence,
         subjects=tuple(reading.subjects),
         sha256=digest.hexdigest(),
-        warnings=(*reading.of_table, *covariates.warnings, *unused, *metadata.warnings, *reading.of_subjects),
+        warnings=(
+            *reading.of_table,
+            *covariates.warnings,
+            *circumstances.warnings,
+            *unused,
+            *metadata.warnings,
+            *reading.of_subjects,
+        ),
         polar=reading.polar,
     )
 
@@ -126,8 +141,10 @@ def _tables(file: Path, digest: hashlib._Hash) -> Iterator[tuple[RecordingTable,
 class _Reading:
     """Subjects while they are read, and checks made when all have been read."""
 
-    def __init__(self, file: Path, metadata: Metadata, covariates: CovariateTable) -> None:
-        self.file, self.metadata, self.covariates = file, metadata, covariates
+    def __init__(
+        self, file: Path, metadata: Metadata, covariates: CovariateTable, circumstances: CircumstanceTable
+    ) -> None:
+        self.file, self.metadata, self.covariates, self.circumstances = file, metadata, covariates, circumstances
         self.subjects: list[Subject] = []
         self.named: dict[str, str] = {}
         self.of_table: list[str] = []
@@ -153,7 +170,8 @@ class _Reading:
             self.named[table.subject_names[i]] = f"{table.file}, row {row}"
         self.first_row = self.first_row or int(table.row[:1].sum())
         self.rows += table.z.size
-        for subject, rows, warning in subjects_of(table, self.metadata, self.covariates):
+        for own, rows, warning in subjects_of(table, self.metadata, self.covariates):
+            subject = self.circumstances.of(own)
             wrong = int(np.sum(subject.z.real < 0))
             self.points, self.wrong = self.points + subject.z.size, self.wrong + wrong
             self.turned += subject.z.size if _is_turned(subject, wrong / subject.z.size) else 0
@@ -268,7 +286,8 @@ def write_recordings(
     recordings : Recordings
     folder : path
         Folder to write to; it is created. `recordings.csv`, `dataset.toml` and, where there are covariates,
-        `subjects.csv` are written to temporary names first, so that no half-written file is left behind.
+        `subjects.csv` and `repetitions.csv` are written to temporary names first, so that no half-written file is left
+        behind.
     significant_digits : int, optional
         Digits of z and noise_sd. By default enough to restore the numbers exactly; frequencies and covariates are
         always exact.
@@ -297,11 +316,14 @@ def write_recordings(
     contents = {RECORDINGS_FILES[compress]: _gzip(table) if compress else table}
     if any(subject.covariates for subject in recordings.subjects):
         contents[SUBJECTS_FILE] = recordings.subjects_table().to_csv(lineterminator="\n").encode()
+    noted = circumstances_csv(recordings.subjects)
+    if noted is not None:
+        contents[REPETITIONS_FILE] = noted
     contents[METADATA_FILE] = "\n".join(filter(None, (_metadata_toml(recordings), recipe))).encode()
     contents |= beside or {}
     write_together({target / name: content for name, content in contents.items()})
     # Files of an earlier dataset would be read together with the new ones.
-    for name in {*RECORDINGS_FILES, SUBJECTS_FILE} - contents.keys():
+    for name in {*RECORDINGS_FILES, SUBJECTS_FILE, REPETITIONS_FILE} - contents.keys():
         (target / name).unlink(missing_ok=True)
     return target
 

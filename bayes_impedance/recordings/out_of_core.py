@@ -90,7 +90,7 @@ class StoredSubject(Subject):
 
     def __init__(self, subject: Subject, frequency_hz: FloatArray, place: StoredRows) -> None:
         own = {"name": subject.name, "frequency_hz": frequency_hz, "repetitions": subject.repetitions}
-        self.__dict__.update(own, covariates=subject.covariates, place=place)
+        self.__dict__.update(own, covariates=subject.covariates, circumstances=subject.circumstances, place=place)
 
     @property
     def z(self) -> ComplexArray:
