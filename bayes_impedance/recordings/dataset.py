@@ -119,6 +119,8 @@ class Recordings:
         What was changed or left out when reading.
     polar : bool
         Whether the file has magnitude and phase, each of which can be in a wrong unit.
+    convention : str or None
+        Convention that the file declares; z here is that of exp(+jwt). None if it does not say.
 
     Raises
     ------
@@ -135,6 +137,7 @@ class Recordings:
     sha256: str = ""
     warnings: tuple[str, ...] = ()
     polar: bool = False
+    convention: str | None = None
 
     def __post_init__(self) -> None:
         """Check that the subjects' names are unique."""
