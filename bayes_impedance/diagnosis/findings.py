@@ -154,13 +154,16 @@ def _one_network(
 ) -> tuple[Found, Realised | None]:
     """What was found, or one network of elements in its place.
 
-    The network is preferred if it predicts held-out people better than what was found; to a sum of several effects also
-    if it predicts them as well.
+    The network is preferred if it predicts held-out people better than what was found; to a sum of several effects
+    also if it predicts them as well. In place of names it must not be larger than they are: with enough relaxations a
+    network comes as near to any distributed element, such as a power law, as the recordings can tell.
     """
-    grown = grown_network(refitter, found.base, names, seed, executor)
+    final = found.final if unknown is None else unknown.trial.fit
+    named = found.final is not found.base
+    most = len(final.model.kernel.elements) - len(found.base.model.kernel.elements) if named else None
+    grown = grown_network(refitter, found.base, names, seed, executor, most)
     if grown is None:
         return found, unknown
-    final = found.final if unknown is None else unknown.trial.fit
     several = len(final.model.additions) - len(found.base.model.additions) > 1
     more, se = people_gain(refitter, final, grown, seed)
     least = SCATTERS * (se or 0.0)

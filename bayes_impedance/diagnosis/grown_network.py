@@ -39,6 +39,10 @@ _PEOPLE = 24
 _MOST_BRANCHES = 4
 """Largest number of branches that are added. By choice: up to 16 elements before pruning, twice those of a finger."""
 
+_OVERSHOOT = 2
+"""Number of elements before pruning, over the largest allowed, from which no branch is added. By choice: pruning more
+than half of the elements would be a search of its own."""
+
 _NEW_SPREAD = 0.1
 """Standard deviation between people at which an element that was the same for all starts to differ. By choice: a third
 of a typical one, because an element cannot start to differ from a dispersion of zero."""
@@ -46,8 +50,13 @@ of a typical one, because an element cannot start to differ from a dispersion of
 _ROUNDS = 40
 """Largest number of rounds of a refit, which begins at the fit with one branch less or one element more."""
 
+_RANKING_ROUNDS = 8
+"""Rounds after which the element whose removal costs least is chosen. By choice: only that one is fitted to rest."""
 
-def grown_network(refitter: Refitter, base: Refit, names: Sequence[str], seed: int, executor: Executor) -> Refit | None:
+
+def grown_network(
+    refitter: Refitter, base: Refit, names: Sequence[str], seed: int, executor: Executor, most: int | None = None
+) -> Refit | None:
     """The fit, to all people, of the claimed network with more elements; None if no element improves predictions.
 
     Parameters
@@ -59,6 +68,8 @@ def grown_network(refitter: Refitter, base: Refit, names: Sequence[str], seed: i
         Of the people.
     seed : int
     executor : Executor
+    most : int, optional
+        Largest number of elements that the network may have more than the claimed one.
     """
     n = len(refitter.data)
     if n < FEWEST_PEOPLE or base.model.additions:
@@ -73,7 +84,7 @@ def grown_network(refitter: Refitter, base: Refit, names: Sequence[str], seed: i
         if fit is not start and locate(residuals, seed).p_value >= ALPHA:
             break
         branch = stand_in_network(small, fit, residuals, missing_one_ports(fit, residuals), seed, executor)
-        if branch is None:
+        if branch is None or (most is not None and _more(fit, start) > _OVERSHOOT * most):
             break
         fit = small.settle(_as_elements(small, branch.trial.fit), seed, tries=3, rounds=1)
     if fit is start:
@@ -81,9 +92,15 @@ def grown_network(refitter: Refitter, base: Refit, names: Sequence[str], seed: i
     fit = _pruned(small, fit, seed)
     if set(fit.model.network.elements) <= set(start.model.network.elements):
         return None
+    if most is not None and _more(fit, start) > most:
+        return None
     # Everybody starts at the centre of the people with whom the network was grown.
     whole = refitter.fit(fit.model, np.tile(fit.population.mu, (len(base.u), 1)), fit.population, 2 * _ROUNDS)
     return refitter.settle(whole, seed)
+
+
+def _more(fit: Refit, start: Refit) -> int:
+    return len(fit.model.kernel.elements) - len(start.model.kernel.elements)
 
 
 def _thinned(d: Likelihood) -> Likelihood:
@@ -99,7 +116,7 @@ def _as_elements(refitter: Refitter, fit: Refit) -> Refit:
     return _refitted(refitter, fit, parse(fit.model.notation))
 
 
-def _refitted(refitter: Refitter, fit: Refit, network: Network) -> Refit:
+def _refitted(refitter: Refitter, fit: Refit, network: Network, rounds: int = _ROUNDS) -> Refit:
     """Refit of a network of elements that `fit` has as well, from its values."""
     model = build(network, (), fit.model.scales, ())
     own = list(fit.model.kernel.elements)
@@ -113,21 +130,22 @@ def _refitted(refitter: Refitter, fit: Refit, network: Network) -> Refit:
     mean = fit.u.mean(axis=0)
     mean[varying] = fit.population.mu
     population = Population(mean[columns], covariance[np.ix_(columns, columns)], np.maximum(rho[columns], 1e-3))
-    return refitter.fit(model, fit.u[:, columns], population, _ROUNDS)
+    return refitter.fit(model, fit.u[:, columns], population, rounds)
 
 
 def _pruned(refitter: Refitter, fit: Refit, seed: int) -> Refit:
     """The network without elements that do not improve the prediction of held-out people."""
     while len(fit.model.network.elements) > 2:
         smaller = [
-            _refitted(refitter, fit, rest)
+            _refitted(refitter, fit, rest, _RANKING_ROUNDS)
             for e in fit.model.network.elements
             if (rest := without_element(fit.model.network, e)) is not None
         ]
         smaller = [s for s in smaller if np.isfinite(s.evidence).all()]
         if not smaller:
             return fit
-        best = refitter.settle(max(smaller, key=lambda s: float(s.evidence.sum())), seed, tries=2, rounds=1)
+        best = max(smaller, key=lambda s: float(s.evidence.sum()))
+        best = refitter.settle(refitter.fit(best.model, best.u, best.population, _ROUNDS), seed, tries=2, rounds=1)
         loss, se = people_gain(refitter, best, fit, seed)
         if loss > SCATTERS * (se or 0.0):
             return fit

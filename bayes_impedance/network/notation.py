@@ -18,6 +18,7 @@ with ``p(`` is no such network, and is read in the spelling of :mod:`bayes_imped
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.electrical import is_circuit, read_circuit
@@ -29,6 +30,7 @@ from bayes_impedance.network.tree import NAME, PAPER_NETWORK, Element, Network, 
 __all__ = ["PAPER_NETWORK", "Element", "Network", "Parallel", "Place", "PowerLaw", "Series", "Wrapped", "parse"]
 
 
+@lru_cache(maxsize=1024)
 def parse(text: str) -> Network:
     """Read a network from its notation.
 
@@ -37,6 +39,8 @@ def parse(text: str) -> Network:
     text : str
         For instance ``skin:(n3|r3)-tissue:(m2|r1|n1|(m1-(n2|r2)))``, or in the spelling of electrical circuits,
         ``R0-p(R1,CPE1)-Wo1`` (:mod:`bayes_impedance.network.electrical`). Blanks do not matter.
+
+    Networks cannot be changed: that of a text is made once.
 
     Raises
     ------

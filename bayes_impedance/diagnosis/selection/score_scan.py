@@ -25,7 +25,7 @@ of the signatures. The distribution of the largest |Z| is simulated, and its tai
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
@@ -103,21 +103,28 @@ class Screening:
         return np.array([c.effect.signed for c in self.candidates], dtype=bool) | (self.size > 0)
 
 
-def candidates_for(fit: Refit, effects: Sequence[Effect]) -> tuple[Candidate, ...]:
-    """Every effect at every place with every scanned shape, except those added already."""
+def candidates_for(
+    fit: Refit, effects: Sequence[Effect], places: Collection[str] | None = None
+) -> tuple[Candidate, ...]:
+    """Every effect at every place, or those named, with every scanned shape, except those added already."""
     model = fit.model
     taken = {addition.key for addition in model.additions}
     found = []
     for effect in effects:
         for place in effect.sites(model.network):
-            if (effect.id, effect.form, place.name) in taken:
+            if (effect.id, effect.form, place.name) in taken or (places is not None and place.name not in places):
                 continue
             found += [Candidate(effect, place.name, shape) for shape in shape_grid(effect, model.scales)]
     return tuple(found)
 
 
 def screen(
-    fit: Refit, residuals: Sequence[PersonResiduals], effects: Sequence[Effect], seed: int, executor: Executor
+    fit: Refit,
+    residuals: Sequence[PersonResiduals],
+    effects: Sequence[Effect],
+    seed: int,
+    executor: Executor,
+    places: Collection[str] | None = None,
 ) -> Screening:
     """Score all candidates.
 
@@ -130,8 +137,11 @@ def screen(
     seed : int
         For the draws of the largest score.
     executor : Executor
+    places : collection of str, optional
+        Names of the places at which the effects are candidates; all by default. The cross products of all candidates
+        are computed, which takes minutes for many effects at all places of a large network.
     """
-    candidates = candidates_for(fit, effects)
+    candidates = candidates_for(fit, effects, places)
     n, c = len(residuals), len(candidates)
     starts = np.r_[0, np.cumsum([len(r.white) for r in residuals])]
     added = np.arange(fit.model.n_elements, fit.u.shape[1])

@@ -110,8 +110,8 @@ def stand_in_network(
     executor : Executor
     """
     wanted = [port.place for port in one_ports[:_PLACES]]
-    screening = screen(fit, residuals, branch_effects(), seed, executor)
-    order = [k for k in best_shapes(screening) if screening.candidates[k].place in wanted][:_REFITTED]
+    screening = screen(fit, residuals, branch_effects(), seed, executor, wanted)
+    order = best_shapes(screening)[:_REFITTED]
     pooling = "varying" if len(refitter.data) >= FEWEST_TO_VARY else "shared"
     trials = [
         t
