@@ -117,6 +117,7 @@ def calibrated(
     reduced = [one for one, new in zip(spectra, corrected, strict=True) if new.z.size < one.z.size]
     if reduced:
         told.append(f"{reduced[0].source}: frequencies that the calibration does not have were left out")
+    told += _said_of_error(corrected)
     return Calibrated(
         spectra=tuple(corrected),
         notes=(*notes, *told),
@@ -147,8 +148,12 @@ def _rig(
     frequency, index = _common(runs)
     known = np.array([load.impedance(frequency) for load in loads])
     measured = np.array([run.z[i] for run, i in zip(runs, index, strict=True)])
-    noises = [run.noise_sd[i] for run, i in zip(runs, index, strict=True) if run.noise_sd is not None]
-    noise = np.array([smoothed_noise(frequency, sd) for sd in noises]) if len(noises) == len(runs) else None
+    noises = [
+        smoothed_noise(frequency, run.noise_sd[i], run.degrees_of_freedom)
+        for run, i in zip(runs, index, strict=True)
+        if run.noise_sd is not None
+    ]
+    noise = np.array(noises) if len(noises) == len(runs) else None
     _require_differences(loads, runs, measured)
     n_different = len({load.same_as for load in loads})
     unloaded = any(load.name == OPEN for load in loads)
@@ -204,6 +209,22 @@ def _said(rig: SmoothRig) -> str:
     )
     fits = "" if rig.misfit is None else f"; misfit {rig.misfit:.2f} times what noise explains"
     return f"rig: gain {g}, delay {d} s, seismic mass {m} kg, damper {r} N s/m, stiffness {k} N/m, {mount}{fits}"
+
+
+def _said_of_error(corrected: Sequence[Spectrum]) -> list[str]:
+    """Size of the error that the calibration leaves in all recordings."""
+    relative = [
+        np.sqrt(np.mean(one.calibration_sd**2, axis=1)) / np.abs(one.z)
+        for one in corrected
+        if one.calibration_sd is not None
+    ]
+    if not relative:
+        return []
+    middle, largest = np.median(np.concatenate(relative)), max(float(one.max()) for one in relative)
+    return [
+        f"the runs' noise leaves an error common to all recordings (standard deviation {100 * middle:.2g} % of |z|, at "
+        f"most {100 * largest:.2g} %): it is written to calibration_sd.csv, and fits do not know of it"
+    ]
 
 
 def _common(runs: Sequence[Spectrum]) -> tuple[FloatArray, list[np.ndarray]]:

@@ -42,6 +42,8 @@ _NEIGHBOURS, _NEAR = 4, 1.1
 """Lines on either side over which the noise of a run is averaged, and the largest ratio of neighbours. By choice: a
 weight from the few periods of a single line may be wrong by a factor; noise that grows as the frequency squared is
 a fifth larger at the edge of such a neighbourhood."""
+_FEWEST_DEGREES = 3.0
+"""Of freedom. By choice: with two or fewer there is no mean square."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -97,8 +99,20 @@ class TwoPort:
         return np.asarray(np.sqrt(np.maximum(np.stack([variance + difference, variance - difference], axis=-1), 0.0)))
 
 
-def smoothed_noise(frequency_hz: FloatArray, noise_sd: FloatArray) -> FloatArray:
-    """Noise averaged, as a variance, over neighbouring lines of about the same frequency; all of shape (F,)."""
+def smoothed_noise(
+    frequency_hz: FloatArray, noise_sd: FloatArray, degrees_of_freedom: float | None = None
+) -> FloatArray:
+    """Noise averaged, as a variance, over neighbouring lines of about the same frequency.
+
+    An error over its standard deviation estimated with nu degrees of freedom is distributed as Student's t, and its
+    mean square is nu/(nu - 2). With that factor in the variance it is one, as for a known standard deviation.
+
+    Parameters
+    ----------
+    frequency_hz, noise_sd : ndarray of float, shape (F,)
+    degrees_of_freedom : float, optional
+        Of each value.
+    """
     variance = noise_sd**2
     total, count = variance.copy(), np.ones_like(variance)
     for k in range(1, _NEIGHBOURS + 1):
@@ -107,7 +121,11 @@ def smoothed_noise(frequency_hz: FloatArray, noise_sd: FloatArray) -> FloatArray
         total[:-k] += near * variance[k:]
         count[k:] += near
         count[:-k] += near
-    return np.asarray(np.sqrt(total / count))
+    variance = total / count
+    if degrees_of_freedom is not None:
+        degrees = np.maximum(degrees_of_freedom * count, _FEWEST_DEGREES)
+        variance = variance * degrees / (degrees - 2)
+    return np.asarray(np.sqrt(variance))
 
 
 def two_port(

@@ -120,6 +120,8 @@ def test_the_error_of_a_common_run_is_beside_the_noise_and_not_in_it(tmp_path: P
     assert len(rows) == len(PEOPLE) * FREQUENCY.size
     found = [[float(row["calibration_sd_re"]), float(row["calibration_sd_im"])] for row in rows]
     np.testing.assert_allclose(found, 6e-3)
+    relative = 0.6 / np.abs([person(n) for n in PEOPLE])
+    assert f"deviation {np.median(relative):.2g} % of |z|, at most {relative.max():.2g} %" in said(out)
 
 
 def test_sensitivities_of_the_load_are_its_derivatives() -> None:
@@ -240,6 +242,24 @@ def test_noise_is_averaged_over_lines_of_about_one_frequency() -> None:
     assert smoothed_noise(close, noise)[4] == pytest.approx(np.sqrt(np.mean(noise**2)))
     assert smoothed_noise(close, noise)[0] == pytest.approx(np.sqrt(np.mean(noise[:5] ** 2)))
     np.testing.assert_array_equal(smoothed_noise(np.geomspace(1.0, 1e3, 9), noise), noise)
+
+
+def test_noise_of_few_degrees_of_freedom_explains_its_errors() -> None:
+    """Errors over a standard deviation that was estimated from few values are larger than one in the mean square."""
+    rng = np.random.default_rng(2)
+    close, apart = np.geomspace(1.0, 1e6, 2000), 2.0 ** np.arange(60)
+    for frequency, times in ((close, 20), (apart, 600)):
+        noise = [np.sqrt(rng.chisquare(8, frequency.size) / 8) for _ in range(times)]
+        sd = np.concatenate([smoothed_noise(frequency, one, 8.0) for one in noise])
+        # The standard deviation of a square is at most 2, of the mean of 36 000 about 1 %.
+        assert np.mean((rng.normal(size=sd.size) / sd) ** 2) == pytest.approx(1.0, abs=0.05)
+
+
+def test_runs_in_the_folder_of_the_recordings_are_not_people(tmp_path: Path) -> None:
+    _, runs = write_all(tmp_path / "all", Rig())
+    out = calibrated(tmp_path, str(tmp_path / "all"), "--known-load", *runs)
+    assert {one.name for one in read_recordings(out).subjects} == set(PEOPLE)
+    require_people(out, 1e-8)
 
 
 @pytest.mark.parametrize(
