@@ -6,7 +6,7 @@ import numpy as np
 from scipy.stats import binom
 
 from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods
-from bayes_impedance.diagnosis.heterogeneity.regression import RepetitionLikelihoods
+from bayes_impedance.diagnosis.heterogeneity.within_persons import RepetitionLikelihoods
 
 SURE = 1e-4  # a check by counting fails by chance this often.
 

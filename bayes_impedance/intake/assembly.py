@@ -15,6 +15,7 @@ import numpy as np
 from bayes_impedance.errors import InputError
 from bayes_impedance.intake.spectrum import FloatArray, Spectrum
 from bayes_impedance.recordings.dataset import Subject
+from bayes_impedance.recordings.plausibility import is_conjugate
 from bayes_impedance.recordings.repetitions import MINIMUM_COMMON, MINIMUM_POINTS
 from bayes_impedance.runtime.user_table import shown
 from bayes_impedance.units import HIGHEST_HZ, LARGEST_IMPEDANCE, LOWEST_HZ, SMALLEST_IMPEDANCE
@@ -26,7 +27,8 @@ def assemble(spectra: Sequence[Spectrum]) -> tuple[list[Subject], list[Spectrum]
     Raises
     ------
     InputError
-        If units differ, a name is impossible or there twice, or repetitions share too few frequencies.
+        If units differ, a name is impossible or there twice, repetitions share too few frequencies, or most are complex
+        conjugates.
     """
     if not spectra:
         raise InputError("there is no recording in the files; name others")
@@ -62,6 +64,12 @@ def assemble(spectra: Sequence[Spectrum]) -> tuple[list[Subject], list[Spectrum]
             )
         except ValueError as error:
             raise InputError(f"{own[0].source}: {error}") from None
+    if sum(map(is_conjugate, subjects)) > 0.5 * len(subjects):
+        raise InputError(
+            f"{spectra[0].source}: the phase agrees with the slope of the magnitude only if its sign is reversed: "
+            "these seem to be complex conjugates, from the convention exp(-jwt) or an analyser that subtracts phases "
+            "the other way; give --conjugated if you have not, or leave it out"
+        )
     return subjects, kept, notes
 
 

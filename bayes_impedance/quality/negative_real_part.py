@@ -47,7 +47,7 @@ class Explanation:
     Attributes
     ----------
     cause : str
-        ``sign``, ``lag``, ``angle``, ``filter``, ``quantity``, or nothing if the curve does not say.
+        ``sign``, ``lag``, ``angle``, ``conjugation``, ``filter``, ``quantity``, or nothing if the curve does not say.
     size : float
         Of a lag in s, positive if the motion is late; of an angle in degrees.
     """
@@ -96,6 +96,8 @@ def sentence(whose: str, where: str, depth: str, explanations: Sequence[Explanat
         f"{late} is about {number_with_unit(abs(size), 's', 2)} later than the {other}; {_DIAGNOSE} measures it",
         "angle": f"the phase is off by about {size:.0f} degrees at every frequency, as by an error of calibration: "
         "correct the phase",
+        "conjugation": "the phase belongs to the magnitude only with the opposite sign, as in complex conjugates: "
+        "change the sign of the imaginary part",
         "filter": "phase and magnitude belong together, so that the sign is right: a low-pass or high-pass of one "
         "channel, a small delay between the channels, or a mass correction in excess does this to an inertial or "
         f"elastic load; {_DIAGNOSE} says which",

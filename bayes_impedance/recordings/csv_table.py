@@ -291,21 +291,40 @@ def parse_covariates(data: bytes, file: str) -> CovariateTable:
         raise InputError(
             f'{file}, row {table.row[again]}: subject "{subject[again]}" appears twice; keep one row for each subject'
         )
+    columns, warnings = columns_of_values(table, ("subject",), "subjects")
+    covariates = tuple(columns)
+    values = {str(who): {name: float(columns[name][i]) for name in covariates} for i, who in enumerate(subject)}
+    return CovariateTable(values, covariates, warnings)
+
+
+def columns_of_values(table: Table, keys: Sequence[str], rows: str) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
+    """All columns besides the keys as numbers, those of text as categories; and what is to be said of them.
+
+    Parameters
+    ----------
+    table : Table
+    keys : sequence of str
+        Columns of names.
+    rows : str
+        What the rows are, for messages.
+
+    Raises
+    ------
+    InputError
+        If a cell of a column of numbers is not a number.
+    """
     columns: dict[str, FloatArray] = {}
     categorical: list[str] = []
     for name in table.columns:
-        if name != "subject" and not is_categorical(table.columns[name]):
+        if name not in keys and not is_categorical(table.columns[name]):
             columns[name] = numbers(table, name)
-        elif name != "subject":
+        elif name not in keys:
             indicators, said = indicators_of(name, table.columns[name])
             columns |= {key: values for key, values in indicators.items() if key not in table.columns}
-            categorical.append(f"{file}: {said}")
-    covariates = tuple(columns)
-    warnings = tuple(categorical) + tuple(
-        f"{file}: {name} is missing for {int(np.isnan(column).sum())} of {subject.size} subjects, "
+            categorical.append(f"{table.file}: {said}")
+    return columns, tuple(categorical) + tuple(
+        f"{table.file}: {name} is missing for {int(np.isnan(column).sum())} of {table.row.size} {rows}, "
         f"the first in row {table.row[np.flatnonzero(np.isnan(column))[0]]}"
         for name, column in columns.items()
         if np.isnan(column).any()
     )
-    values = {str(who): {name: float(columns[name][i]) for name in covariates} for i, who in enumerate(subject)}
-    return CovariateTable(values, covariates, warnings)

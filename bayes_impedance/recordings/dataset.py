@@ -38,6 +38,8 @@ class Subject:
         Standard deviation of each of real and imaginary part, in the dataset's unit; None if not given.
     covariates : mapping of str to float
         NaN where a covariate is missing.
+    circumstances : mapping of str to ndarray of float, shape (J,)
+        What was noted of every repetition; NaN where it is missing.
 
     Raises
     ------
@@ -51,6 +53,7 @@ class Subject:
     repetitions: tuple[str, ...]
     noise_sd: FloatArray | None = None
     covariates: Mapping[str, float] = field(default_factory=dict)
+    circumstances: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check shapes, order of frequencies and names."""
@@ -68,6 +71,11 @@ class Subject:
             raise ValueError(f"{self.name}: z has shape {self.z.shape}, but repetitions and frequencies are {shape}")
         if self.noise_sd is not None and self.noise_sd.shape != shape:
             raise ValueError(f"{self.name}: noise_sd has shape {self.noise_sd.shape}, but z has {shape}")
+        for name, values in self.circumstances.items():
+            if np.shape(values) != shape[:1]:
+                raise ValueError(
+                    f"{self.name}: {name} has shape {np.shape(values)}, but there are {shape[0]} repetitions"
+                )
         if len(set(self.repetitions)) < len(self.repetitions):
             raise ValueError(f"{self.name}: two repetitions have the same name: give each its own")
 
@@ -105,12 +113,14 @@ class Recordings:
     subjects : tuple of Subject
         In the order of the file; names differ.
     sha256 : str
-        Digest of the uncompressed recordings.csv (of Parquet, of its files' digests), then of subjects.csv and
-        dataset.toml where present; empty if the recordings were not read from files.
+        Digest of the uncompressed recordings.csv (of Parquet, of its files' digests), then of subjects.csv,
+        repetitions.csv and dataset.toml where present; empty if the recordings were not read from files.
     warnings : tuple of str
         What was changed or left out when reading.
     polar : bool
         Whether the file has magnitude and phase, each of which can be in a wrong unit.
+    convention : str or None
+        Convention that the file declares; z here is that of exp(+jwt). None if it does not say.
 
     Raises
     ------
@@ -127,6 +137,7 @@ class Recordings:
     sha256: str = ""
     warnings: tuple[str, ...] = ()
     polar: bool = False
+    convention: str | None = None
 
     def __post_init__(self) -> None:
         """Check that the subjects' names are unique."""

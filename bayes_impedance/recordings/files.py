@@ -1,7 +1,8 @@
 """Recordings on disk: reading and writing datasets.
 
-A dataset is a folder of `recordings.csv` (or `.csv.gz`), optionally `subjects.csv` with covariates and `dataset.toml`
-with title, unit, sign, network, source and licence; or one CSV file. Everything is checked before it is returned.
+A dataset is a folder of `recordings.csv` (or `.csv.gz`), optionally `subjects.csv` with covariates, `repetitions.csv`
+with what was noted of every repetition, and `dataset.toml` with title, unit, sign, network, source and licence; or one
+CSV file. Everything is checked before it is returned.
 """
 
 from __future__ import annotations
@@ -18,14 +19,15 @@ from pathlib import Path
 import numpy as np
 
 from bayes_impedance.errors import InputError
+from bayes_impedance.recordings.circumstances import CircumstanceTable, circumstances_csv, parse_circumstances
 from bayes_impedance.recordings.csv_table import CovariateTable, IntArray, parse_covariates
 from bayes_impedance.recordings.dataset import Recordings, Subject
 from bayes_impedance.recordings.long_table import CARTESIAN, KNOWN, RecordingTable, check_cells, parse_recordings
-from bayes_impedance.recordings.metadata import SIGNS, Metadata, parse_metadata
+from bayes_impedance.recordings.metadata import CONVENTIONS, SIGNS, Metadata, parse_metadata
 from bayes_impedance.recordings.out_of_core import StoredRows, StoredSubject
 from bayes_impedance.recordings.parquet import SUFFIX, parquet_table, partitions
-from bayes_impedance.recordings.phase_relation import excess_phase
-from bayes_impedance.recordings.repetitions import signed_factor, subjects_of
+from bayes_impedance.recordings.plausibility import Plausibility
+from bayes_impedance.recordings.repetitions import is_conjugated, signed_factor, subjects_of
 from bayes_impedance.runtime.atomic_files import write_together
 from bayes_impedance.runtime.input_files import LARGEST_DESCRIPTION, read_bytes
 
@@ -33,13 +35,8 @@ __all__ = ["Recordings", "Subject", "read_recordings", "write_recordings"]
 
 RECORDINGS_FILES = ("recordings.csv", "recordings.csv.gz", "recordings.parquet")
 SUBJECTS_FILE = "subjects.csv"
+REPETITIONS_FILE = "repetitions.csv"
 METADATA_FILE = "dataset.toml"
-WRONG_SIGN = 0.6
-"""Fraction of points with Re z of the wrong sign above which the sign convention may be wrong. By choice: above one
-half, the largest fraction that noise around zero gives."""
-NEARLY_ALL = 0.95
-"""The same for curves of few points or a narrow band, and those of which the phase does not say whether they are
-turned. By choice: a wrong sign turns all points, up to those around zero; a lag, those of an inertial load."""
 
 
 def read_recordings(path: str | os.PathLike[str]) -> Recordings:
@@ -78,17 +75,23 @@ def read_recordings(path: str | os.PathLike[str]) -> Recordings:
     if folder is not None and subjects_file.exists():
         described.append(read_bytes(subjects_file))
         covariates = parse_covariates(described[-1], str(subjects_file))
+    circumstances = CircumstanceTable()
+    repetitions_file = (folder or given.parent) / REPETITIONS_FILE
+    if folder is not None and repetitions_file.exists():
+        described.append(read_bytes(repetitions_file))
+        circumstances = parse_circumstances(described[-1], str(repetitions_file))
     metadata_file = (folder or given.parent) / METADATA_FILE
     if folder is not None and metadata_file.exists():
         described.append(read_bytes(metadata_file, LARGEST_DESCRIPTION))
         metadata = parse_metadata(described[-1], str(metadata_file), metadata.title)
-    reading = _Reading(file, metadata, covariates)
+    reading = _Reading(file, metadata, covariates, circumstances)
     for table, place in _tables(file, digest):
         reading.add(table, *place)
     for content in described:
         digest.update(content)
-    unused = reading.match_covariates(str(subjects_file))
-    reading.check_sign(str(metadata_file))
+    unused = (*reading.match_covariates(str(subjects_file)), *circumstances.unmatched(reading.subjects))
+    reading.require_rows()
+    reading.plausibility.require(metadata, f"{file}", reading.first_row, str(metadata_file))
     return Recordings(
         title=metadata.title,
         unit=metadata.unit,
@@ -97,8 +100,16 @@ def read_recordings(path: str | os.PathLike[str]) -> Recordings:
         licence=metadata.licence,
         subjects=tuple(reading.subjects),
         sha256=digest.hexdigest(),
-        warnings=(*reading.of_table, *covariates.warnings, *unused, *metadata.warnings, *reading.of_subjects),
+        warnings=(
+            *reading.of_table,
+            *covariates.warnings,
+            *circumstances.warnings,
+            *unused,
+            *metadata.warnings,
+            *reading.of_subjects,
+        ),
         polar=reading.polar,
+        convention=metadata.convention,
     )
 
 
@@ -126,8 +137,10 @@ def _tables(file: Path, digest: hashlib._Hash) -> Iterator[tuple[RecordingTable,
 class _Reading:
     """Subjects while they are read, and checks made when all have been read."""
 
-    def __init__(self, file: Path, metadata: Metadata, covariates: CovariateTable) -> None:
-        self.file, self.metadata, self.covariates = file, metadata, covariates
+    def __init__(
+        self, file: Path, metadata: Metadata, covariates: CovariateTable, circumstances: CircumstanceTable
+    ) -> None:
+        self.file, self.metadata, self.covariates, self.circumstances = file, metadata, covariates, circumstances
         self.subjects: list[Subject] = []
         self.named: dict[str, str] = {}
         self.of_table: list[str] = []
@@ -135,8 +148,10 @@ class _Reading:
         self.of_subjects: list[str] = []
         if metadata.sign != SIGNS[0]:
             self.of_subjects.append(f'{file}: z was multiplied by -1 because the sign is "{metadata.sign}"')
+        if is_conjugated(metadata):
+            self.of_subjects.append(f'{file}: conjugates of z were taken because the convention is "{CONVENTIONS[1]}"')
         self.polar, self.first_row = False, 0
-        self.rows = self.points = self.wrong = self.turned = 0
+        self.rows, self.plausibility = 0, Plausibility()
 
     def add(self, table: RecordingTable, folder: Path | None = None, digest: str = "") -> None:
         """Add all subjects of a table; if a folder is given, their data are not kept but read from there again."""
@@ -153,10 +168,9 @@ class _Reading:
             self.named[table.subject_names[i]] = f"{table.file}, row {row}"
         self.first_row = self.first_row or int(table.row[:1].sum())
         self.rows += table.z.size
-        for subject, rows, warning in subjects_of(table, self.metadata, self.covariates):
-            wrong = int(np.sum(subject.z.real < 0))
-            self.points, self.wrong = self.points + subject.z.size, self.wrong + wrong
-            self.turned += subject.z.size if _is_turned(subject, wrong / subject.z.size) else 0
+        for own, rows, warning in subjects_of(table, self.metadata, self.covariates):
+            subject = self.circumstances.of(own)
+            self.plausibility.add(subject)
             self.of_subjects += [warning] if warning else []
             self.subjects.append(subject if folder is None else self._stored(subject, table, rows, folder, digest))
 
@@ -178,6 +192,7 @@ class _Reading:
                 factor=signed_factor(self.metadata),
                 noise_factor=self.metadata.factor,
                 with_noise=subject.noise_sd is not None,
+                conjugated=is_conjugated(self.metadata),
             ),
         )
 
@@ -187,6 +202,11 @@ class _Reading:
             said = warning.partition(": ")[2] if folder is not None else warning
             self.of_table += [warning] if said not in self.said else []
             self.said.add(said)
+
+    def require_rows(self) -> None:
+        """Refuse tables without any usable row."""
+        if not self.rows:
+            raise InputError(f"{self.file}: no partition has a row with a finite number in every column; fill them in")
 
     def match_covariates(self, file: str) -> tuple[str, ...]:
         """Refuse subjects without covariates; warn of covariates without recordings."""
@@ -203,38 +223,6 @@ class _Reading:
             return ()
         more = f" and {len(surplus) - 5} more" if len(surplus) > 5 else ""
         return (f"{file}: there are no recordings of {', '.join(surplus[:5])}{more}; their covariates are not used",)
-
-    def check_sign(self, metadata_file: str) -> None:
-        """Refuse data that contradict their declared sign: a negated impedance would fail only later, in the fit.
-
-        Negative real parts alone are no contradiction: a lag or a filter of a channel causes them on an inertial load,
-        at nearly all frequencies. A wrong sign turns the phase of every point by 180 degrees, and Bode's relation
-        between phase and magnitude shows it (:mod:`.phase_relation`). Refused are recordings of which more than
-        `WRONG_SIGN` have negative real parts and most are turned.
-        """
-        if not self.rows:
-            raise InputError(f"{self.file}: no partition has a row with a finite number in every column; fill them in")
-        wrong = self.wrong / max(self.points, 1)
-        if wrong > WRONG_SIGN and self.turned > 0.5 * self.points:
-            declared_positive = self.metadata.sign == SIGNS[0]
-            remedy = SIGNS[1] if declared_positive else SIGNS[0]
-            kind = "negative" if declared_positive else "positive"
-            raise InputError(
-                f"{self.file}: {wrong:.0%} of the rows (the first is row {self.first_row}) have a {kind} real part "
-                f'although the sign is "{self.metadata.sign}"; if force or velocity was counted the other way, write '
-                f'sign = "{remedy}" in {metadata_file}, beside a file named recordings.csv; if z is not force per '
-                "velocity but per acceleration or displacement, convert it"
-            )
-
-
-def _is_turned(subject: Subject, wrong: float) -> bool:
-    """Whether the impedance of a subject has the wrong sign, of whose points a fraction `wrong` has Re z < 0."""
-    if wrong <= WRONG_SIGN:
-        return False
-    found = excess_phase(subject.frequency_hz, subject.mean)
-    if found is None or found.cause is None:
-        return wrong > NEARLY_ALL
-    return found.cause == "sign"
 
 
 def _recordings_file(folder: Path) -> Path:
@@ -268,7 +256,8 @@ def write_recordings(
     recordings : Recordings
     folder : path
         Folder to write to; it is created. `recordings.csv`, `dataset.toml` and, where there are covariates,
-        `subjects.csv` are written to temporary names first, so that no half-written file is left behind.
+        `subjects.csv` and `repetitions.csv` are written to temporary names first, so that no half-written file is left
+        behind.
     significant_digits : int, optional
         Digits of z and noise_sd. By default enough to restore the numbers exactly; frequencies and covariates are
         always exact.
@@ -297,11 +286,14 @@ def write_recordings(
     contents = {RECORDINGS_FILES[compress]: _gzip(table) if compress else table}
     if any(subject.covariates for subject in recordings.subjects):
         contents[SUBJECTS_FILE] = recordings.subjects_table().to_csv(lineterminator="\n").encode()
+    noted = circumstances_csv(recordings.subjects)
+    if noted is not None:
+        contents[REPETITIONS_FILE] = noted
     contents[METADATA_FILE] = "\n".join(filter(None, (_metadata_toml(recordings), recipe))).encode()
     contents |= beside or {}
     write_together({target / name: content for name, content in contents.items()})
     # Files of an earlier dataset would be read together with the new ones.
-    for name in {*RECORDINGS_FILES, SUBJECTS_FILE} - contents.keys():
+    for name in {*RECORDINGS_FILES, SUBJECTS_FILE, REPETITIONS_FILE} - contents.keys():
         (target / name).unlink(missing_ok=True)
     return target
 
@@ -332,6 +324,7 @@ def _metadata_toml(recordings: Recordings) -> str:
         "title": recordings.title,
         "unit": recordings.unit,
         "sign": SIGNS[0],
+        "convention": CONVENTIONS[0] if recordings.convention else "",
         "network": recordings.network,
         "source": recordings.source,
         "licence": recordings.licence,

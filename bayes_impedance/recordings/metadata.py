@@ -1,4 +1,4 @@
-"""Metadata of a dataset: dataset.toml, with its unit and sign.
+"""Metadata of a dataset: dataset.toml, with its unit, sign and convention.
 
 Impedance is F/v in the force-voltage analogy (force = voltage, velocity = current), so the same file format serves
 mechanical, rotational, acoustic and electrical one-ports. Values are stored in the SI unit of their kind.
@@ -15,7 +15,8 @@ from bayes_impedance.runtime.user_table import UserTable, shown
 
 DEFAULT_UNIT = "N s/m"
 SIGNS = ("passive positive", "passive negative")
-_KEYS = ("title", "unit", "sign", "network", "source", "licence")
+CONVENTIONS = ("exp(+jwt)", "exp(-jwt)")
+_KEYS = ("title", "unit", "sign", "convention", "network", "source", "licence")
 RECIPE = "import"
 """Key of the table that records how the dataset was made from other files; it is not evaluated."""
 
@@ -76,6 +77,8 @@ class Metadata:
         Factor that converts the file's numbers to `unit`, without the sign.
     sign : str
         One of `SIGNS`.
+    convention : str or None
+        One of `CONVENTIONS`, the sign of time in phasors; None if the file does not say.
     network : str or None
         Notation of the network that the data are usually modelled with.
     warnings : tuple of str
@@ -85,6 +88,7 @@ class Metadata:
     unit: str = DEFAULT_UNIT
     factor: float = 1.0
     sign: str = SIGNS[0]
+    convention: str | None = None
     network: str | None = None
     source: str = ""
     licence: str = ""
@@ -111,7 +115,7 @@ def parse_metadata(data: bytes, file: str, default_title: str) -> Metadata:
     Raises
     ------
     InputError
-        If the file is not TOML, a value is no string, or the unit or sign is none of those known.
+        If the file is not TOML, a value is no string, or the unit, sign or convention is none of those known.
     """
     text = decode(data, file)
 
@@ -121,7 +125,7 @@ def parse_metadata(data: bytes, file: str, default_title: str) -> Metadata:
     # Other programs' keys may be present: unknown keys give a warning, not an error.
     table = UserTable(parse_toml(text, file), where, _KEYS, tolerant=True)
     warnings = [table.about_unknown(key) for key in table.unknown if key != RECIPE]
-    title, source, licence, network, declared, given_sign = (
+    title, source, licence, network, declared, given_sign, given_convention = (
         table.text(key, default)
         for key, default in (
             ("title", ""),
@@ -130,6 +134,7 @@ def parse_metadata(data: bytes, file: str, default_title: str) -> Metadata:
             ("network", ""),
             ("unit", DEFAULT_UNIT),
             ("sign", SIGNS[0]),
+            ("convention", ""),
         )
     )
     unit, factor = parse_unit(declared, where("unit"))
@@ -141,11 +146,18 @@ def parse_metadata(data: bytes, file: str, default_title: str) -> Metadata:
             f"{where('sign')}: sign {shown(given_sign)} is unknown; "
             f'write "{SIGNS[0]}" (Re z >= 0 for a passive load) or "{SIGNS[1]}"'
         )
+    convention = "".join(given_convention.lower().split()).replace("exp(jwt)", CONVENTIONS[0])
+    if convention and convention not in CONVENTIONS:
+        raise InputError(
+            f"{where('convention')}: convention {shown(given_convention)} is unknown; "
+            f'write "{CONVENTIONS[0]}" (a mass is +jwm) or "{CONVENTIONS[1]}"'
+        )
     return Metadata(
         title=title.strip() or default_title,
         unit=unit,
         factor=factor,
         sign=sign,
+        convention=convention or None,
         network=network.strip() or None,
         source=source,
         licence=licence,

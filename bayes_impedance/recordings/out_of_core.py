@@ -40,6 +40,7 @@ class StoredRows:
     factor, noise_factor : float
         Factors applied to impedance and noise_sd.
     with_noise : bool
+    conjugated : bool
     """
 
     folder: Path
@@ -50,6 +51,7 @@ class StoredRows:
     factor: float
     noise_factor: float
     with_noise: bool
+    conjugated: bool = False
 
 
 @lru_cache(maxsize=16)
@@ -65,6 +67,8 @@ def _read(place: StoredRows) -> tuple[ComplexArray, FloatArray | None]:
             f"{place.folder}: the folder has changed since it was checked; start again when no program writes to it"
         )
     z, noise_sd = values(cells, place.polar)
+    if place.conjugated:
+        z = z.conj()
     first = np.arange(math.prod(place.shape)).reshape(place.shape)
     rows = first if place.rows is None else np.searchsorted(cells.row, place.rows)
     return (z * place.factor)[rows], (noise_sd * place.noise_factor)[rows] if place.with_noise else None
@@ -90,7 +94,7 @@ class StoredSubject(Subject):
 
     def __init__(self, subject: Subject, frequency_hz: FloatArray, place: StoredRows) -> None:
         own = {"name": subject.name, "frequency_hz": frequency_hz, "repetitions": subject.repetitions}
-        self.__dict__.update(own, covariates=subject.covariates, place=place)
+        self.__dict__.update(own, covariates=subject.covariates, circumstances=subject.circumstances, place=place)
 
     @property
     def z(self) -> ComplexArray:

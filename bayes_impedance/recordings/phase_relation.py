@@ -51,7 +51,7 @@ _REACH = 5.0
 _LAGS = 240
 """Lags of each sign that are tried, from a hundredth to three periods of the highest frequency. By choice."""
 
-Cause = Literal["none", "sign", "lag", "angle"]
+Cause = Literal["none", "sign", "lag", "angle", "conjugation"]
 """Of an excess phase: see the table of the module's docstring."""
 
 
@@ -61,7 +61,7 @@ class ExcessPhase:
 
     Attributes
     ----------
-    cause : {"none", "sign", "lag", "angle"} or None
+    cause : {"none", "sign", "lag", "angle", "conjugation"} or None
         None if no cause is clearly better than none, and the phase does not belong to the magnitude either.
     size : float
         Of a lag in s, positive if the motion is late; of an angle in degrees; else 0.
@@ -95,7 +95,8 @@ def excess_phase(frequency_hz: FloatArray, z: ComplexArray) -> ExcessPhase | Non
     log_f, omega = np.log(frequency_hz), 2 * np.pi * np.exp(grid)
     magnitude = np.log(np.maximum(np.abs(z), np.finfo(float).tiny))
     phase = np.interp(grid, log_f, np.unwrap(np.angle(z)))
-    turned = np.exp(1j * (phase - bode_phase(np.interp(grid, log_f, magnitude), step)))
+    belonging = bode_phase(np.interp(grid, log_f, magnitude), step)
+    turned = np.exp(1j * (phase - belonging))
     angle = float(np.angle(turned.mean()))
     lags = np.geomspace(0.01, 3.0, _LAGS) * 2 * np.pi / omega[-1]
     lags = np.concatenate([-lags, lags])
@@ -106,12 +107,13 @@ def excess_phase(frequency_hz: FloatArray, z: ComplexArray) -> ExcessPhase | Non
         "sign": sign,
         "lag": float(by_lag[best]),
         "angle": float(_rms_angle(turned * np.exp(-1j * angle))),
+        "conjugation": float(_rms_angle(np.exp(-1j * (phase + belonging)))),
     }
-    size: dict[Cause, float] = {"sign": 0.0, "lag": float(lags[best]), "angle": float(np.rad2deg(angle))}
+    size: dict[Cause, float] = {"lag": float(lags[best]), "angle": float(np.rad2deg(angle))}
     # Half a turn is an angle too, which fits a little better than exactly half a turn.
-    cause = min(misfit, key=lambda c: misfit[c] * (1.0 if c == "sign" else 1.5))
+    cause = min(misfit, key=lambda c: misfit[c] * (1.5 if c in size else 1.0))
     if none > max(BODE_MINIMUM_DEG, BODE_CONTRAST * misfit[cause]):
-        return ExcessPhase(cause, size[cause])
+        return ExcessPhase(cause, size.get(cause, 0.0))
     return ExcessPhase("none" if sign > BODE_CONTRAST * none else None)
 
 

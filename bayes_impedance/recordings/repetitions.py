@@ -12,7 +12,7 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.recordings.csv_table import CovariateTable, IntArray
 from bayes_impedance.recordings.dataset import Subject
 from bayes_impedance.recordings.long_table import RecordingTable
-from bayes_impedance.recordings.metadata import SIGNS, Metadata
+from bayes_impedance.recordings.metadata import CONVENTIONS, SIGNS, Metadata
 
 MINIMUM_POINTS = 3
 """Fewest frequencies of a subject. By choice: a mass, a spring and a damper are three unknowns."""
@@ -24,6 +24,11 @@ dropping more than half of a recording would change the experiment."""
 def signed_factor(metadata: Metadata) -> float:
     """Factor applied to the file's impedance: unit and sign."""
     return metadata.factor if metadata.sign == SIGNS[0] else -metadata.factor
+
+
+def is_conjugated(metadata: Metadata) -> bool:
+    """Whether the file has the complex conjugates of the impedance."""
+    return metadata.convention == CONVENTIONS[1]
 
 
 def subjects_of(
@@ -45,6 +50,8 @@ def subjects_of(
         If repetitions share too few frequencies, or a subject has too few frequencies.
     """
     z = table.z * signed_factor(metadata)
+    if is_conjugated(metadata):
+        z = z.conj()
     noise_sd = table.noise_sd * metadata.factor
     bounds = np.flatnonzero(np.diff(table.subject, prepend=-1, append=len(table.subject_names)))
     for start, stop in pairwise(bounds.tolist()):

@@ -157,7 +157,7 @@ def rippled(recordings: Recordings) -> Recordings:
     return changed(recordings, lambda s, z: z * (1 + 0.05 * np.sin(2.5 * np.log(np.abs(s)))))
 
 
-@pytest.mark.parametrize("same_people", [True, False])
+@pytest.mark.parametrize("same_people", [True, pytest.param(False, marks=[pytest.mark.slow, pytest.mark.ci])])
 def test_what_the_simulation_leaves_of_itself_is_no_difference(same_people: bool) -> None:
     """Both have the same ripple; the recordings have a skew as well, and that is all there is to say."""
     recorded = changed(rippled(people(14, 10)), lambda s, z: z * np.exp(-s * DELAY))
@@ -198,6 +198,8 @@ def test_physics_outside_of_the_candidates_is_unknown_and_realised_by_a_passive_
     assert verdict.improvement.elpd_gain > 2 * verdict.improvement.elpd_gain_se
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_names_that_only_together_come_near_are_no_names() -> None:
     def diffusion(s: np.ndarray, z: np.ndarray) -> np.ndarray:
         root = np.sqrt(s * 0.02)

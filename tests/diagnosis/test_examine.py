@@ -63,7 +63,9 @@ def test_good_populations_are_not_marked() -> None:
     assert all(not found.bent and not found.gross for found in all_found)
 
 
-@pytest.mark.parametrize("change", ["conjugated", "accelerance", "mobility"])
+@pytest.mark.parametrize(
+    "change", ["conjugated", "accelerance", pytest.param("mobility", marks=[pytest.mark.slow, pytest.mark.ci])]
+)
 def test_another_quantity_is_a_gross_misfit(change: str) -> None:
     found = examined(change)
     assert len(found.gross) == 1

@@ -9,6 +9,7 @@ from simulated_signals import Multisine, mobility_at, random_response
 
 from bayes_impedance.commands.cli import main
 from bayes_impedance.recordings import read_recordings
+from bayes_impedance.recordings.circumstances import OF_THE_ESTIMATE
 
 SINES = Multisine()
 Signals = dict[str, np.ndarray]
@@ -43,6 +44,8 @@ def test_a_file_with_one_force_and_one_motion_needs_no_option(
     noted = (tmp_path / "imported" / "repetitions.csv").read_text(encoding="utf-8").splitlines()
     assert noted[0].startswith("subject,repetition,periods,realisations")
     assert noted[1].startswith("P3,1,6.0,1.0")
+    assert set(noted[0].split(",")) - {"subject", "repetition"} <= OF_THE_ESTIMATE
+    assert subject.circumstances == {}
 
 
 def test_sensitivities_signs_and_rates(tmp_path: Path) -> None:

@@ -228,3 +228,15 @@ def test_a_dataset_of_somebody_else_is_not_replaced(tmp_path: Path) -> None:
     (tmp_path / "out" / "subjects.csv").write_text("subject,age\na,30\n", encoding="utf-8")
     assert main(["import", str(tmp_path / "a.csv"), "-o", str(tmp_path / "out")]) == 2
     assert [p.name for p in (tmp_path / "out").iterdir()] == ["subjects.csv"]
+
+
+@pytest.mark.parametrize(("sign", "options"), [(-1, ()), (1, ("--conjugated",))])
+def test_complex_conjugates_are_refused(
+    sign: int, options: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "P07.txt").write_text(table({"f": F, "z_re": Z.real, "z_im": sign * Z.imag}))
+    assert main(["import", str(tmp_path / "P07.txt"), *options, "-o", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert "complex conjugates" in said
+    assert "--conjugated" in said
+    assert not (tmp_path / "out").exists()

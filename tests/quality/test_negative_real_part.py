@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from faulty_recordings import Complex, warnings
 from lagged_recordings import LOADS, Chain, delayed, filtered_motion, recorded
 
+from bayes_impedance.commands.cli import main
 from bayes_impedance.errors import InputError
 from bayes_impedance.quality.negative_real_part import explain
 from bayes_impedance.recordings.files import read_recordings, write_recordings
@@ -63,8 +65,40 @@ def test_accelerance_is_pointed_at(load: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("load", LOADS)
-def test_conjugates_are_pointed_at(load: str, tmp_path: Path) -> None:
-    assert "complex conjugates" in _said(load, lambda s, z: z.conj(), 1, tmp_path)
+def test_conjugates_are_refused_unless_their_convention_is_declared(
+    load: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_recordings(recorded(load, lambda s, z: z.conj(), 1), tmp_path)
+    assert main(["check", str(tmp_path)]) == 2
+    said = capsys.readouterr().err
+    assert "complex conjugates" in said
+    assert 'convention = "exp(-jwt)"' in said
+    metadata = tmp_path / "dataset.toml"
+    described = metadata.read_text(encoding="utf-8")
+    metadata.write_text(described + 'convention = "exp(-jwt)"\n', encoding="utf-8")
+    turned = read_recordings(tmp_path)
+    assert "conjugates of z were taken" in " ".join(turned.warnings)
+    true = recorded(load, lambda s, z: z, 1)
+    np.testing.assert_allclose(np.abs(np.angle(turned.subjects[0].z / true.subjects[0].z)), 0.0, atol=0.2)
+    again = read_recordings(write_recordings(turned, tmp_path / "again"))
+    np.testing.assert_array_equal(again.subjects[0].z, turned.subjects[0].z)
+    metadata.write_text(described + 'convention = "exp(+jwt)"\n', encoding="utf-8")
+    np.testing.assert_array_equal(read_recordings(tmp_path).subjects[0].z, turned.subjects[0].z.conj())
+
+
+def test_one_conjugated_person_of_many_is_not_refused(tmp_path: Path) -> None:
+    data = recorded("finger", lambda s, z: z, 1)
+    one = replace(data.subjects[0], z=data.subjects[0].z.conj())
+    write_recordings(replace(data, subjects=(one, *data.subjects[1:])), tmp_path)
+    assert len(read_recordings(tmp_path)) == len(data) > 2
+
+
+def test_an_unknown_convention_is_refused(tmp_path: Path) -> None:
+    write_recordings(recorded("finger", lambda s, z: z, 1), tmp_path)
+    metadata = tmp_path / "dataset.toml"
+    metadata.write_text(metadata.read_text(encoding="utf-8") + 'convention = "engineers"\n', encoding="utf-8")
+    with pytest.raises(InputError, match=r'convention "engineers" is unknown'):
+        read_recordings(tmp_path)
 
 
 @pytest.mark.parametrize("load", ["oscillator", "two inertias", "mass"])

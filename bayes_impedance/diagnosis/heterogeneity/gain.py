@@ -14,8 +14,13 @@ import numpy as np
 
 from bayes_impedance.diagnosis.folds import person_folds
 from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods, log_marginal
-from bayes_impedance.diagnosis.heterogeneity.regression import RepetitionLikelihoods, drift_model
 from bayes_impedance.diagnosis.heterogeneity.reml import Covariance, FullCovariance, centred_fit, fit_normal_population
+from bayes_impedance.diagnosis.heterogeneity.within_persons import (
+    DRIFT,
+    RepetitionLikelihoods,
+    variables_of,
+    within_persons_model,
+)
 
 HELD_OUT = ("body.covariate", "body.drift")
 """Effects whose gain is computed here; for other structures only a likelihood ratio is computed."""
@@ -53,11 +58,14 @@ def gain_of_covariate(
     )
 
 
-def gain_of_drift(repetitions: RepetitionLikelihoods, elements: Sequence[str], seed: int) -> tuple[float, float]:
-    """Gain of letting some elements drift over the repetitions; as :func:`gain_of_covariate`."""
-    stacked, design, covariance = drift_model(repetitions)
+def gain_within_persons(
+    repetitions: RepetitionLikelihoods, elements: Sequence[str], seed: int, variable: str = DRIFT
+) -> tuple[float, float]:
+    """Gain of letting some elements follow a variable of the repetitions; as :func:`gain_of_covariate`."""
+    values, _, _ = variables_of(repetitions, [])[variable]
+    likelihoods, design, structure = within_persons_model(repetitions, [values])
     columns = [repetitions.elements.index(e) for e in elements]
-    return _gain(stacked, design[:, :, columns], design[:, :, :0], covariance, seed)
+    return _gain(likelihoods, design[:, :, columns], design[:, :, :0], structure, seed)
 
 
 def _gain(

@@ -21,16 +21,12 @@ import numpy as np
 from bayes_impedance.diagnosis.fit.normal_equations import sums
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.heterogeneity.correlations import CorrelationTest, correlation_test
-from bayes_impedance.diagnosis.heterogeneity.gain import gain_of_covariate, gain_of_drift
+from bayes_impedance.diagnosis.heterogeneity.gain import gain_of_covariate, gain_within_persons
 from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods
-from bayes_impedance.diagnosis.heterogeneity.regression import (
-    RepetitionLikelihoods,
-    Trend,
-    find_covariates,
-    find_drift,
-    regressors_of,
-)
+from bayes_impedance.diagnosis.heterogeneity.regression import find_covariates
 from bayes_impedance.diagnosis.heterogeneity.subgroups import Subgroup, find_subgroup
+from bayes_impedance.diagnosis.heterogeneity.trends import Trend, regressors_of
+from bayes_impedance.diagnosis.heterogeneity.within_persons import DRIFT, RepetitionLikelihoods, find_within_persons
 from bayes_impedance.person.marginal_likelihood import LEAST_RHO
 from bayes_impedance.recordings.files import Recordings
 
@@ -109,8 +105,8 @@ def person_likelihoods(fit: Refit, added: Sequence[Added] = ()) -> PersonLikelih
     return PersonLikelihoods(names, sums(reduced, fit.owner, n), 0.5 * (total + np.swapaxes(total, 1, 2)))
 
 
-def repetition_likelihoods(fit: Refit) -> RepetitionLikelihoods:
-    """Likelihoods of the deviations of every repetition from the person's elements."""
+def repetition_likelihoods(fit: Refit, recordings: Recordings) -> RepetitionLikelihoods:
+    """Likelihoods of the deviations of every repetition from the person's elements, with its circumstances."""
     e = fit.model.n_elements
     h, linear = _recordings(fit, range(e))
     centred = linear - np.einsum("mpq,mq->mp", h, fit.persons[fit.owner][:, :e])
@@ -120,7 +116,18 @@ def repetition_likelihoods(fit: Refit) -> RepetitionLikelihoods:
         tuple(centred[r] for r in rows),
         tuple(h[r] for r in rows),
         tuple(np.arange(r.size) for r in rows),
+        {
+            name: tuple(
+                np.asarray(s.circumstances.get(name, np.full(r.size, np.nan)), dtype=float)
+                for s, r in zip(recordings.subjects, rows, strict=True)
+            )
+            for name in _noted(recordings)
+        },
     )
+
+
+def _noted(recordings: Recordings) -> list[str]:
+    return sorted({name for s in recordings.subjects for name in s.circumstances})
 
 
 def _recordings(fit: Refit, columns: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
@@ -131,7 +138,7 @@ def _recordings(fit: Refit, columns: Sequence[int]) -> tuple[np.ndarray, np.ndar
     return h, np.einsum("mpq,mq->mp", h, fit.u[:, c]) - w[:, None] * fit.equations.gradient[:, c]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ElementTrends:
     """Elements that follow one covariate or the repetitions.
 
@@ -145,6 +152,8 @@ class ElementTrends:
         On held-out people, with its standard error.
     place : str
         Of the first; an element is its own place.
+    within : bool
+        Whether they follow it from repetition to repetition, and not from person to person.
     """
 
     covariate: str | None
@@ -152,6 +161,7 @@ class ElementTrends:
     gain: float
     gain_se: float
     place: str
+    within: bool = False
 
 
 Structure = ElementTrends | Subgroup | CorrelationTest
@@ -185,13 +195,16 @@ def find_structures(
             rows = tuple(t for t in tested.trends if t.covariate == name and t.p_corrected < ALPHA)
             regressor = regressors_of({name: values[name]}, [])[name][0]
             gain = gain_of_covariate(with_added, regressor, [t.element for t in rows], seed)
-            found.append(ElementTrends(name, rows, *gain, places.get(rows[0].element, rows[0].element)))
+            place = places.get(rows[0].element, rows[0].element)
+            found.append(_trends(name, rows, gain, place))
     if any(len(s.repetitions) > 1 for s in recordings.subjects):
-        repetitions = repetition_likelihoods(fit)
-        rows = tuple(t for t in find_drift(repetitions).trends if t.p_corrected < ALPHA)
-        if rows:
-            gain = gain_of_drift(repetitions, [t.element for t in rows], seed)
-            found.append(ElementTrends(None, rows, *gain, rows[0].element))
+        repetitions = repetition_likelihoods(fit, recordings)
+        within = find_within_persons(repetitions)
+        remarks += [f"Repetitions: {text}" for text in within.remarks] if repetitions.circumstances else []
+        for name in dict.fromkeys(t.covariate for t in within.trends if t.p_corrected < ALPHA):
+            rows = tuple(t for t in within.trends if t.covariate == name and t.p_corrected < ALPHA)
+            gain = gain_within_persons(repetitions, [t.element for t in rows], seed, name)
+            found.append(_trends(None if name == DRIFT else name, rows, gain, rows[0].element, within=True))
     e = fit.model.n_elements
     group = find_subgroup(people, fit.population.mu[:e], fit.population.covariance[:e, :e], seed)
     if group.p_corrected < ALPHA:
@@ -203,7 +216,21 @@ def find_structures(
     return tuple(found), remarks
 
 
+def _trends(
+    covariate: str | None, rows: tuple[Trend, ...], gain: tuple[float, float], place: str, within: bool = False
+) -> ElementTrends:
+    return ElementTrends(covariate=covariate, trends=rows, gain=gain[0], gain_se=gain[1], place=place, within=within)
+
+
 def covariates_of(recordings: Recordings) -> dict[str, np.ndarray]:
-    """Covariates of all people by name, each (N,); NaN where unknown."""
+    """Covariates of all people by name, each (N,), and means of what was noted of their repetitions; NaN if unknown."""
     names = sorted({name for s in recordings.subjects for name in s.covariates})
-    return {n: np.array([float(s.covariates.get(n, np.nan)) for s in recordings.subjects]) for n in names}
+    found = {n: np.array([float(s.covariates.get(n, np.nan)) for s in recordings.subjects]) for n in names}
+    for name in _noted(recordings):
+        own = [np.asarray(s.circumstances.get(name, []), dtype=float) for s in recordings.subjects]
+        means = np.array(
+            [values[np.isfinite(values)].mean() if np.isfinite(values).any() else np.nan for values in own]
+        )
+        if name not in found and np.nanmax(means, initial=-np.inf) > np.nanmin(means, initial=np.inf):
+            found[name] = means
+    return found

@@ -282,6 +282,8 @@ def _trend_entry(found: ElementTrends) -> Physics:
     evidence = _evidence(first.statistic**2, first.p_corrected, found.gain, found.gain_se)
     entry = _of_population("trend", kind, found.place, parameters, evidence)
     name = entry.name if covariate is None else f"{first.element} follows {covariate}"
+    if covariate is not None and found.within:
+        name += " from repetition to repetition"
     return replace(entry, name=name, covariate=covariate, elements=tuple(row.element for row in found.trends))
 
 

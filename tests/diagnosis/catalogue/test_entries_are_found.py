@@ -161,6 +161,8 @@ def test_its_parameters_are_recovered(name: str) -> None:
         assert found.q95 - found.q05 < abs(true)
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_one_sweep_of_each_shows_no_change_with_time_or_amplitude() -> None:
     made, _ = recordings(HIDDEN["amplitude"], repetitions=1)
     verdict = diagnose(made, quick=True, workers=1).verdict

@@ -7,7 +7,7 @@ from populations_of_likelihoods import covariance, informations, observed, popul
 from scipy.stats import norm
 
 from bayes_impedance.diagnosis.folds import FOLDS
-from bayes_impedance.diagnosis.heterogeneity.gain import gain_of_covariate, gain_of_drift
+from bayes_impedance.diagnosis.heterogeneity.gain import gain_of_covariate, gain_within_persons
 from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods
 
 
@@ -40,7 +40,7 @@ def test_a_covariate_that_nothing_follows_gains_nothing_on_other_people():
 
 def test_gain_of_a_drift():
     rng = np.random.default_rng(42)
-    real = [gain_of_drift(repetitions(rng, 20, 2, 3, beta=0.08), ["n1", "n2"], 1) for _ in range(5)]
-    none = [gain_of_drift(repetitions(rng, 20, 2, 3), ["n1", "n2"], 1) for _ in range(12)]
+    real = [gain_within_persons(repetitions(rng, 20, 2, 3, beta=0.08), ["n1", "n2"], 1) for _ in range(5)]
+    none = [gain_within_persons(repetitions(rng, 20, 2, 3), ["n1", "n2"], 1) for _ in range(12)]
     assert min(gain - 2 * se for gain, se in real) > 0
     assert np.mean([gain for gain, _ in none]) < 0.0

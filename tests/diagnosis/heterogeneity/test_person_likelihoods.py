@@ -9,7 +9,7 @@ from scipy.integrate import quad
 from scipy.stats import multivariate_normal, norm
 
 from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods, data_sd, log_marginal
-from bayes_impedance.diagnosis.heterogeneity.regression import RepetitionLikelihoods
+from bayes_impedance.diagnosis.heterogeneity.within_persons import RepetitionLikelihoods
 from bayes_impedance.errors import InputError
 
 

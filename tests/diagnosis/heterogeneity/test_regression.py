@@ -14,12 +14,13 @@ from populations_of_likelihoods import (
     rarely,
     repetitions,
 )
-from scipy.stats import linregress, ttest_1samp
+from scipy.stats import linregress
 
 from bayes_impedance.diagnosis.heterogeneity.correlations import correlation_test
 from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods
-from bayes_impedance.diagnosis.heterogeneity.regression import RepetitionLikelihoods, find_covariates, find_drift
+from bayes_impedance.diagnosis.heterogeneity.regression import find_covariates
 from bayes_impedance.diagnosis.heterogeneity.subgroups import find_subgroup
+from bayes_impedance.diagnosis.heterogeneity.within_persons import find_within_persons
 from bayes_impedance.errors import InputError
 
 
@@ -135,60 +136,10 @@ def test_with_too_few_persons_nothing_is_tested(n):
     people = observed(rng, population(rng, n, covariance(2)), informations(rng, n, 2))
     trends = find_covariates(people, {"age": np.arange(n) + 1.0})
     correlations, group = correlation_test(people, 0), find_subgroup(people, np.zeros(2), covariance(2), 0)
-    drift = find_drift(repetitions(rng, n, 2, 3))
+    drift = find_within_persons(repetitions(rng, n, 2, 3))
     assert trends.trends == drift.trends == correlations.pairs == ()
     for result in (trends, drift, correlations, group):
         assert f"{n} persons" in result.reason
         assert result.tried == 0
     assert (correlations.p_corrected, group.p_corrected, group.membership.tolist()) == (1.0, 1.0, [0.0] * n)
     assert find_covariates(observed(rng, population(rng, 9, covariance(2)), informations(rng, 9, 2)), {}).reason
-
-
-def test_two_perfect_repetitions_are_a_t_test_of_the_difference():
-    rng = np.random.default_rng(14)
-    data = repetitions(rng, 9, 1, 2, beta=0.03, sd=1e-5)
-    deviation = np.array([b[:, 0] / h[:, 0, 0] for b, h in zip(data.linear, data.information, strict=True)])
-    difference = np.diff(deviation)[:, 0]
-    trend = find_drift(data).trends[0]
-    np.testing.assert_allclose(trend.estimate, difference.mean(), rtol=1e-3)
-    np.testing.assert_allclose(trend.p_value, ttest_1samp(difference, 0).pvalue, rtol=1e-2)
-
-
-def test_drift_is_recovered_with_missing_repetitions():
-    rng = np.random.default_rng(15)
-    inside, found = 0, 0
-    for _ in range(60):
-        trends = find_drift(repetitions(rng, 30, 2, 3, beta=0.04, drop=0.2, unseen=1)).trends
-        trend = next(t for t in trends if t.element == "n2")
-        assert trend.covariate == "repetition"
-        inside += trend.q05 < 0.04 < trend.q95
-        found += trend.p_corrected < 0.005
-    assert mostly(inside, 60, 0.9)
-    assert rarely(
-        inside, 60, 0.97
-    )  # the dispersion of slopes cannot be negative, so intervals are wide where it is zero
-    assert mostly(found, 60, 0.6)
-
-
-@pytest.mark.parametrize("omega", [0.0, 0.1])
-def test_drift_raises_no_false_alarms(omega):
-    # With own slopes of 0.1 and repetitions that differ by 0.05 a test without them would fail.
-    rng = np.random.default_rng(16)
-    least = [
-        min(t.p_corrected for t in find_drift(repetitions(rng, 6 + k % 20, 2, 3, omega=omega, drop=0.1)).trends)
-        for k in range(60)
-    ]
-    assert rarely(int(np.sum(np.array(least) < 0.05)), len(least), 0.05)
-    assert rarely(int(np.sum(np.array(least) <= 0.005)), len(least), 0.005)
-
-
-def test_drift_of_an_unseen_element_is_not_tested():
-    rng = np.random.default_rng(17)
-    data = repetitions(rng, 12, 2, 3)
-    dark = tuple(h * np.outer([0, 1], [0, 1]) for h in data.information)
-    linear = tuple(b * [0, 1] for b in data.linear)
-    found = find_drift(RepetitionLikelihoods(data.elements, linear, dark, data.order))
-    assert [t.element for t in found.trends] == ["n2"]
-    assert found.remarks == ("n1 is not determined by the repetitions",)
-    once = tuple(x[:1] for x in data.linear), tuple(x[:1] for x in data.information), tuple(x[:1] for x in data.order)
-    assert "0 persons" in find_drift(RepetitionLikelihoods(data.elements, *once)).reason

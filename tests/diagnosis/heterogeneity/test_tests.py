@@ -19,6 +19,7 @@ from bayes_impedance.diagnosis.heterogeneity.tests import (
     person_likelihoods,
     repetition_likelihoods,
 )
+from bayes_impedance.diagnosis.verdict.entries import structure_entry
 from bayes_impedance.recordings.dataset import Recordings, Subject
 
 N = 36
@@ -35,8 +36,8 @@ def damper_times(factor: Callable[[int], np.ndarray]) -> Callable[..., tuple[np.
     return hidden
 
 
-def recordings(experiment: Experiment, force: np.ndarray | None = None) -> Recordings:
-    """An experiment's data as recordings."""
+def recordings(experiment: Experiment, force: np.ndarray | None = None, noted: np.ndarray | None = None) -> Recordings:
+    """An experiment's data as recordings, with a force of each person, or one noted of each repetition."""
     subjects = []
     for i, d in enumerate(experiment.data):
         subjects.append(
@@ -46,6 +47,7 @@ def recordings(experiment: Experiment, force: np.ndarray | None = None) -> Recor
                 z=d.z[:, 0] + 1j * d.z[:, 1],
                 repetitions=tuple(str(j) for j in range(len(d.z))),
                 covariates={} if force is None else {"contact_force_n": float(force[i])},
+                circumstances={} if noted is None else {"contact_force_n": noted[i]},
             )
         )
     return Recordings(title="", unit="N s/m", network=None, source="", licence="", subjects=tuple(subjects))
@@ -75,7 +77,7 @@ def test_deviations_between_repetitions_are_integrated_out() -> None:
 def test_repetitions_are_likelihoods_of_the_deviation_from_the_person() -> None:
     experiment = toy(*TOY, seed=2, n=5, repetitions=3)
     fit = experiment.fit()
-    found = repetition_likelihoods(fit)
+    found = repetition_likelihoods(fit, recordings(experiment))
     assert [order.tolist() for order in found.order] == [[0, 1, 2]] * 5
     for i in range(5):
         mode = np.linalg.solve(found.information[i], found.linear[i][..., None])[..., 0]
@@ -112,6 +114,32 @@ def test_a_drift_over_the_repetitions_is_an_entry() -> None:
     trend = structure.trends[0]
     assert trend.element == "r1"
     assert trend.q05 < 0.1 < trend.q95
+
+
+def test_an_element_that_follows_what_was_noted_of_each_repetition_is_an_entry() -> None:
+    noted = FORCE[:, None] * np.exp(np.random.default_rng(10).normal(0, 0.3, (N, 3)))
+    experiment = toy(*TOY, seed=4, n=N, repetitions=3, hidden=damper_times(lambda i: (noted[i] / FORCE[i]) ** 0.5))
+    fit = experiment.refitter.fit(experiment.model, experiment.u, experiment.population, 80)
+    (structure,), _ = find_structures(fit, recordings(experiment, noted=noted), False, 1)
+    assert isinstance(structure, ElementTrends)
+    assert (structure.covariate, structure.within) == ("contact_force_n", True)
+    (trend,) = structure.trends
+    assert trend.element == "r1"
+    assert trend.q05 < 0.5 < trend.q95
+    assert structure.gain > 2 * structure.gain_se > 0
+    entry = structure_entry(structure, experiment.model.network.elements, [f"P{i}" for i in range(N)])
+    assert entry.name == "r1 follows contact_force_n from repetition to repetition"
+    assert entry.covariate == "contact_force_n"
+
+
+def test_means_of_what_was_noted_are_covariates_of_the_persons() -> None:
+    noted = np.array([[1.0, 2.0, np.nan], [3.0, 3.0, 6.0]])
+    experiment = toy(*TOY, seed=4, n=2, repetitions=3)
+    np.testing.assert_allclose(covariates_of(recordings(experiment, noted=noted))["contact_force_n"], [1.5, 4.0])
+    both = recordings(experiment, np.array([7.0, 8.0]), noted)
+    np.testing.assert_allclose(covariates_of(both)["contact_force_n"], [7.0, 8.0])
+    same = recordings(experiment, noted=np.array([[1.0, 2.0, 3.0], [1.0, 2.0, 3.0]]))
+    assert covariates_of(same) == {}
 
 
 def test_a_group_is_an_entry_with_its_people() -> None:

@@ -1,0 +1,89 @@
+"""Recordings that contradict their declared sign or convention: a fit of them would fail later, or be all wrong.
+
+Negative real parts alone are no contradiction: a lag or a filter of a channel causes them on an inertial load, at
+nearly all frequencies. A wrong sign turns the phase of every point by 180 degrees, and complex conjugation reverses it;
+Bode's relation between phase and magnitude shows both (:mod:`.phase_relation`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bayes_impedance.errors import InputError
+from bayes_impedance.recordings.dataset import Subject
+from bayes_impedance.recordings.metadata import CONVENTIONS, SIGNS, Metadata
+from bayes_impedance.recordings.phase_relation import excess_phase
+
+WRONG_SIGN = 0.6
+"""Fraction of points with Re z of the wrong sign above which the sign convention may be wrong. By choice: above one
+half, the largest fraction that noise around zero gives."""
+NEARLY_ALL = 0.95
+"""The same for curves of few points or a narrow band, and those of which the phase does not say whether they are
+turned. By choice: a wrong sign turns all points, up to those around zero; a lag, those of an inertial load."""
+
+
+class Plausibility:
+    """Counts of points that contradict the declared sign or convention, over all subjects of a dataset."""
+
+    def __init__(self) -> None:
+        self.points = self.wrong = self.turned = self.conjugated = 0
+
+    def add(self, subject: Subject) -> None:
+        """Count the points of one subject."""
+        wrong, size = int(np.sum(subject.z.real < 0)), subject.z.size
+        self.points, self.wrong = self.points + size, self.wrong + wrong
+        self.turned += size if _is_turned(subject, wrong / size) else 0
+        self.conjugated += size if is_conjugate(subject) else 0
+
+    def require(self, metadata: Metadata, file: str, first_row: int, metadata_file: str) -> None:
+        """Refuse a dataset that contradicts its metadata.
+
+        A sign is refused if more than `WRONG_SIGN` of the points have negative real parts and most are turned. A
+        convention is refused if most recordings are complex conjugates and none is declared: too large a mass or
+        stiffness that was subtracted can do the same, and who declares the convention is believed.
+
+        Parameters
+        ----------
+        metadata : Metadata
+        file : str
+        first_row : int
+        metadata_file : str
+
+        Raises
+        ------
+        InputError
+        """
+        wrong = self.wrong / max(self.points, 1)
+        if wrong > WRONG_SIGN and self.turned > 0.5 * self.points:
+            declared_positive = metadata.sign == SIGNS[0]
+            remedy = SIGNS[1] if declared_positive else SIGNS[0]
+            kind = "negative" if declared_positive else "positive"
+            raise InputError(
+                f"{file}: {wrong:.0%} of the rows (the first is row {first_row}) have a {kind} real part "
+                f'although the sign is "{metadata.sign}"; if force or velocity was counted the other way, write '
+                f'sign = "{remedy}" in {metadata_file}, beside a file named recordings.csv; if z is not force per '
+                "velocity but per acceleration or displacement, convert it"
+            )
+        if metadata.convention is None and self.conjugated > 0.5 * self.points:
+            raise InputError(
+                f"{file}: the phase agrees with the slope of the magnitude only if its sign is reversed, from row "
+                f"{first_row} on: these seem to be complex conjugates, from the convention exp(-jwt) or an analyser "
+                f'that subtracts phases the other way; write convention = "{CONVENTIONS[1]}" in {metadata_file}, '
+                f'beside a file named recordings.csv, and they are turned, or "{CONVENTIONS[0]}" if they are none'
+            )
+
+
+def is_conjugate(subject: Subject) -> bool:
+    """Whether the phase of a subject belongs to its magnitude only with the opposite sign."""
+    found = excess_phase(subject.frequency_hz, subject.mean)
+    return found is not None and found.cause == "conjugation"
+
+
+def _is_turned(subject: Subject, wrong: float) -> bool:
+    """Whether the impedance of a subject has the wrong sign, of whose points a fraction `wrong` has Re z < 0."""
+    if wrong <= WRONG_SIGN:
+        return False
+    found = excess_phase(subject.frequency_hz, subject.mean)
+    if found is None or found.cause is None:
+        return wrong > NEARLY_ALL
+    return found.cause == "sign"
