@@ -101,7 +101,7 @@ def parser_of_commands() -> argparse.ArgumentParser:
         help="summary.json of a fit, or truth.json (default: the population of virtual fingertips)",
     )
     simulate.add_argument(
-        "--subjects", type=_whole(MOST_PEOPLE), default=71, metavar="N", help="number of subjects (default: 71)"
+        "--subjects", type=_whole(MOST_PEOPLE), metavar="N", help="number of subjects (default: 71; of signals 8)"
     )
     simulate.add_argument(
         "--repetitions", type=_whole(MOST_REPETITIONS), default=3, metavar="J", help="for each subject (default: 3)"
@@ -109,9 +109,8 @@ def parser_of_commands() -> argparse.ArgumentParser:
     simulate.add_argument(
         "--points",
         type=_whole(MOST_POINTS, at_least=3),
-        default=401,
         metavar="F",
-        help="number of frequencies (default: 401)",
+        help="number of frequencies (default: 401; of signals 30)",
     )
     simulate.add_argument(
         "--band",
@@ -127,6 +126,12 @@ def parser_of_commands() -> argparse.ArgumentParser:
         help="relative standard deviation of the noise of Re z and of Im z (default: 0.01)",
     )
     simulate.add_argument("--seed", type=_whole(LARGEST_SEED, at_least=0), default=1, help="random seed (default: 1)")
+    simulate.add_argument(
+        "--signals",
+        action="store_true",
+        help="raw force and acceleration of a rig with errors instead of spectra, with an unloaded run and runs of two "
+        "known masses, for 'import'",
+    )
     _overwrite(simulate)
     return parser
 

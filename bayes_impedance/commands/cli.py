@@ -250,7 +250,7 @@ def _import(options: argparse.Namespace) -> int:
 def _simulate(options: argparse.Namespace) -> int:
     from bayes_impedance.commands.simulate import simulate_dataset
 
-    simulate_dataset(
+    lines = simulate_dataset(
         options.out,
         options.population,
         options.subjects,
@@ -259,9 +259,11 @@ def _simulate(options: argparse.Namespace) -> int:
         tuple(options.band),
         options.noise,
         options.seed,
+        options.signals,
         options.overwrite,
     )
-    tell(f"{options.subjects} virtual subjects in {options.out}, the truth in {options.out / 'truth.json'}")
+    for line in lines:
+        tell(line)
     return DONE
 
 

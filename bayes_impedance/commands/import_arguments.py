@@ -35,6 +35,7 @@ def import_arguments(parser: argparse.ArgumentParser) -> None:
     _names_and_tables(parser.add_argument_group("files"))
     _spectra(parser.add_argument_group("spectra"))
     _signals(parser.add_argument_group("signals"))
+    _calibration(parser.add_argument_group("calibration"))
 
 
 def _names_and_tables(group: argparse._ArgumentGroup) -> None:
@@ -111,6 +112,34 @@ def _signals(group: argparse._ArgumentGroup) -> None:
         help="leading periods to leave out (default: until they settle; 5 of each step)",
     )
     group.add_argument("--band", type=_positive, nargs=2, metavar=("LOW", "HIGH"), help="frequencies to keep, in Hz")
+
+
+def _calibration(group: argparse._ArgumentGroup) -> None:
+    group.add_argument(
+        "--unloaded",
+        type=Path,
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="RUN",
+        help="files or folders recorded without a load: subtracted (each from the recording of its subject and "
+        "repetition, if there is one for all), or the open load of --known-load",
+    )
+    group.add_argument(
+        "--known-load",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="LOAD:RUN",
+        help="runs with known loads, e.g. open:empty.csv 'mass=10 g:ten.csv' 'mass=30 g:thirty.csv' (or stiffness, "
+        "damper): gain, skew, seismic mass and mount of the rig are found and taken out",
+    )
+    group.add_argument(
+        "--rig",
+        choices=("smooth", "each frequency"),
+        help="how known loads are used: few parameters for all frequencies, or a two-port of each (default: the first "
+        "if it describes the runs)",
+    )
 
 
 def _positive(text: str) -> float:

@@ -34,7 +34,7 @@ def import_dataset(options: argparse.Namespace, progress: Progress) -> Imported:
         If a source, or what is said about it, cannot be used.
     """
     from bayes_impedance.intake import import_recordings
-    from bayes_impedance.intake.importing import COHERENCE_FILE, REPETITIONS_FILE
+    from bayes_impedance.intake.importing import BESIDE
     from bayes_impedance.intake.persons import covariates_of_subjects
     from bayes_impedance.recordings.files import METADATA_FILE, RECORDINGS_FILES, SUBJECTS_FILE, write_recordings
 
@@ -46,10 +46,10 @@ def import_dataset(options: argparse.Namespace, progress: Progress) -> Imported:
         content, told = covariates_of_subjects(options.subjects, imported.recordings.names, settings.table)
         beside[SUBJECTS_FILE] = content
         imported = replace(imported, notes=(*imported.notes, *told))
-    names = (*RECORDINGS_FILES, SUBJECTS_FILE, METADATA_FILE, COHERENCE_FILE, REPETITIONS_FILE)
+    names = (*RECORDINGS_FILES, SUBJECTS_FILE, METADATA_FILE, *BESIDE)
     with output_folder(options.out, names, options.overwrite):
         write_recordings(imported.recordings, options.out, recipe=imported.recipe(arguments_of(options)), beside=beside)
-        for name in {COHERENCE_FILE, REPETITIONS_FILE} - beside.keys():
+        for name in set(BESIDE) - beside.keys():
             (options.out / name).unlink(missing_ok=True)  # of an earlier import
     return imported
 
@@ -63,7 +63,9 @@ def settings_of(options: argparse.Namespace) -> ImportSettings:
         If an option cannot be used.
     """
     from bayes_impedance.intake import ImportSettings
+    from bayes_impedance.intake.calibrating import CalibrationSettings
     from bayes_impedance.intake.columns import parse_assignments
+    from bayes_impedance.intake.known_loads import known_load
     from bayes_impedance.intake.names import pattern_of
     from bayes_impedance.intake.quantities import form_named
     from bayes_impedance.intake.recipes import recipe_named
@@ -110,6 +112,11 @@ def settings_of(options: argparse.Namespace) -> ImportSettings:
         ),
         record=options.record,
         who=None if options.who is None else pattern_of(options.who),
+        calibration=CalibrationSettings(
+            unloaded=tuple(options.unloaded),
+            known_loads=tuple(known_load(text) for text in options.known_load),
+            rig=options.rig,
+        ),
         title=options.title,
         source=options.source,
         licence=options.licence,

@@ -115,20 +115,23 @@ def _on_common_grid(own: list[Spectrum]) -> tuple[list[Spectrum], list[str]]:
 
 
 def _nearest(grid: FloatArray, wanted: FloatArray) -> FloatArray:
-    nearest: FloatArray = grid[_nearest_index(grid, wanted)]
+    nearest: FloatArray = grid[nearest_index(grid, wanted)]
     return nearest
 
 
-def _nearest_index(grid: FloatArray, wanted: FloatArray) -> np.ndarray:
+def nearest_index(grid: FloatArray, wanted: FloatArray) -> np.ndarray:
+    """Where an ascending grid (G,) is nearest to each wanted value, shape (N,)."""
     right = np.clip(np.searchsorted(grid, wanted), 1, grid.size - 1) if grid.size > 1 else np.zeros(wanted.size, int)
     left = np.maximum(right - 1, 0)
     return np.where(np.abs(grid[left] - wanted) <= np.abs(grid[right] - wanted), left, right)
 
 
 def _at(one: Spectrum, common: FloatArray) -> Spectrum:
-    index = _nearest_index(one.frequency_hz, common)
-    parts = [None if array is None else array[index] for array in (one.noise_sd, one.coherence)]
-    return replace(one, frequency_hz=common, z=one.z[index], noise_sd=parts[0], coherence=parts[1])
+    index = nearest_index(one.frequency_hz, common)
+    parts = [None if array is None else array[index] for array in (one.noise_sd, one.coherence, one.calibration_sd)]
+    return replace(
+        one, frequency_hz=common, z=one.z[index], noise_sd=parts[0], coherence=parts[1], calibration_sd=parts[2]
+    )
 
 
 def _check_values(one: Spectrum) -> None:

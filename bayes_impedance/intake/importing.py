@@ -2,60 +2,41 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import json
-import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from bayes_impedance.errors import InputError
 from bayes_impedance.intake.assembly import assemble
-from bayes_impedance.intake.channels import guessed_channels
-from bayes_impedance.intake.columns import looks_like_frequency
-from bayes_impedance.intake.contents import Contents
-from bayes_impedance.intake.formats.registry import files_of, read_file
-from bayes_impedance.intake.names import who_is
-from bayes_impedance.intake.signals import Record, SignalSettings, record_of, spectrum_of
-from bayes_impedance.intake.spectra import SpectraSettings, spectra_of
+from bayes_impedance.intake.calibrating import Calibrated, CalibrationSettings, calibrated
+from bayes_impedance.intake.calibration_files import CALIBRATION_FILE, RIG_FILE, calibration_files, csv_bytes
+from bayes_impedance.intake.reading import Progress, ReadingSettings, read_spectra
 from bayes_impedance.intake.spectrum import Spectrum
-from bayes_impedance.intake.text_tables import TableFormat
 from bayes_impedance.recordings.dataset import Recordings
 
 COHERENCE_FILE, REPETITIONS_FILE = "coherence.csv", "repetitions.csv"
+CALIBRATION_SD_FILE = "calibration_sd.csv"
+BESIDE = (COHERENCE_FILE, REPETITIONS_FILE, CALIBRATION_SD_FILE, CALIBRATION_FILE, RIG_FILE)
+"""Every file that may stand beside the recordings."""
 _CHUNK = 2**20
 """Bytes of a source that are hashed at a time. By choice: the largest that does not matter for memory."""
 
-Progress = Callable[[str, int, int], None]
-
 
 @dataclass(frozen=True, kw_only=True)
-class ImportSettings:
-    """How sources are read.
+class ImportSettings(ReadingSettings):
+    """How sources are read, calibrated and named.
 
     Attributes
     ----------
-    spectra : SpectraSettings
-    signals : SignalSettings
-        Files hold signals if they name a channel.
-    table : TableFormat
-    record : str or None
-        Sheet, group or record to use of files that have several.
-    who : Pattern or None
-        Of ``--subject-from-name``.
+    calibration : CalibrationSettings
     title, source, licence : str
     network : str or None
     """
 
-    spectra: SpectraSettings = field(default_factory=SpectraSettings)
-    signals: SignalSettings = field(default_factory=SignalSettings)
-    table: TableFormat = field(default_factory=TableFormat)
-    record: str | None = None
-    who: re.Pattern[str] | None = None
+    calibration: CalibrationSettings = field(default_factory=CalibrationSettings)
     title: str = ""
     source: str = ""
     licence: str = ""
@@ -74,13 +55,15 @@ class Imported:
     notes : tuple of str
         What was guessed, changed or left out; each sentence once, with the number of other files it holds for.
     sources : tuple of (str, str)
-        Every file and the SHA-256 of its bytes.
+        Every file, of calibration runs too, and the SHA-256 of its bytes.
+    calibration : Calibrated
     """
 
     recordings: Recordings
     spectra: tuple[Spectrum, ...]
     notes: tuple[str, ...]
     sources: tuple[tuple[str, str], ...]
+    calibration: Calibrated
 
     def recipe(self, arguments: Sequence[str]) -> str:
         """The table ``[import]`` of dataset.toml: arguments, sources with their digests, notes."""
@@ -91,20 +74,26 @@ class Imported:
 
     def beside(self) -> dict[str, bytes]:
         """Other files of the dataset: coherence, and what is noted of the repetitions."""
-        files: dict[str, bytes] = {}
-        if any(one.coherence is not None for one in self.spectra):
-            rows: list[list[object]] = [["subject", "repetition", "frequency_hz", "coherence"]]
+        files = calibration_files(self.calibration)
+        for file, name, columns in (
+            (COHERENCE_FILE, "coherence", ["coherence"]),
+            (CALIBRATION_SD_FILE, "calibration_sd", ["calibration_sd_re", "calibration_sd_im"]),
+        ):
+            rows: list[list[object]] = [["subject", "repetition", "frequency_hz", *columns]]
             for one in self.spectra:
-                values = [] if one.coherence is None else zip(one.frequency_hz, one.coherence, strict=True)
-                rows += [[one.subject, one.repetition, repr(float(f)), repr(float(c))] for f, c in values]
-            files[COHERENCE_FILE] = _csv(rows)
+                values = getattr(one, name)
+                if values is not None:
+                    table = np.column_stack([one.frequency_hz, values]).tolist()
+                    rows += [[one.subject, one.repetition, *map(repr, row)] for row in table]
+            if len(rows) > 1:
+                files[file] = csv_bytes(rows)
         names = list(dict.fromkeys(name for one in self.spectra for name in _facts(one)))
         if names:
-            table: list[list[object]] = [["subject", "repetition", *names]]
+            noted: list[list[object]] = [["subject", "repetition", *names]]
             for one in self.spectra:
                 facts = _facts(one)
-                table.append([one.subject, one.repetition, *(facts.get(name, "") for name in names)])
-            files[REPETITIONS_FILE] = _csv(table)
+                noted.append([one.subject, one.repetition, *(facts.get(name, "") for name in names)])
+            files[REPETITIONS_FILE] = csv_bytes(noted)
         return files
 
 
@@ -125,23 +114,11 @@ def import_recordings(
     InputError
         If anything cannot be used; the message names the file, the row and the remedy.
     """
-    files = [file for source in sources for file in files_of(source)]
-    twice = next((file for i, file in enumerate(files) if file in files[:i]), None)
-    if twice is not None:
-        raise InputError(f"{twice}: is named twice; name it once")
-    spectra: list[Spectrum] = []
-    notes: list[str] = []
-    digests = []
-    done = 0
-    for group in _groups(files, settings):
-        progress("reading files", done, len(files))
-        found, told = _recordings_of(group, settings)
-        spectra += found
-        notes += told
-        digests += [(str(file), _digest(file)) for file in group]
-        done += len(group)
-    progress("reading files", len(files), len(files))
-    subjects, kept, told = assemble(spectra)
+    runs = settings.calibration.files
+    spectra, notes, files = read_spectra(sources, settings, progress, without=runs)
+    calibration = calibrated(spectra, settings.calibration, settings)
+    notes += calibration.notes
+    subjects, kept, told = assemble(calibration.spectra)
     notes += told
     negative = sum(int(np.sum(one.z.real < 0)) for one in kept) / sum(one.z.size for one in kept)
     if negative > 0:
@@ -155,49 +132,12 @@ def import_recordings(
         subjects=tuple(subjects),
         warnings=tuple(_merged(notes)),
     )
-    return Imported(recordings=recordings, spectra=tuple(kept), notes=recordings.warnings, sources=tuple(digests))
-
-
-def _groups(files: Sequence[Path], settings: ImportSettings) -> list[list[Path]]:
-    """Files of one subject and repetition that differ in the realisation are read together, all others one by one."""
-    groups: dict[tuple[str, ...], list[Path]] = {}
-    for file in files:
-        who = who_is(str(file), settings.who)
-        own = (who.subject, who.repetition) if who.realisation else (str(file),)
-        groups.setdefault(own, []).append(file)
-    return list(groups.values())
-
-
-def _recordings_of(files: Sequence[Path], settings: ImportSettings) -> tuple[list[Spectrum], list[str]]:
-    """Recordings of one file, or the one of several realisations; only their contents are in memory."""
-    spectra: list[Spectrum] = []
-    records: list[Record] = []
-    notes: list[str] = []
-    for file in files:
-        who = who_is(str(file), settings.who)
-        for contents in read_file(file, settings.table, settings.record):
-            if settings.signals.given or _holds_signals(contents, settings):
-                record, told = record_of(contents, settings.signals)
-                records.append(record)
-                notes += told
-            else:
-                found, told = spectra_of(contents, who, settings.spectra)
-                spectra += found
-                notes += told
-    if records:
-        found_one, told = spectrum_of(records, who_is(str(files[0]), settings.who), settings.signals)
-        spectra.append(found_one)
-        notes += told
-    return spectra, notes
-
-
-def _holds_signals(contents: Contents, settings: ImportSettings) -> bool:
-    """Whether a file that nothing is said about has one channel of force and one of motion, and no frequency."""
-    said = settings.spectra
-    if said.columns or said.recipe is not None or said.form is not None or said.unit is not None:
-        return False
-    return guessed_channels(contents) is not None and not any(
-        looks_like_frequency(variable) for variable in contents.variables
+    return Imported(
+        recordings=recordings,
+        spectra=tuple(kept),
+        notes=recordings.warnings,
+        sources=tuple((str(file), _digest(file)) for file in (*files, *calibration.files)),
+        calibration=calibration,
     )
 
 
@@ -226,12 +166,6 @@ def _digest(file: Path) -> str:
         while chunk := stream.read(_CHUNK):
             digest.update(chunk)
     return digest.hexdigest()
-
-
-def _csv(rows: Sequence[Sequence[object]]) -> bytes:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    return text.getvalue().encode()
 
 
 def _toml(value: str | list[str]) -> str:

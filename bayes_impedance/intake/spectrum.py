@@ -36,6 +36,9 @@ class Spectrum:
     degrees_of_freedom : float or None
         Real degrees of freedom of `noise_sd`: those of the chi-square distribution of its square.
     coherence : ndarray of float, shape (F,), or None
+    calibration_sd : ndarray of float, shape (F, 2), or None
+        Standard deviation of real and imaginary part from the error of a calibration. It is the same error in all
+        recordings that the calibration corrects, and no part of `noise_sd`.
     facts : dict of str to str or float
         What is noted of the repetition.
     frequency_tolerance : float
@@ -51,5 +54,6 @@ class Spectrum:
     noise_sd: FloatArray | None = None
     degrees_of_freedom: float | None = None
     coherence: FloatArray | None = None
+    calibration_sd: FloatArray | None = None
     facts: dict[str, str | float] = field(default_factory=dict)
     frequency_tolerance: float = SAME_FREQUENCY
