@@ -9,7 +9,11 @@ phase of the hum is random, so it adds scatter, with the total variance
 
 over a smooth background B. A noise estimate that is smooth in frequency attributes this to noise, so the scatter itself
 is tested: the contrasts between the repetitions of each person, which contain no misfit of the network, and from which
-changes of the elements were projected out. The logarithm of their mean square over people is normal with known
+changes of the elements were projected out. Where nobody was recorded twice, each point is compared with the mean of the
+two beside it, :math:`r_k - (r_{k-1} + r_{k+1})/2`, in which what is smooth in frequency cancels; these contrasts
+overlap, which takes half of their degrees of freedom, and see the hum of the two neighbours too. A narrow resonance
+that the network lacks can look like hum there, but at one frequency; so the other harmonics must be significant without
+the strongest. The logarithm of their mean square over people is normal with known
 variance; ln B is a cubic spline with about one knot per factor e, and for every :math:`f_1`, K and gamma the amplitude
 a is profiled. Hum is reported if the best :math:`f_1` is a mains frequency, and significantly better than no hum after
 correction for all tests. Roughness of the background beyond its spline is counted as scatter.
@@ -50,6 +54,13 @@ _AFFECTED = 3.0
 """Ratio of hum to background variance above which a point is left out: its noise standard deviation is doubled. Smaller
 ratios are covered by the estimated noise."""
 
+_NEIGHBOURS = 1.5
+"""Variance of a point minus the mean of its two neighbours, in units of the points' own."""
+
+_OVERLAP = 1 + 2 * ((2 / 3) ** 2 + (1 / 6) ** 2)
+"""Contrasts with neighbours overlap: their correlations are -2/3 and 1/6, and the variance of a sum of correlated squares
+is larger by this factor than that of independent ones."""
+
 _FEWEST_FREEDOM, _FEWEST_POINTS = 30.0, 30
 """Smallest number of degrees of freedom at every point, for the logarithm of a mean square to be nearly normal, and of
 points, because spline and pattern take a dozen parameters. By choice."""
@@ -65,7 +76,7 @@ def find_skirts(residuals: Sequence[PersonResiduals], alpha: float = 0.01) -> Hu
     Parameters
     ----------
     residuals : sequence of PersonResiduals
-        All on the same frequencies, some people with several repetitions; otherwise nothing is found.
+        All on the same frequencies; otherwise nothing is found.
     alpha : float
         Probability of a false detection.
 
@@ -76,33 +87,30 @@ def find_skirts(residuals: Sequence[PersonResiduals], alpha: float = 0.01) -> Hu
     grid = residuals[0].frequency_hz
     if any(not np.array_equal(person.frequency_hz, grid) for person in residuals):
         return None
-    square, freedom, felt = _scatter(residuals)
+    repeated = any(len(person.white) > 1 for person in residuals)
+    square, freedom, felt = (_scatter if repeated else _roughness)(residuals)
     near = (grid > _REACH[0] * LINES_HZ[0]) & (grid < _REACH[1] * LINES_HZ[-1])
-    if near.sum() < _FEWEST_POINTS or freedom.min() < _FEWEST_FREEDOM or not grid[0] < LINES_HZ[0] < grid[-1] / 2:
+    near[[0, -1]] &= repeated  # the ends have one neighbour
+    if near.sum() < _FEWEST_POINTS or freedom[near].min() < _FEWEST_FREEDOM or not grid[0] < LINES_HZ[0] < grid[-1] / 2:
         return None
     grid, square, freedom, felt = grid[near], square[near], freedom[near], felt[near]
     y = np.log(square) - digamma(freedom / 2) + np.log(freedom / 2)
     weight = 1 / polygamma(1, freedom / 2)
     design = _spline(np.log(grid))
-    root = np.sqrt(weight)
-    basis, _ = np.linalg.qr(design * root[:, None])
-
-    def misfit(values: np.ndarray) -> np.ndarray:
-        white = values * root
-        return np.asarray(np.sum(white**2, axis=-1) - np.sum((white @ basis) ** 2, axis=-1))
-
+    misfit = _misfit(design, np.sqrt(weight))
     without = float(misfit(y))
     best: tuple[float, float, float, float, np.ndarray] | None = None
     for first in (*_FIRST_HZ, *LINES_HZ):
         for periods in PERIODS:
             for decay in _DECAYS:
                 p = pattern(grid, first, periods, decay)
-                found = misfit(y - np.log1p(_AMPLITUDES[:, None] * p))
+                found = misfit(y - np.log1p(_AMPLITUDES[:, None] * (p if repeated else _beside(p))))
                 k = int(np.argmin(found))
                 if best is None or found[k] < best[0]:
                     best = float(found[k]), float(first), float(_AMPLITUDES[k]), periods, p
     assert best is not None  # the grids are not empty
     least, first, amplitude, periods, p = best
+    seen = p if repeated else _beside(p)
     line = min(LINES_HZ, key=lambda f: abs(first / f - 1))
     rough = max(least / (grid.size - design.shape[1] - 4), 1.0)
     tried = len(LINES_HZ) * len(PERIODS) * len(_DECAYS)
@@ -111,7 +119,24 @@ def find_skirts(residuals: Sequence[PersonResiduals], alpha: float = 0.01) -> Hu
     p_value = bonferroni(float(norm.sf(np.sqrt(max(without - least, 0.0) / rough))), tried)
     if abs(first / line - 1) > _OF_MAINS or p_value > alpha:
         return None
-    return _hum(grid, felt, line, periods, amplitude, p, y, misfit, rough, p_value)
+    if not repeated:
+        strongest = round(float(grid[int(np.argmax(p))]) / line)
+        rest = _misfit(design, np.sqrt(weight) * (np.abs(grid / (strongest * line) - 1) > 1 / periods))
+        gain = float(rest(y) - np.min(rest(y - np.log1p(_AMPLITUDES[:, None] * seen)))) / rough
+        if norm.sf(np.sqrt(max(gain, 0.0))) > alpha:
+            return None
+    return _hum(grid, felt, line, periods, amplitude, p, seen, y, misfit, rough, p_value)
+
+
+def _misfit(design: np.ndarray, root: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """Weighted sum of squares (...) that a design (F, K) leaves of values (..., F); `root` (F,): roots of weights."""
+    basis, _ = np.linalg.qr(design * root[:, None])
+
+    def misfit(values: np.ndarray) -> np.ndarray:
+        white = values * root
+        return np.asarray(np.sum(white**2, axis=-1) - np.sum((white @ basis) ** 2, axis=-1))
+
+    return misfit
 
 
 def pattern(frequency_hz: np.ndarray, first_hz: float, periods: float, decay: float) -> np.ndarray:
@@ -146,6 +171,35 @@ def _scatter(residuals: Sequence[PersonResiduals]) -> tuple[np.ndarray, np.ndarr
     return total / known, freedom, felt / known
 
 
+def _roughness(residuals: Sequence[PersonResiduals]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """As :func:`_scatter`, of contrasts between neighbouring points; the two ends of the band have none.
+
+    What all people have in common at a point is a misfit of the network, such as a narrow resonance, and is subtracted:
+    the phase of the hum differs between them.
+    """
+    values, lefts = zip(*(projected(person) for person in residuals), strict=True)
+    relative = np.array([v[0] * p.sd[0] / np.abs(p.model[0]) for v, p in zip(values, residuals, strict=True)])
+    contrast = relative[:, 1:-1] - (relative[:, :-2] + relative[:, 2:]) / 2
+    own = np.sum(np.abs(contrast) ** 2, axis=1, keepdims=True)
+    weight = np.mean(own) / own
+    contrast = contrast - np.sum(weight * contrast, axis=0) / weight.sum()
+    n = np.array([_beside(left.sum(axis=(0, 1)))[1:-1] for left in lefts]) * (1 - weight / weight.sum())
+    own = np.sum(np.abs(contrast) ** 2, axis=1, keepdims=True) / _NEIGHBOURS / n.sum(axis=1, keepdims=True)
+    size = residuals[0].frequency_hz.size
+    square, freedom, felt = np.ones(size), np.zeros(size), np.ones(size)
+    freedom[1:-1] = n.sum(axis=0)
+    square[1:-1] = np.sum(np.abs(contrast) ** 2 / own, axis=0) / _NEIGHBOURS / freedom[1:-1]
+    magnitude = np.array([np.abs(person.model[0]) for person in residuals])[:, 1:-1]
+    felt[1:-1] = np.sum(n / own * magnitude**-2.0, axis=0) / freedom[1:-1]
+    return square, freedom / _OVERLAP, felt
+
+
+def _beside(variance: np.ndarray) -> np.ndarray:
+    """Variance (F,) of contrasts between neighbours, in units of :data:`_NEIGHBOURS`."""
+    padded = np.concatenate([variance[:1], variance, variance[-1:]])
+    return np.asarray((variance + (padded[:-2] + padded[2:]) / 4) / _NEIGHBOURS)
+
+
 def _spline(log_f: np.ndarray) -> np.ndarray:
     """Cubic B-splines with about one knot per factor e, shape (F, K)."""
     inner = max(2, round(float(log_f[-1] - log_f[0])))
@@ -162,19 +216,20 @@ def _hum(
     periods: float,
     amplitude: float,
     p: np.ndarray,
+    seen: np.ndarray,
     y: np.ndarray,
     misfit: Callable[[np.ndarray], np.ndarray],
     rough: float,
     p_value: float,
 ) -> Hum:
-    """Amplitude at the strongest point in the impedance's unit, from the profile of a."""
+    """Amplitude at the strongest point in the impedance's unit, from the profile of a; `seen` is p in the contrasts."""
     fine = np.geomspace(amplitude / 10, amplitude * 10, 401)
-    found = misfit(y - np.log1p(fine[:, None] * p))
+    found = misfit(y - np.log1p(fine[:, None] * seen))
     inside = fine[found < found.min() + CHI_SQUARE_Q90 * rough]
     values = np.array([fine[int(np.argmin(found))], inside[0], inside[-1]])
     strongest = int(np.argmax(p * (np.abs(grid / line - 1) < 0.5)))
     own = np.abs(grid / grid[strongest] - 1) < 0.2
-    background = float(np.exp(np.mean(y[own] - np.log1p(values[0] * p[own]))))
+    background = float(np.exp(np.mean(y[own] - np.log1p(values[0] * seen[own]))))
     # The scatter there is B (1 + a p), of which B a p is hum.
     rms = np.sqrt(background * values * p[strongest] / felt[strongest])
     spoilt = grid[values[0] * p > _AFFECTED]

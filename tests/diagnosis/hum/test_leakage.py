@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -67,26 +69,48 @@ def test_a_bump_of_noise_elsewhere_is_no_hum() -> None:
     assert found == [None] * 4
 
 
-def test_without_repetitions_or_on_different_frequencies_nothing_is_said() -> None:
+def once(some: list[PersonResiduals]) -> list[PersonResiduals]:
+    """The first repetition of everybody alone."""
+    return [replace(p, model=p.model[:1], sd=p.sd[:1], white=p.white[:1], basis=p.basis[:1]) for p in some]
+
+
+@pytest.mark.parametrize(("line", "periods"), [(50.0, 5.0), (60.0, 10.0)])
+def test_hum_is_found_where_everybody_was_recorded_once(line: float, periods: float) -> None:
+    size = 0.25
+    found = [find_skirts(once(people(300 + seed, line, size, periods, n=36))) for seed in range(6)]
+    hums = [hum for hum in found if hum is not None]
+    assert len(hums) >= 5
+    assert {(hum.line_hz, hum.coherent, hum.harmonics[0]) for hum in hums} == {(line, False, 1)}
+    amplitude = size * np.sqrt(float(pattern(FREQUENCY, line, periods, 1.0).max()) / 2)
+    assert sum(hum.q05 <= amplitude <= hum.q95 for hum in hums) >= 4
+
+
+def test_uneven_noise_and_bumps_elsewhere_are_no_hum_where_everybody_was_recorded_once() -> None:
+    assert sum(find_skirts(once(people(400 + seed, n=36))) is not None for seed in range(30)) <= 1
+    found = [find_skirts(once(people(500 + seed, 41.0, 0.06, n=36))) for seed in range(4)]
+    assert found == [None] * 4
+
+
+def resonating(person: PersonResiduals, size: float, at_hz: float) -> PersonResiduals:
+    """With a resonance of Q = 20 that the network lacks: `size` times the impedance."""
+    wrong = size / (1 + 2j * 20 * np.log(FREQUENCY / at_hz)) * person.model / person.sd
+    return replace(person, white=person.white + np.concatenate([wrong.real, wrong.imag], axis=1))
+
+
+@pytest.mark.parametrize(("spread", "size"), [(0.0, 0.5), (0.1, 0.5), (0.2, 0.2)])
+def test_a_resonance_that_the_network_lacks_is_no_hum_where_everybody_was_recorded_once(
+    spread: float, size: float
+) -> None:
+    rng = np.random.default_rng(5)
+    found = []
+    for seed in range(4):
+        some = once(people(600 + seed, n=36))
+        at = 50.0 * np.exp(spread * rng.normal(size=36))
+        found.append(find_skirts([resonating(p, size, f) for p, f in zip(some, at, strict=True)]))
+    assert found == [None] * 4
+
+
+def test_on_different_frequencies_nothing_is_said() -> None:
     some = people(1, 50.0, 0.1)
-    one = [
-        PersonResiduals(
-            name=p.name,
-            frequency_hz=p.frequency_hz,
-            model=p.model[:1],
-            sd=p.sd[:1],
-            white=p.white[:1],
-            basis=p.basis[:1],
-        )
-        for p in some
-    ]
-    assert find_skirts(one) is None
-    moved = PersonResiduals(
-        name="P",
-        frequency_hz=FREQUENCY * 1.01,
-        model=some[0].model,
-        sd=some[0].sd,
-        white=some[0].white,
-        basis=some[0].basis,
-    )
+    moved = replace(some[0], name="P", frequency_hz=FREQUENCY * 1.01)
     assert find_skirts([*some[1:], moved]) is None
