@@ -2,9 +2,10 @@ r"""Estimation of the noise, from repetitions or from roughness over frequency.
 
 A finger that is repositioned has slightly different elements. The difference between two recordings is therefore noise
 plus a change within the tangent space of the network, :math:`\partial Z/\partial\theta`, and only the component
-**outside** that space is noise. With orthonormal contrasts :math:`c` over the J recordings (J - 1 of them, free of the
-common part), Q an orthonormal basis of the tangent space in whitened real coordinates and :math:`h_k` its leverage at
-frequency k,
+**outside** that space is noise. A resonance of low damping moves further than its width, where the tangent means
+nothing; so the network's impedance with each recording's own elements is subtracted before. With orthonormal contrasts
+:math:`c` over the J recordings (J - 1 of them, free of the common part), Q an orthonormal basis of the tangent space in
+whitened real coordinates and :math:`h_k` its leverage at frequency k,
 
 .. math:: \hat\sigma_k^2 = \frac{\sum |(1 - QQ^T) c|_k^2}{\sum 2\,(1 - h_k)} .
 
@@ -97,7 +98,11 @@ def contrasts(n: int) -> np.ndarray:
 
 
 def scatter_of_repetitions(
-    frequency_hz: np.ndarray, z: np.ndarray, derivative: np.ndarray, noise_sd: np.ndarray | None = None
+    frequency_hz: np.ndarray,
+    z: np.ndarray,
+    derivative: np.ndarray,
+    noise_sd: np.ndarray | None = None,
+    model: np.ndarray | float = 0.0,
 ) -> Scatter:
     """Noise of one person from J >= 2 recordings.
 
@@ -110,10 +115,12 @@ def scatter_of_repetitions(
     noise_sd : ndarray, shape (F,), optional
         Current estimate of the noise, used for whitening; by default proportional to |z|. The projection is unbiased
         only with the true noise, so that the noise is estimated twice.
+    model : ndarray, complex, shape (J, F), optional
+        The network's impedance with elements of each recording.
     """
     magnitude = np.abs(z.mean(axis=0))
     white = magnitude if noise_sd is None else noise_sd
-    difference = contrasts(z.shape[0]) @ z / white
+    difference = contrasts(z.shape[0]) @ (z - model) / white
     tangent = derivative / white
     basis = _orthonormal(np.concatenate([tangent.real, tangent.imag], axis=1).T)
     stacked = np.concatenate([difference.real, difference.imag], axis=1)

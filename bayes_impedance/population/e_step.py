@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.person.bounded_search import bounded_search
 from bayes_impedance.person.likelihood import Likelihood, repetition_equations
 from bayes_impedance.person.mode import Mode, find_mode
 from bayes_impedance.person.noise import contrasts
@@ -82,6 +83,9 @@ def expect(
         Further starting points.
     """
     likelihood = likelihood.moved(before.deviations)
+    if len(starts):  # a resonance of low damping is not found from them by the exact objective alone
+        nearer = bounded_search(kernel, likelihood, starts, mean, precision)
+        starts = np.concatenate([starts, nearer])
     mode = find_mode(kernel, likelihood, np.concatenate([before.theta[None], starts]), mean, precision)
     gradient, information = repetition_equations(kernel, likelihood, mode.theta)
     deviations = _realigned(likelihood, mode, gradient, information, rho)
@@ -178,7 +182,14 @@ def evidence(fits: Sequence[PersonFit], rho: np.ndarray) -> float:
     objective = sum(f.mode.objective for f in fits)
     determinants = np.linalg.slogdet([f.mode.precision for f in fits])[1].sum()
     of_contrasts = sum(float(group.log_likelihood(rho[None])[0]) for group in contrasts_of(fits).values())
-    return float(of_contrasts - objective - 0.5 * determinants)
+    # The contrasts' likelihood is relative to deviations of zero, the objective is that of the deviations it is at.
+    return float(of_contrasts - sum(map(_gain_of_deviations, fits)) - objective - 0.5 * determinants)
+
+
+def _gain_of_deviations(fit: PersonFit) -> float:
+    """Log likelihood at a person's deviations less that without any, by the expansion that the contrasts use."""
+    pull = np.einsum("jpq,jq->jp", fit.information, fit.expanded) / 2 - fit.gradient
+    return float(fit.mode.scale**-2 * np.sum(pull * fit.expanded))
 
 
 def information_of_means(fits: Sequence[PersonFit], precision: np.ndarray, begun: np.ndarray) -> np.ndarray:

@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.person.bounded_search import bounded_search
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.mode import all_modes, find_mode
 from bayes_impedance.person.noise import (
@@ -62,6 +63,13 @@ as a better one is found; and what is better, in nats. By choice: a wrong value 
 a factor of several. The right valley may be reached from less than one random start in a thousand, and from a
 neighbouring one by changing one element: of 24 populations of 10 people and 30 frequencies, 5 ended in the wrong one
 without it."""
+_REGRET, _COMPARED, _SAME = 50.0, 12, 0.1
+"""Largest difference from the person's best objective, in nats, that counts: one outlying person must not decide, and
+what is further behind at few points is not compared at all of them. Largest number of ends that are compared. Largest
+difference of two ends, in any log element, that are the same. By choice."""
+_REPOSITIONED = 0.3
+"""Prior standard deviation of a recording's log elements about the person's, for the noise: several times what
+repositioning changes. By choice."""
 _COMMON = 5
 """Solutions common to all persons that are compared, the best on average first. By choice: more cost time."""
 
@@ -160,8 +168,8 @@ def first_fits(
     candidates = np.vstack([own for (own,) in found])
     tried = everybody("first fits", partial(_try_all, kernel, candidates, prior.centre, precision), subjects)
     ends, objectives, alternatives = (np.array(column) for column in zip(*tried, strict=True))
-    regret = objectives - objectives.min(axis=1, keepdims=True)
-    common = int(np.argmin(np.minimum(regret, 50).sum(axis=0)))  # capped: one outlying person must not decide
+    regret = np.minimum(objectives - objectives.min(axis=1, keepdims=True), _REGRET)
+    common = int(np.argmin(regret.sum(axis=0)))
     own = np.where(regret[:, common] < 8, common, np.argmin(regret, axis=1))
     start = ends[np.arange(len(subjects)), own]
 
@@ -185,22 +193,41 @@ def _searched(kernel: Kernel, prior: Prior, likelihood: Likelihood, starts: np.n
 def _try_all(
     kernel: Kernel, candidates: np.ndarray, centre: np.ndarray, precision: np.ndarray, subject: Subject
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """End points of a person's searches from every candidate, the objectives there, and the best distinct ends."""
-    ends, objectives, _ = all_modes(kernel, _thinned(subject, centre.size), candidates, centre, precision, 40)
+    """End points of a person's searches from every candidate, the objectives there, and the best distinct ends.
+
+    Few points with provisional noise do not tell valleys apart that differ near one resonance, so the ends of these
+    searches go on with all points, and are compared there.
+    """
+    few, whole = _thinned(subject, centre.size), _typical(subject, centre.size, slice(None))
+    nearer = bounded_search(kernel, few, candidates, centre, precision)
+    ends, objectives, _ = all_modes(kernel, few, nearer, centre, precision, 40)
+    promising = np.where(objectives < objectives.min() + _REGRET, objectives, np.inf)
+    kept = np.array(_distinct(ends, promising, _COMPARED, _SAME))
+    nearer = np.concatenate([kept, bounded_search(kernel, whole, kept, centre, precision)])
+    better, values, _ = all_modes(kernel, whole, nearer, centre, precision, 40)
+    better, values = better.reshape(2, len(kept), -1), values.reshape(2, len(kept))
+    first = np.argmin(values, axis=0), np.arange(len(kept))
+    apart = np.abs(ends[:, None] - kept).max(axis=2)
+    nearest = np.argmin(apart, axis=1)
+    found = apart.min(axis=1) <= _SAME
+    ends = np.where(found[:, None], better[first][nearest], ends)
+    objectives = np.where(found, values[first][nearest], np.inf)
     return ends, objectives, best_distinct(ends, objectives, _KEPT)
 
 
 def _provisional(
     kernel: Kernel, centre: np.ndarray, precision: np.ndarray, subject: Subject, start: np.ndarray
 ) -> tuple[np.ndarray]:
-    likelihood = _averaged(subject, centre.size, slice(None))
-    return (find_mode(kernel, likelihood, start[None], centre, precision).theta,)
+    likelihood = _typical(subject, centre.size, slice(None))
+    nearer = bounded_search(kernel, likelihood, start[None], centre, precision)
+    return (find_mode(kernel, likelihood, np.concatenate([start[None], nearer]), centre, precision).theta,)
 
 
 def search_modes(kernel: Kernel, likelihood: Likelihood, starts: np.ndarray, prior: Prior, n: int) -> np.ndarray:
     """End points of the best of many starts.
 
-    The rank of a start is visible after a few Gauss-Newton steps. Only the best are continued to convergence, which
+    The rank of a start is visible after a few Gauss-Newton steps; half of the starts take as many by a bounded error
+    before (:mod:`bayes_impedance.person.bounded_search`). Only the best are continued to convergence, which
     needs exact second derivatives at ten times the cost. They must differ by a factor e in some element: otherwise all
     of them might lie in one valley and end in the same local optimum. The search goes on from the best end with each
     element changed by a factor e^2 to either side.
@@ -220,6 +247,8 @@ def search_modes(kernel: Kernel, likelihood: Likelihood, starts: np.ndarray, pri
         The best first; the best repeated if fewer ends differ.
     """
     precision = np.eye(prior.centre.size) / prior.centre_sd**2
+    starts = starts.copy()
+    starts[::2] = bounded_search(kernel, likelihood, starts[::2], prior.centre, precision)
     ends, objectives, _ = all_modes(kernel, likelihood, starts, prior.centre, precision, _FIRST_STEPS)
     followed = np.array(_distinct(ends, objectives, max(_FOLLOWED, 2 * n), _APART))
     ends, objectives, _ = all_modes(kernel, likelihood, followed, prior.centre, precision, 40)
@@ -234,26 +263,39 @@ def search_modes(kernel: Kernel, likelihood: Likelihood, starts: np.ndarray, pri
 
 
 def _common_solutions(ends: np.ndarray, regret: np.ndarray) -> np.ndarray:
-    """The best few common solutions that differ as populations, from end points (N, C, P) and regret (N, C)."""
-    cost = np.minimum(regret, 50).sum(axis=0)
-    kept: list[int] = []
-    for column in np.argsort(cost):
+    """The best few common solutions that differ as populations, from end points (N, C, P) and regret (N, C).
+
+    From one point not everybody reaches the same valley, so in each solution everybody has the end that is nearest to
+    the median person's, of those that are not far behind.
+    """
+    far = np.where(regret < _REGRET, 0.0, np.inf)
+    far[np.arange(len(far)), np.argmin(regret, axis=1)] = 0.0
+    kept: list[tuple[float, np.ndarray]] = []
+    for column in np.argsort(regret.sum(axis=0)):
         middle = np.median(ends[:, column], axis=0)
-        if all(np.abs(middle - np.median(ends[:, k], axis=0)).max() > 0.3 for k in kept):
-            kept.append(int(column))
+        nearest = np.argmin(np.abs(ends - middle).max(axis=2) + far, axis=1)
+        gathered = ends[np.arange(len(ends)), nearest]
+        middle = np.median(gathered, axis=0)
+        if all(np.abs(middle - np.median(other, axis=0)).max() > 0.3 for _, other in kept):
+            kept.append((float(regret[np.arange(len(ends)), nearest].sum()), gathered))
         if len(kept) == _COMMON:
             break
-    return np.swapaxes(ends[:, kept], 0, 1)
+    return np.array([gathered for _, gathered in sorted(kept, key=lambda pair: pair[0])])
 
 
-def _averaged(subject: Subject, n_elements: int, points: slice | np.ndarray) -> Likelihood:
-    """The person's mean recording with provisional noise."""
-    z = subject.mean[None, points]
+def _typical(subject: Subject, n_elements: int, points: slice | np.ndarray) -> Likelihood:
+    """The recording that is nearest to the person's others, with provisional noise.
+
+    The mean of recordings whose resonances differ is not that of any elements.
+    """
+    z = subject.z
+    apart = np.abs(z[:, None] - z) ** 2 / np.maximum(np.abs(z[:, None] * z), np.finfo(float).tiny)
+    z = z[[int(np.argmin(apart.sum(axis=(1, 2))))]][:, points]
     return Likelihood.make(subject.frequency_hz[points], z, PROVISIONAL_NOISE * np.abs(z), np.zeros((1, n_elements)))
 
 
 def _thinned(subject: Subject, n_elements: int) -> Likelihood:
-    return _averaged(subject, n_elements, thinned_points(subject.frequency_hz.size))
+    return _typical(subject, n_elements, thinned_points(subject.frequency_hz.size))
 
 
 def thinned_points(n: int) -> np.ndarray:
@@ -263,7 +305,7 @@ def thinned_points(n: int) -> np.ndarray:
 
 def best_distinct(ends: np.ndarray, objectives: np.ndarray, n: int) -> np.ndarray:
     """The n best end points that differ by more than rounding; the best is repeated if there are fewer."""
-    kept = _distinct(ends, objectives, n, 0.1)
+    kept = _distinct(ends, objectives, n, _SAME)
     return np.array(kept + [kept[0]] * (n - len(kept)))
 
 
@@ -284,9 +326,11 @@ def _noise(kernel: Kernel, subjects: Sequence[Subject], theta: np.ndarray, execu
         scatters = list(map_persons(executor, partial(_roughness, kernel), subjects, theta))
         return pool(scatters, FLOOR_WITHOUT)
     model: NoiseModel | None = None
+    some = [subjects[i] for i in repeated]
+    own = list(map_persons(executor, partial(_own_elements, kernel), some, theta[repeated]))
     for _ in range(2):
         scatter = partial(_disagreement, kernel, model)
-        scatters = list(map_persons(executor, scatter, [subjects[i] for i in repeated], theta[repeated]))
+        scatters = list(map_persons(executor, scatter, some, theta[repeated], own))
         model = pool(scatters, FLOOR_WITH_REPETITIONS)
     assert model is not None  # two rounds were made
     return model
@@ -297,10 +341,25 @@ def _roughness(kernel: Kernel, subject: Subject, theta: np.ndarray) -> Scatter:
     return scatter_of_roughness(frequency, subject.mean, kernel.impedance(theta, frequency))
 
 
-def _disagreement(kernel: Kernel, known: NoiseModel | None, subject: Subject, theta: np.ndarray) -> Scatter:
+def _disagreement(
+    kernel: Kernel, known: NoiseModel | None, subject: Subject, theta: np.ndarray, own: np.ndarray
+) -> Scatter:
     frequency = subject.frequency_hz
     sd = None if known is None else known.at(frequency, np.abs(subject.mean))
-    return scatter_of_repetitions(frequency, subject.z, kernel.derivative(theta, frequency)[1], sd)
+    slope = kernel.derivative(theta, frequency)[1]
+    return scatter_of_repetitions(frequency, subject.z, slope, sd, kernel.impedance(own, frequency))
+
+
+def _own_elements(kernel: Kernel, subject: Subject, theta: np.ndarray) -> np.ndarray:
+    """Log elements of each recording, near the person's, shape (J, P)."""
+    precision = np.eye(theta.size) / _REPOSITIONED**2
+    own = []
+    for z in subject.z:
+        sd = PROVISIONAL_NOISE * np.abs(z)
+        likelihood = Likelihood.make(subject.frequency_hz, z[None], sd[None], np.zeros((1, theta.size)))
+        nearer = bounded_search(kernel, likelihood, theta[None], theta, precision)
+        own.append(find_mode(kernel, likelihood, np.concatenate([theta[None], nearer]), theta, precision).theta)
+    return np.array(own)
 
 
 def noise_of(subject: Subject, model: NoiseModel | None) -> np.ndarray:

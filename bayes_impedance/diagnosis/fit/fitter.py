@@ -34,6 +34,7 @@ import numpy as np
 
 from bayes_impedance.diagnosis.fit.model import Model
 from bayes_impedance.diagnosis.fit.normal_equations import (
+    ROUNDING,
     Equations,
     Population,
     Stack,
@@ -219,7 +220,7 @@ class Refitter:
         r = _rho(population) ** -2.0
         a = h + np.diag(r)
         diagonal = np.einsum("mpp->mp", h)
-        a[:, np.arange(r.size), np.arange(r.size)] += damping[self.owner, None] * diagonal
+        a[:, np.arange(r.size), np.arange(r.size)] += (damping[self.owner, None] + ROUNDING) * diagonal
         inverse = np.linalg.inv(a)
         pull = -w[:, None] * equations.gradient[:, varying] - r * (u[:, varying] - persons[self.owner])
         kept = np.diag(r) - r[:, None] * inverse * r

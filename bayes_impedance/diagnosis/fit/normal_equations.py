@@ -28,6 +28,10 @@ _FREEDOM = 5.0
 """Prior width of the elements in standard deviations of the population. By choice: practically free where the band
 determines them, and bounded where it does not."""
 
+ROUNDING = 1e-12
+"""Relative ridge of an information matrix. Beside a pole of a lossless network one point outweighs all others by 1e20,
+and what these say of the other elements is lost in rounding: the matrix would be singular."""
+
 _SMALL_PIECE, _LARGE_PIECE = 4_000, 25_000
 """Smallest and largest piece of work, in points (recordings times frequencies). Below the first, a third of a
 millisecond, threads do not pay. Above the second, two milliseconds, load balancing would suffer."""
@@ -208,6 +212,7 @@ def quadratic(
     gradient = w[:, None] * equations.gradient
     inside = information[:, e, e].copy()
     inside += np.linalg.inv(covariance[e, e]) / _FREEDOM**2
+    inside[:, np.arange(model.n_elements), np.arange(model.n_elements)] *= 1 + ROUNDING
     cross = information[:, e, a]
     solved = np.linalg.solve(inside, np.concatenate([cross, gradient[:, e, None]], axis=2))
     response, step = -solved[..., :-1], solved[..., -1]

@@ -58,8 +58,8 @@ _NEIGHBOURS = 1.5
 """Variance of a point minus the mean of its two neighbours, in units of the points' own."""
 
 _OVERLAP = 1 + 2 * ((2 / 3) ** 2 + (1 / 6) ** 2)
-"""Contrasts with neighbours overlap: their correlations are -2/3 and 1/6, and the variance of a sum of correlated squares
-is larger by this factor than that of independent ones."""
+"""Contrasts with neighbours overlap: their correlations are -2/3 and 1/6, and the variance of a sum of correlated
+squares is larger by this factor than that of independent ones."""
 
 _FEWEST_FREEDOM, _FEWEST_POINTS = 30.0, 30
 """Smallest number of degrees of freedom at every point, for the logarithm of a mean square to be nearly normal, and of
