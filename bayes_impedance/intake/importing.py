@@ -131,6 +131,7 @@ def import_recordings(
         licence=settings.licence,
         subjects=tuple(subjects),
         warnings=tuple(_merged(notes)),
+        calibration=calibration.left,
     )
     return Imported(
         recordings=recordings,

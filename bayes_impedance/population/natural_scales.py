@@ -18,7 +18,7 @@ from bayes_impedance.network.extensions import PowerLaw
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.parameters import LOG, LOGIT, SIGNED, Parameter
 from bayes_impedance.network.tree import Network, Place
-from bayes_impedance.population.parameters import Prior
+from bayes_impedance.population.prior import Prior
 from bayes_impedance.recordings.files import Recordings
 
 LOG_SD = 3.0

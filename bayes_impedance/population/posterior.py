@@ -19,7 +19,8 @@ from bayes_impedance.mcmc.laplace import normal_approximation
 from bayes_impedance.person.importance_draws import widening
 from bayes_impedance.population.draw_error import DrawError, draw_error
 from bayes_impedance.population.em import Estimate, moved_to
-from bayes_impedance.population.parameters import Coordinates, PopulationParameters, Prior
+from bayes_impedance.population.parameters import Coordinates, PopulationParameters
+from bayes_impedance.population.prior import Prior
 from bayes_impedance.population.sharded_likelihood import KeptDraws
 from bayes_impedance.population.shared_draws import Sharing, reach_of
 from bayes_impedance.runtime.progress import Progress
@@ -194,8 +195,7 @@ class Posterior:
         widths = (few, repetitions, few / prior.slope_sd, few)
         blocks = [np.full(k, w) for k, w in zip(sizes[1:-1], widths, strict=True)]
         if self.coordinates.shared_prior is not None:
-            sd = np.sqrt(np.diag(self.shared_covariance)) / self.coordinates.shared_prior.centre_sds
-            blocks.append(sd[list(self.coordinates.shared_free)])
+            blocks.append(self.coordinates.shared_scale(self.shared_covariance))
         return np.concatenate([centre, *blocks])
 
     def draw(self, seed: np.random.SeedSequence, executor: Executor, progress: Progress) -> None:
@@ -348,12 +348,8 @@ class Posterior:
 
     def _shared_approximation(self) -> tuple[np.ndarray, np.ndarray]:
         """Mean (S',) and covariance (S', S') of the free shared parameters in the normal approximation."""
-        free = list(self.coordinates.shared_free)
-        prior, n = self.coordinates.shared_prior, len(free)
-        assert prior is not None  # there are shared parameters
-        sds = prior.centre_sds[free]
-        mean = prior.centre[free] + sds * self.mode[self.mode.size - n :]
-        return mean, self.normal_covariance[-n:, -n:] * np.outer(sds, sds)
+        n = len(self.coordinates.shared_free)
+        return self.coordinates.shared_moments(self.mode[-n:], self.normal_covariance[-n:, -n:])
 
     def _centre_shared(self, means: np.ndarray, covariance: np.ndarray) -> None:
         """Move the shared parameters of the draws, and everybody's mode along, to the normal approximation."""

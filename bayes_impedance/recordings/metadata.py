@@ -10,13 +10,14 @@ import re
 from dataclasses import dataclass
 
 from bayes_impedance.errors import InputError
+from bayes_impedance.recordings.calibration import TABLE, CommonError, common_error_of
 from bayes_impedance.runtime.input_files import decode, line_of, parse_toml
 from bayes_impedance.runtime.user_table import UserTable, shown
 
 DEFAULT_UNIT = "N s/m"
 SIGNS = ("passive positive", "passive negative")
 CONVENTIONS = ("exp(+jwt)", "exp(-jwt)")
-_KEYS = ("title", "unit", "sign", "convention", "network", "source", "licence")
+_KEYS = ("title", "unit", "sign", "convention", "network", "source", "licence", TABLE)
 RECIPE = "import"
 """Key of the table that records how the dataset was made from other files; it is not evaluated."""
 
@@ -82,6 +83,8 @@ class Metadata:
     network : str or None
         Notation of the network that the data are usually modelled with.
     warnings : tuple of str
+    calibration : CommonError or None
+        What a calibration has left uncertain in all recordings.
     """
 
     title: str
@@ -93,6 +96,7 @@ class Metadata:
     source: str = ""
     licence: str = ""
     warnings: tuple[str, ...] = ()
+    calibration: CommonError | None = None
 
 
 def parse_metadata(data: bytes, file: str, default_title: str) -> Metadata:
@@ -162,6 +166,7 @@ def parse_metadata(data: bytes, file: str, default_title: str) -> Metadata:
         source=source,
         licence=licence,
         warnings=tuple(warnings),
+        calibration=common_error_of(table[TABLE], where) if TABLE in table else None,
     )
 
 

@@ -10,7 +10,8 @@ from scipy.integrate import quad
 from scipy.stats import beta, halfnorm, kstest, norm
 from strategies import repeatable
 
-from bayes_impedance.population.parameters import Coordinates, Prior
+from bayes_impedance.population.parameters import Coordinates
+from bayes_impedance.population.prior import Prior
 
 DRAWS = 4000
 

@@ -28,7 +28,7 @@ from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.residuals.absolute_fit import GROSS_ERROR
 from bayes_impedance.network.elements import KINDS, band_scale
 from bayes_impedance.person.likelihood import Likelihood
-from bayes_impedance.population.parameters import Prior
+from bayes_impedance.population.prior import Prior
 from bayes_impedance.population.starting_fits import PROVISIONAL_NOISE, search_modes, thinned_points
 
 _SIZES = 8
