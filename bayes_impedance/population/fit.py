@@ -359,7 +359,7 @@ def _one_person(
         deviations=(likelihood.deviations,),
         noise=(_scaled_noise(first.model, recordings.subjects[0], mode.scale),),
         noise_scale=np.array([mode.scale]),
-        identified=point.determined & (theta.std(axis=0) < IDENTIFIED_SD),
+        identified=(point.determined | prior.known) & (theta.std(axis=0) < IDENTIFIED_SD),
         diagnostics=assess(recordings, point, chains, None, parameters, 0),
         seconds=clock.seconds,
     )
