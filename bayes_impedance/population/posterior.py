@@ -45,7 +45,7 @@ _DRAWS_AGAIN, _DRAWS_OF_ALL = (8, 16), 2**14
 together had no more than this number. By choice, for time: sampling takes as many times longer. With 8 an error of 0.2
 to 0.4 fell to 0.1 to 0.12 in narrow bands, which is not quite what is wanted, with 16 to 0.06 to 0.08 (24 persons)."""
 _DRAWS_AGAIN_SHARED = 4
-"""The same where parameters are the same for everybody. By choice, for time: every draw is computed at up to 86 points."""
+"""The same where parameters are shared by all. By choice, for time: each draw is computed at up to 86 points."""
 _BEYOND_CHAIN = 2.0
 """Factor on the standard deviations of the reference population that follows from a chain. Measured in a band of 100 to
 101 Hz: the smallest effective number of draws (5 % quantile of populations) was 37 with 1, 57 with 1.5, 120 with 2."""

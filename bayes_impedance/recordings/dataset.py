@@ -124,6 +124,8 @@ class Recordings:
         Convention that the file declares; z here is that of exp(+jwt). None if it does not say.
     calibration : CommonError or None
         What a calibration has left uncertain, the same in all recordings.
+    place : str or None
+        ``driving point`` if that is declared: recordings that look like transfer functions are then believed.
 
     Raises
     ------
@@ -142,6 +144,7 @@ class Recordings:
     polar: bool = False
     convention: str | None = None
     calibration: CommonError | None = None
+    place: str | None = None
 
     def __post_init__(self) -> None:
         """Check that the subjects' names are unique."""

@@ -111,6 +111,7 @@ def read_recordings(path: str | os.PathLike[str]) -> Recordings:
         polar=reading.polar,
         convention=metadata.convention,
         calibration=metadata.calibration,
+        place=metadata.place,
     )
 
 
@@ -327,6 +328,7 @@ def _metadata_toml(recordings: Recordings) -> str:
         "unit": recordings.unit,
         "sign": SIGNS[0],
         "convention": CONVENTIONS[0] if recordings.convention else "",
+        "place": recordings.place,
         "network": recordings.network,
         "source": recordings.source,
         "licence": recordings.licence,

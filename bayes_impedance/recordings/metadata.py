@@ -17,7 +17,9 @@ from bayes_impedance.runtime.user_table import UserTable, shown
 DEFAULT_UNIT = "N s/m"
 SIGNS = ("passive positive", "passive negative")
 CONVENTIONS = ("exp(+jwt)", "exp(-jwt)")
-_KEYS = ("title", "unit", "sign", "convention", "network", "source", "licence", TABLE)
+DRIVING_POINT = "driving point"
+"""The only place of which recordings are evaluated; who declares it is believed."""
+_KEYS = ("title", "unit", "sign", "convention", "network", "source", "licence", "place", TABLE)
 RECIPE = "import"
 """Key of the table that records how the dataset was made from other files; it is not evaluated."""
 
@@ -85,6 +87,8 @@ class Metadata:
     warnings : tuple of str
     calibration : CommonError or None
         What a calibration has left uncertain in all recordings.
+    place : str or None
+        :data:`DRIVING_POINT` if that is declared.
     """
 
     title: str
@@ -97,6 +101,7 @@ class Metadata:
     licence: str = ""
     warnings: tuple[str, ...] = ()
     calibration: CommonError | None = None
+    place: str | None = None
 
 
 def parse_metadata(data: bytes, file: str, default_title: str) -> Metadata:
@@ -167,6 +172,7 @@ def parse_metadata(data: bytes, file: str, default_title: str) -> Metadata:
         licence=licence,
         warnings=tuple(warnings),
         calibration=common_error_of(table[TABLE], where) if TABLE in table else None,
+        place=table.choice("place", (DRIVING_POINT,)) if "place" in table else None,
     )
 
 
