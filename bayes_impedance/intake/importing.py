@@ -126,7 +126,7 @@ def import_recordings(
     notes += told
     negative = sum(int(np.sum(one.z.real < 0)) for one in kept) / sum(one.z.size for one in kept)
     if negative > 0:
-        notes.append(f"Re z is below zero at {negative:.1%} of the points")
+        notes.append(f"Re z is below zero at {negative:.1%} of the points; 'bayes-impedance check' looks for the cause")
     recordings = Recordings(
         title=settings.title or "imported recordings",
         unit=kept[0].unit,

@@ -108,5 +108,6 @@ def default_prior(kernel: Kernel, recordings: Recordings) -> Prior:
     parameters = kernel.parameters
     centres = np.array([scales.log_value(p) if p.link == LOG else 0.0 for p in parameters])
     if all(p.link != LOGIT for p in parameters):
-        return Prior(centres)
-    return Prior(centres, np.array([LOGIT_SD if p.link == LOGIT else LOG_SD for p in parameters]))
+        return Prior(centre=centres)
+    sds = np.array([LOGIT_SD if p.link == LOGIT else LOG_SD for p in parameters])
+    return Prior(centre=centres, centre_sd=sds)

@@ -15,7 +15,7 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.runtime.user_table import number_in
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Prior:
     """Scales of the prior.
 

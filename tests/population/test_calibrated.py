@@ -92,7 +92,7 @@ def test_a_correlated_prior_is_consistent() -> None:
     own = rng.normal(size=(3, 6))
     covariance = own @ own.T
     sd = np.sqrt(np.diag(covariance))
-    prior = Prior(np.zeros(3), sd, correlation=covariance / np.outer(sd, sd))
+    prior = Prior(centre=np.zeros(3), centre_sd=sd, correlation=covariance / np.outer(sd, sd))
     np.testing.assert_allclose(prior.covariance, covariance)
     np.testing.assert_allclose(prior.factor @ prior.factor.T, covariance)
     np.testing.assert_allclose(prior.precision @ covariance, np.eye(3), atol=1e-12)

@@ -18,7 +18,7 @@ DRAWS = 4000
 
 def coordinates(n=4, correlated=True, repetitions=True, covariates=2, held=(), **prior):
     return Coordinates(
-        prior=Prior(np.linspace(-3.0, 2.0, n), **prior),
+        prior=Prior(centre=np.linspace(-3.0, 2.0, n), **prior),
         correlated=correlated,
         repetitions=repetitions,
         n_covariates=covariates,
