@@ -27,7 +27,7 @@ from bayes_impedance.network.notation import parse
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.mode import find_mode
 from bayes_impedance.population.natural_scales import default_prior
-from bayes_impedance.population.parameters import Prior
+from bayes_impedance.population.prior import Prior
 from bayes_impedance.population.starting_fits import search_modes, thinned_points
 from bayes_impedance.recordings.files import read_recordings
 

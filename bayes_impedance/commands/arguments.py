@@ -183,6 +183,11 @@ def _fit_arguments(parser: argparse.ArgumentParser) -> None:
         help="random seed (default: 1); the same seed gives the same result",
     )
     parser.add_argument("--quick", action="store_true", help="fewer draws, for a first look")
+    parser.add_argument(
+        "--exact-calibration",
+        action="store_true",
+        help="take the calibration of imported recordings as exact (default: its error is estimated along)",
+    )
     parser.add_argument("--resume", action="store_true", help="continue a fit that was interrupted")
     _overwrite(parser)
     _worker_arguments(parser)

@@ -299,6 +299,7 @@ def _fit_options(options: argparse.Namespace) -> Any:
         subjects=tuple(options.subject),
         seed=options.seed,
         quick=options.quick,
+        exact_calibration=options.exact_calibration,
         workers=options.workers,
         scheduler=options.scheduler,
         overwrite=options.overwrite,

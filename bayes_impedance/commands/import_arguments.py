@@ -75,6 +75,9 @@ def _spectra(group: argparse._ArgumentGroup) -> None:
     group.add_argument("--conjugated", action="store_true", help="the files use exp(-jwt): take the conjugate")
     group.add_argument("--negated", action="store_true", help="force or motion is counted the other way")
     group.add_argument(
+        "--driving-point", action="store_true", help="force and motion are of one place, although it looks otherwise"
+    )
+    group.add_argument(
         "--averages", type=_averages, metavar="N", help="number of averages behind the files' coherence: gives noise_sd"
     )
 

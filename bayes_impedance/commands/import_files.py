@@ -121,6 +121,7 @@ def settings_of(options: argparse.Namespace) -> ImportSettings:
         source=options.source,
         licence=options.licence,
         network=options.network,
+        driving_point=options.driving_point,
     )
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -70,6 +70,8 @@ class FitOptions:
     seed : int
     quick : bool
         Fewer draws and shorter chains: for a first look.
+    exact_calibration : bool
+        Take the recordings' calibration as exact, instead of estimating its error along.
     workers : int or None
         Number of processes of this machine for the computations of single persons, and of threads of this process for
         sampling; None for two threads that do both. Does not change the result.
@@ -87,6 +89,7 @@ class FitOptions:
     subjects: tuple[str, ...] = ()
     seed: int = 1
     quick: bool = False
+    exact_calibration: bool = False
     workers: int | None = None
     scheduler: str | None = None
     overwrite: bool = False
@@ -347,4 +350,6 @@ def _findings(recordings: Recordings) -> tuple[Finding, ...]:
 
 def selected(recordings: Recordings, options: FitOptions) -> Recordings:
     """The recordings of the subjects named in the options, or of all subjects."""
+    if options.exact_calibration:
+        recordings = replace(recordings, calibration=None)
     return recordings.select(options.subjects) if options.subjects else recordings

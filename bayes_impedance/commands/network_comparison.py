@@ -166,6 +166,7 @@ def _require_different(candidates: Sequence[_Candidate]) -> None:
 
 def _finished(folder: Path, recordings: Recordings, options: FitOptions) -> Result | None:
     """The result in a folder, if it is what the options would give; else None."""
+    from bayes_impedance.population.calibrated import within_rig
     from bayes_impedance.population.fit import too_few_for_correlations
     from bayes_impedance.population.requirements import checked_model
     from bayes_impedance.results.leave_one_out import require_absolute
@@ -176,7 +177,8 @@ def _finished(folder: Path, recordings: Recordings, options: FitOptions) -> Resu
         require_absolute(result)
     except InputError:
         return None
-    kernel, settings = checked_model(recordings, options.network, options.covariates).kernel, options.settings()
+    network, settings = within_rig(recordings, options.network), options.settings()
+    kernel = checked_model(recordings, network, options.covariates).kernel
     few = too_few_for_correlations(len(recordings.subjects), len(kernel.elements))
     summary, attributes = result.summary, result.attributes
     wanted = {

@@ -131,6 +131,8 @@ def diagnose(
     """
     from threadpoolctl import threadpool_limits
 
+    # The rig's effects are among the candidates: what a calibration has left is found there if it is seen.
+    recordings = replace(recordings, calibration=None)
     clock = Clock()
     candidates = registered() if effects is None else effects
     own = executor_of(workers) if executor is None else nullcontext(executor)

@@ -15,20 +15,21 @@ import numpy as np
 from bayes_impedance.errors import InputError
 from bayes_impedance.intake.spectrum import FloatArray, Spectrum
 from bayes_impedance.recordings.dataset import Subject
+from bayes_impedance.recordings.driving_point import sentence, verdict_of
 from bayes_impedance.recordings.plausibility import is_conjugate
 from bayes_impedance.recordings.repetitions import MINIMUM_COMMON, MINIMUM_POINTS
 from bayes_impedance.runtime.user_table import shown
 from bayes_impedance.units import HIGHEST_HZ, LARGEST_IMPEDANCE, LOWEST_HZ, SMALLEST_IMPEDANCE
 
 
-def assemble(spectra: Sequence[Spectrum]) -> tuple[list[Subject], list[Spectrum], list[str]]:
+def assemble(spectra: Sequence[Spectrum], believed: bool = False) -> tuple[list[Subject], list[Spectrum], list[str]]:
     """Subjects in the order of their first file; the recordings as they are in them; what was changed.
 
     Raises
     ------
     InputError
         If units differ, a name is impossible or there twice, repetitions share too few frequencies, or most are complex
-        conjugates.
+        conjugates or transfer functions (unless it is said that they are of a driving point, and that is `believed`).
     """
     if not spectra:
         raise InputError("there is no recording in the files; name others")
@@ -64,6 +65,14 @@ def assemble(spectra: Sequence[Spectrum]) -> tuple[list[Subject], list[Spectrum]
             )
         except ValueError as error:
             raise InputError(f"{own[0].source}: {error}") from None
+    places = [] if believed else [verdict_of(one.frequency_hz, one.mean) for one in subjects]
+    if places.count("transfer") > 0.5 * len(subjects):
+        raise InputError(
+            f"{spectra[0].source}: {sentence(surely=True)}; import those of the force's own place, or give "
+            "--driving-point if these are"
+        )
+    if unsure := len(places) - places.count("driving"):
+        notes.append(f"{unsure} of {len(subjects)} subjects: {sentence(surely='transfer' in places)}")
     if sum(map(is_conjugate, subjects)) > 0.5 * len(subjects):
         raise InputError(
             f"{spectra[0].source}: the phase agrees with the slope of the magnitude only if its sign is reversed: "

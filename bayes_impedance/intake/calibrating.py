@@ -16,11 +16,13 @@ import numpy as np
 
 from bayes_impedance.errors import InputError
 from bayes_impedance.intake.assembly import nearest_index
+from bayes_impedance.intake.common_error import common_error
 from bayes_impedance.intake.known_loads import OPEN, KnownLoad
 from bayes_impedance.intake.reading import ReadingSettings, read_spectra
 from bayes_impedance.intake.smooth_rig import LARGEST_MISFIT, SmoothRig, smooth_rig
 from bayes_impedance.intake.spectrum import ComplexArray, FloatArray, Spectrum
 from bayes_impedance.intake.two_port import TwoPort, smoothed_noise, two_port, undetermined
+from bayes_impedance.recordings.calibration import CommonError
 from bayes_impedance.recordings.repetitions import MINIMUM_COMMON, MINIMUM_POINTS
 
 SMOOTH, EACH = "smooth", "each frequency"
@@ -62,6 +64,8 @@ class Calibrated:
     rig : SmoothRig or None
     two_port : TwoPort or None
         At the frequencies of the runs; None if every recording has its own run.
+    left : CommonError or None
+        What remains uncertain in all recordings, where a rig of few parameters describes it.
     """
 
     spectra: tuple[Spectrum, ...]
@@ -69,6 +73,7 @@ class Calibrated:
     files: tuple[Path, ...] = ()
     rig: SmoothRig | None = None
     two_port: TwoPort | None = None
+    left: CommonError | None = None
 
 
 def calibrated(
@@ -117,13 +122,15 @@ def calibrated(
     reduced = [one for one, new in zip(spectra, corrected, strict=True) if new.z.size < one.z.size]
     if reduced:
         told.append(f"{reduced[0].source}: frequencies that the calibration does not have were left out")
-    told += _said_of_error(corrected)
+    left = None if rig is None else common_error(rig, corrected)
+    told += _said_of_error(corrected, left)
     return Calibrated(
         spectra=tuple(corrected),
         notes=(*notes, *told),
         files=tuple(files),
         rig=rig,
         two_port=each if rig is None else rig.at(each.frequency_hz),
+        left=left,
     )
 
 
@@ -211,7 +218,7 @@ def _said(rig: SmoothRig) -> str:
     return f"rig: gain {g}, delay {d} s, seismic mass {m} kg, damper {r} N s/m, stiffness {k} N/m, {mount}{fits}"
 
 
-def _said_of_error(corrected: Sequence[Spectrum]) -> list[str]:
+def _said_of_error(corrected: Sequence[Spectrum], left: CommonError | None) -> list[str]:
     """Size of the error that the calibration leaves in all recordings."""
     relative = [
         np.sqrt(np.mean(one.calibration_sd**2, axis=1)) / np.abs(one.z)
@@ -221,9 +228,15 @@ def _said_of_error(corrected: Sequence[Spectrum]) -> list[str]:
     if not relative:
         return []
     middle, largest = np.median(np.concatenate(relative)), max(float(one.max()) for one in relative)
+    known = (
+        "and fits do not know of it"
+        if left is None
+        else f"and fits estimate {100 * left.share:.3g} % of its variance as a gain, a delay, a mass, a damper and a "
+        "stiffness around the network that are the same for everybody"
+    )
     return [
         f"the runs' noise leaves an error common to all recordings (standard deviation {100 * middle:.2g} % of |z|, at "
-        f"most {100 * largest:.2g} %): it is written to calibration_sd.csv, and fits do not know of it"
+        f"most {100 * largest:.2g} %): it is written to calibration_sd.csv, {known}"
     ]
 
 

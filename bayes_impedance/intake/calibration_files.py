@@ -53,8 +53,8 @@ def _rig_toml(rig: SmoothRig, unit: str) -> str:
     lines = [
         "# The rig that was taken out of the recordings. Its parameters are the same for everybody. Their errors",
         "# (normal, with this covariance in the order of the parameters) are common to all recordings and no part of",
-        "# noise_sd. Fits take no priors of single parameters: `held` is the rig at these values around a network, for",
-        "# recordings that were imported without calibration; of `shared` the parameters below are the prior.",
+        "# noise_sd; what is left of them in the recordings is in dataset.toml, [calibration], and fits estimate it.",
+        "# `held` is the rig at these values around a network, for recordings that were imported without calibration.",
         f"impedance_unit = {json.dumps(unit)}",
         f"held = {json.dumps(rig_around('NETWORK', rig.values, bool(rig.values[5] > 0)))}",
         f"shared = {json.dumps(rig_around('NETWORK', None, rig.mount_is_seen))}",

@@ -16,6 +16,7 @@ from bayes_impedance.intake.calibration_files import CALIBRATION_FILE, RIG_FILE,
 from bayes_impedance.intake.reading import Progress, ReadingSettings, read_spectra
 from bayes_impedance.intake.spectrum import Spectrum
 from bayes_impedance.recordings.dataset import Recordings
+from bayes_impedance.recordings.metadata import DRIVING_POINT
 
 COHERENCE_FILE, REPETITIONS_FILE = "coherence.csv", "repetitions.csv"
 CALIBRATION_SD_FILE = "calibration_sd.csv"
@@ -34,6 +35,8 @@ class ImportSettings(ReadingSettings):
     calibration : CalibrationSettings
     title, source, licence : str
     network : str or None
+    driving_point : bool
+        Whether it is said that force and motion are of one place, whatever the curves look like.
     """
 
     calibration: CalibrationSettings = field(default_factory=CalibrationSettings)
@@ -41,6 +44,7 @@ class ImportSettings(ReadingSettings):
     source: str = ""
     licence: str = ""
     network: str | None = None
+    driving_point: bool = False
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -118,11 +122,11 @@ def import_recordings(
     spectra, notes, files = read_spectra(sources, settings, progress, without=runs)
     calibration = calibrated(spectra, settings.calibration, settings)
     notes += calibration.notes
-    subjects, kept, told = assemble(calibration.spectra)
+    subjects, kept, told = assemble(calibration.spectra, settings.driving_point)
     notes += told
     negative = sum(int(np.sum(one.z.real < 0)) for one in kept) / sum(one.z.size for one in kept)
     if negative > 0:
-        notes.append(f"Re z is below zero at {negative:.1%} of the points")
+        notes.append(f"Re z is below zero at {negative:.1%} of the points; 'bayes-impedance check' looks for the cause")
     recordings = Recordings(
         title=settings.title or "imported recordings",
         unit=kept[0].unit,
@@ -131,6 +135,8 @@ def import_recordings(
         licence=settings.licence,
         subjects=tuple(subjects),
         warnings=tuple(_merged(notes)),
+        calibration=calibration.left,
+        place=DRIVING_POINT if settings.driving_point else None,
     )
     return Imported(
         recordings=recordings,

@@ -95,6 +95,13 @@ class SmoothRig:
             frequency_hz=frequency_hz, a=map_[0], b=map_[1], c=map_[2], covariance=covariance, relation=relation
         )
 
+    def changes(self, frequency_hz: FloatArray, z: ComplexArray) -> ComplexArray:
+        """Derivatives of a corrected load z (F,) by the parameters that it is corrected with, shape (F, 6)."""
+        (a, b, c), slopes = _map(self.values, np.asarray(2j * np.pi * frequency_hz))
+        measured = (a * z + b) / (c * z + 1)
+        gradient = np.stack([-z, -np.ones_like(z), z * measured], axis=1) / (a - c * measured)[:, None]
+        return np.asarray(np.einsum("fp,fpi->fi", gradient, slopes))
+
 
 def smooth_rig(
     frequency_hz: FloatArray, loads: ComplexArray, measured: ComplexArray, noise_sd: FloatArray | None

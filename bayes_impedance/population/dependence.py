@@ -27,7 +27,8 @@ from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.mode import find_mode
 from bayes_impedance.population.e_step import PersonFit
 from bayes_impedance.population.em import Estimate
-from bayes_impedance.population.parameters import PopulationParameters, Prior
+from bayes_impedance.population.parameters import PopulationParameters
+from bayes_impedance.population.prior import Prior
 from bayes_impedance.units import NORMAL_Q95
 
 _VALUES, _REACH = 25, 2.0

@@ -31,13 +31,13 @@ from pathlib import Path
 import numpy as np
 
 from bayes_impedance.network.parameters import LOG
-from bayes_impedance.network.redundancy import inseparable
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.mode import Mode
+from bayes_impedance.population.calibrated import inseparable_given
 from bayes_impedance.population.e_step import PersonFit, contrasts_of
 from bayes_impedance.population.em_state import State, equations_of, refitted
 from bayes_impedance.population.importance_likelihood import Contrasts
-from bayes_impedance.population.parameters import Prior
+from bayes_impedance.population.prior import Prior
 from bayes_impedance.population.shared import Pooling
 from bayes_impedance.population.starting_fits import FirstFits
 from bayes_impedance.runtime.checkpoint import load_arrays, save_arrays
@@ -221,7 +221,7 @@ def estimate(
     progress("population estimate", _MAX_ROUNDS, _MAX_ROUNDS)
     outcomes = state.fits.gathered(_outcome)
     kernel = pooling.kernel
-    unseen = np.isin(kernel.elements, inseparable(kernel.network))
+    unseen = np.isin(kernel.elements, inseparable_given(kernel, prior))
     limits = np.array([DETERMINED_SD if p.link == LOG else DETERMINED_BOUNDED for p in kernel.parameters])
     shared_sd = np.sqrt(np.diag(state.shared_covariance(with_prior=False))) if pooling.names else np.zeros(0)
     shared_sd = np.where(unseen[pooling.shared], np.inf, shared_sd)
@@ -241,7 +241,7 @@ def estimate(
         pooling=pooling,
         shared=state.phi,
         shared_covariance=state.shared_covariance(with_prior=True) if pooling.names else np.zeros((0, 0)),
-        shared_determined=shared_sd < limits[pooling.shared],
+        shared_determined=(shared_sd < limits[pooling.shared]) | prior.known[pooling.shared],
         shared_equations=state.shared_equations() if pooling.names else None,
         rounds=rounds,
         rivals=rivals,

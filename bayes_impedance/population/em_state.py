@@ -11,6 +11,7 @@ from functools import partial
 from operator import attrgetter
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.person.likelihood import Likelihood
@@ -26,7 +27,7 @@ from bayes_impedance.population.e_step import (
     standard_errors,
     sums,
 )
-from bayes_impedance.population.parameters import Prior
+from bayes_impedance.population.prior import Prior
 from bayes_impedance.population.shared import (
     Placed,
     Pooling,
@@ -111,7 +112,7 @@ class State:
         self.covariance = np.diag(np.clip(1.5 * deviation, 0.2, 2.0) ** 2)
         self.fixed = one_person
         if one_person:
-            self.mu, self.covariance = self.prior.centre.copy(), np.eye(self.mu.size) * self.prior.centre_sds**2
+            self.mu, self.covariance = self.prior.centre.copy(), self.prior.covariance
         self.rho = np.full(self.mu.size, 0.1) if repeated else np.zeros(self.mu.size)
         self.fits = data.each(begin, theta)
         self.begun = False  # whether everybody has been fitted with the shared parameters as they are
@@ -171,7 +172,7 @@ class State:
             return 0.0
         equations = self.shared_equations()
         curvature, gradient = self._information(equations)
-        offset = (self.phi - self.shared_prior.centre) / self.shared_prior.centre_sds**2
+        offset = self.shared_prior.precision @ (self.phi - self.shared_prior.centre)
         step = step_of(curvature, gradient - offset)
         size = self.phi.size
         places = self.fits.each(_placed)
@@ -189,8 +190,7 @@ class State:
         """Negative log posterior of everybody's places, of the shared parameters and the mean, up to a constant."""
         own = partial(objective, self.pooling.at(phi), np.linalg.inv(self.covariance), self.rho)
         total = float(sum(self.data.each(own, places, mu + self.covariates @ self.slopes.T).ask(sum)))
-        total += 0.5 * float(np.sum(((phi - self.shared_prior.centre) / self.shared_prior.centre_sds) ** 2))
-        total += 0.5 * float(np.sum(((mu - self.prior.centre) / self.prior.centre_sds) ** 2))
+        total += self.shared_prior.misfit(phi) + self.prior.misfit(mu)
         return total if np.isfinite(total) else np.inf
 
     def shared_equations(self) -> Kept:
@@ -204,8 +204,8 @@ class State:
 
     def _information(self, equations: Kept, with_prior: bool = True) -> tuple[np.ndarray, np.ndarray]:
         parts = equations.ask(summed)
-        own = self.shared_prior.centre_sds**-2.0 if with_prior else np.full(self.phi.size, _NO_PRIOR)
-        prior = np.diag(np.concatenate([own, self.prior.centre_sds**-2.0]))
+        own = self.shared_prior.precision if with_prior else _NO_PRIOR * np.eye(self.phi.size)
+        prior = block_diag(own, self.prior.precision)
         return _total(c for c, _ in parts) + prior, _total(g for _, g in parts)
 
     def _maximise(self, parts: Sequence[Sums]) -> None:
@@ -238,8 +238,7 @@ class State:
     def log_evidence(self) -> float:
         """Laplace approximation of the log marginal likelihood of the population, with the prior of its centre."""
         sign, log_determinant = np.linalg.slogdet(self.covariance)
-        prior = -0.5 * float(np.sum(((self.mu - self.prior.centre) / self.prior.centre_sd) ** 2))
-        prior -= 0.5 * float(np.sum(((self.phi - self.shared_prior.centre) / self.shared_prior.centre_sds) ** 2))
+        prior = -self.prior.misfit(self.mu) - self.shared_prior.misfit(self.phi)
         return prior + sum(self.fits.ask(evidence, self.rho)) - 0.5 * self.n_persons * float(sign * log_determinant)
 
     def mu_sd(self) -> np.ndarray:

@@ -35,12 +35,13 @@ from bayes_impedance.person.absolute_density import deviations_of, log_constant
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.marginal_likelihood import find_ridge, marginal_log_likelihood
 from bayes_impedance.person.noise import NoiseModel
+from bayes_impedance.population.calibrated import known_of, prior_of, within_rig
 from bayes_impedance.population.dependence import dependent
 from bayes_impedance.population.diagnostics import Diagnostics, assess
 from bayes_impedance.population.em import Estimate, estimate
-from bayes_impedance.population.natural_scales import default_prior
-from bayes_impedance.population.parameters import PopulationParameters, Prior
+from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.posterior import Posterior
+from bayes_impedance.population.prior import Prior
 from bayes_impedance.population.requirements import CheckedModel, checked_model
 from bayes_impedance.population.sampling import sampled
 from bayes_impedance.population.shared import Pooling
@@ -210,18 +211,25 @@ def fit_population(
 
     settings = settings or FitSettings()
     settings = replace(settings, sampler=replace(settings.sampler, workers=workers))
-    model = checked_model(recordings, network, settings.covariates)
+    model = checked_model(recordings, within_rig(recordings, network), settings.covariates)
     kernel, covariates = model.kernel, model.covariates
     one = len(recordings.subjects) == 1
     pooling = Pooling(kernel) if one else Pooling.of(kernel)  # one person's own and the same for all: no difference
     whole = Whole(pooling)
     if too_few_for_correlations(len(recordings.subjects), pooling.varying.size):
         settings = replace(settings, covariance="diagonal")
-    prior = default_prior(kernel, recordings)
+    prior = prior_of(kernel, recordings)
     seeds = np.random.SeedSequence(seed).spawn(5)
     if checkpoint is not None:
         same_for_any = replace(settings, sampler=replace(settings.sampler, workers=0))
-        others = version("bayes_impedance"), str(kernel.network), same_for_any, seed, covariates.tolist()
+        others = (
+            version("bayes_impedance"),
+            str(kernel.network),
+            same_for_any,
+            seed,
+            covariates.tolist(),
+            *known_of(recordings),
+        )
         claim(checkpoint, (s.digest for s in recordings.subjects), *others)
     clock = Clock()
     # The linear algebra library must not start its own threads inside ours.
@@ -243,18 +251,7 @@ def fit_population(
             )
         if one:
             return _one_person(
-                recordings,
-                whole,
-                model,
-                prior,
-                settings,
-                seed,
-                point,
-                first,
-                seeds[2],
-                clock,
-                progress,
-                checkpoint,
+                recordings, whole, model, prior, settings, seed, point, first, seeds[2], clock, progress, checkpoint
             )
         repetitions = np.array([len(s.repetitions) for s in recordings.subjects])
         full = settings.covariance == "full"
@@ -320,8 +317,8 @@ def _one_person(
 
     def log_probability(u: np.ndarray) -> np.ndarray:
         theta = mode.theta + sd * u
-        offset = (theta - prior.centre) / prior.centre_sd
-        return np.asarray(marginal_log_likelihood(kernel, likelihood, ridge, theta) - 0.5 * np.sum(offset**2, axis=1))
+        offset = np.linalg.solve(prior.factor, (theta - prior.centre).T)
+        return np.asarray(marginal_log_likelihood(kernel, likelihood, ridge, theta) - 0.5 * np.sum(offset**2, axis=0))
 
     with clock.measure("population"):
         chains = sample(
@@ -362,7 +359,7 @@ def _one_person(
         deviations=(likelihood.deviations,),
         noise=(_scaled_noise(first.model, recordings.subjects[0], mode.scale),),
         noise_scale=np.array([mode.scale]),
-        identified=point.determined & (theta.std(axis=0) < IDENTIFIED_SD),
+        identified=(point.determined | prior.known) & (theta.std(axis=0) < IDENTIFIED_SD),
         diagnostics=assess(recordings, point, chains, None, parameters, 0),
         seconds=clock.seconds,
     )

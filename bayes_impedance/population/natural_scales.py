@@ -18,7 +18,7 @@ from bayes_impedance.network.extensions import PowerLaw
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.parameters import LOG, LOGIT, SIGNED, Parameter
 from bayes_impedance.network.tree import Network, Place
-from bayes_impedance.population.parameters import Prior
+from bayes_impedance.population.prior import Prior
 from bayes_impedance.recordings.files import Recordings
 
 LOG_SD = 3.0
@@ -108,5 +108,6 @@ def default_prior(kernel: Kernel, recordings: Recordings) -> Prior:
     parameters = kernel.parameters
     centres = np.array([scales.log_value(p) if p.link == LOG else 0.0 for p in parameters])
     if all(p.link != LOGIT for p in parameters):
-        return Prior(centres)
-    return Prior(centres, np.array([LOGIT_SD if p.link == LOGIT else LOG_SD for p in parameters]))
+        return Prior(centre=centres)
+    sds = np.array([LOGIT_SD if p.link == LOGIT else LOG_SD for p in parameters])
+    return Prior(centre=centres, centre_sd=sds)

@@ -25,59 +25,15 @@ linear below the bend and logarithmic above. Partial correlations are transforme
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from bayes_impedance.errors import InputError
-from bayes_impedance.runtime.user_table import number_in
+from bayes_impedance.population.prior import Prior
 
 _SMALLEST = 1e-9
 """Least absolute value of a dispersion's coordinate: covariances stay invertible, and nothing that small is resolved by
 any recording."""
-
-
-@dataclass(frozen=True)
-class Prior:
-    """Scales of the prior.
-
-    Attributes
-    ----------
-    centre : ndarray, shape (P,)
-        Prior mean of the population's mean log elements.
-    centre_sd : float or ndarray, shape (P,)
-        Its standard deviation, in natural logarithms.
-    dispersion_sd : float
-        Scale of the half-normal priors of both dispersions.
-    concentration : float
-        LKJ concentration eta of the correlations.
-    slope_sd : float
-        Standard deviation of the effect of one standard deviation of a covariate on a log element.
-    """
-
-    centre: np.ndarray
-    centre_sd: float | np.ndarray = 3.0
-    dispersion_sd: float = 1.0
-    concentration: float = 2.0
-    slope_sd: float = 1.0
-
-    def __post_init__(self) -> None:
-        centre = np.asarray(self.centre)
-        if centre.ndim != 1 or centre.dtype.kind not in "fiu" or not np.all(np.isfinite(centre)):
-            raise InputError("prior: centre must be a one-dimensional array of finite numbers, one for each element")
-        for name in ("dispersion_sd", "concentration", "slope_sd"):
-            number_in(getattr(self, name), f"prior: {name}", above=0)
-        for sd in np.atleast_1d(self.centre_sd).tolist():
-            number_in(sd, "prior: centre_sd", above=0)
-
-    @property
-    def centre_sds(self) -> np.ndarray:
-        """Standard deviation of each prior mean, shape (P,)."""
-        return np.broadcast_to(np.asarray(self.centre_sd, dtype=float), self.centre.shape)
-
-    def of(self, columns: np.ndarray) -> Prior:
-        """The prior of some of the parameters."""
-        return replace(self, centre=self.centre[columns], centre_sd=self.centre_sds[columns])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -237,8 +193,26 @@ class Coordinates:
             return None
         free = list(self.shared_free)
         phi = np.tile(self.held_shared, (len(coordinates), 1))
-        phi[:, free] = self.shared_prior.centre[free] + self.shared_prior.centre_sds[free] * coordinates
+        phi[:, free] = self.shared_prior.centre[free] + coordinates @ self._shared_factor.T
         return phi
+
+    @property
+    def _shared_factor(self) -> np.ndarray:
+        """From coordinates to free shared parameters, which may be correlated under the prior."""
+        assert self.shared_prior is not None  # there are shared parameters
+        return self.shared_prior.of(np.array(self.shared_free, dtype=int)).factor
+
+    def shared_moments(self, mean: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Mean (S',) and covariance (S', S') of the free shared parameters for those of their coordinates."""
+        assert self.shared_prior is not None
+        factor = self._shared_factor
+        return self.shared_prior.centre[list(self.shared_free)] + factor @ mean, factor @ covariance @ factor.T
+
+    def shared_scale(self, covariance: np.ndarray) -> np.ndarray:
+        """Standard deviations (S',) of the coordinates for a covariance (S, S) of all shared parameters."""
+        free = list(self.shared_free)
+        inverse = np.linalg.inv(self._shared_factor)
+        return np.asarray(np.sqrt(np.diag(inverse @ covariance[np.ix_(free, free)] @ inverse.T)))
 
     def log_prior(self, vector: np.ndarray) -> np.ndarray:
         """Log prior density of sampled vectors, shape (W, D), up to a constant: shape (W,)."""
@@ -284,7 +258,7 @@ class Coordinates:
             parts.append(np.arctanh(_partial_from_cholesky(np.linalg.cholesky(correlation))))
         if self.shared_prior is not None and shared is not None:
             chosen = list(self.shared_free)
-            parts.append((shared - self.shared_prior.centre)[chosen] / self.shared_prior.centre_sds[chosen])
+            parts.append(np.linalg.solve(self._shared_factor, (shared - self.shared_prior.centre)[chosen]))
         return np.concatenate(parts)
 
     @property

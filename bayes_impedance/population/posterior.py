@@ -19,7 +19,8 @@ from bayes_impedance.mcmc.laplace import normal_approximation
 from bayes_impedance.person.importance_draws import widening
 from bayes_impedance.population.draw_error import DrawError, draw_error
 from bayes_impedance.population.em import Estimate, moved_to
-from bayes_impedance.population.parameters import Coordinates, PopulationParameters, Prior
+from bayes_impedance.population.parameters import Coordinates, PopulationParameters
+from bayes_impedance.population.prior import Prior
 from bayes_impedance.population.sharded_likelihood import KeptDraws
 from bayes_impedance.population.shared_draws import Sharing, reach_of
 from bayes_impedance.runtime.progress import Progress
@@ -43,6 +44,8 @@ _DRAWS_AGAIN, _DRAWS_OF_ALL = (8, 16), 2**14
 """Factor on the number of draws when they are made for the populations of a chain: the second if at first all persons
 together had no more than this number. By choice, for time: sampling takes as many times longer. With 8 an error of 0.2
 to 0.4 fell to 0.1 to 0.12 in narrow bands, which is not quite what is wanted, with 16 to 0.06 to 0.08 (24 persons)."""
+_DRAWS_AGAIN_SHARED = 4
+"""The same where parameters are shared by all. By choice, for time: each draw is computed at up to 86 points."""
 _BEYOND_CHAIN = 2.0
 """Factor on the standard deviations of the reference population that follows from a chain. Measured in a band of 100 to
 101 Hz: the smallest effective number of draws (5 % quantile of populations) was 37 with 1, 57 with 1.5, 120 with 2."""
@@ -194,8 +197,7 @@ class Posterior:
         widths = (few, repetitions, few / prior.slope_sd, few)
         blocks = [np.full(k, w) for k, w in zip(sizes[1:-1], widths, strict=True)]
         if self.coordinates.shared_prior is not None:
-            sd = np.sqrt(np.diag(self.shared_covariance)) / self.coordinates.shared_prior.centre_sds
-            blocks.append(sd[list(self.coordinates.shared_free)])
+            blocks.append(self.coordinates.shared_scale(self.shared_covariance))
         return np.concatenate([centre, *blocks])
 
     def draw(self, seed: np.random.SeedSequence, executor: Executor, progress: Progress) -> None:
@@ -260,6 +262,8 @@ class Posterior:
             covariance += np.atleast_2d(np.cov(own.T))
         before = self.n_draws * self._few
         more = _DRAWS_AGAIN[-1] if before * self.repetitions.size <= _DRAWS_OF_ALL else _DRAWS_AGAIN[0]
+        if self.coordinates.shared_free:
+            more = min(more, _DRAWS_AGAIN_SHARED)
         other._draw_centred(
             there.mu.mean(axis=0),
             there.slopes.mean(axis=0),
@@ -348,12 +352,8 @@ class Posterior:
 
     def _shared_approximation(self) -> tuple[np.ndarray, np.ndarray]:
         """Mean (S',) and covariance (S', S') of the free shared parameters in the normal approximation."""
-        free = list(self.coordinates.shared_free)
-        prior, n = self.coordinates.shared_prior, len(free)
-        assert prior is not None  # there are shared parameters
-        sds = prior.centre_sds[free]
-        mean = prior.centre[free] + sds * self.mode[self.mode.size - n :]
-        return mean, self.normal_covariance[-n:, -n:] * np.outer(sds, sds)
+        n = len(self.coordinates.shared_free)
+        return self.coordinates.shared_moments(self.mode[-n:], self.normal_covariance[-n:, -n:])
 
     def _centre_shared(self, means: np.ndarray, covariance: np.ndarray) -> None:
         """Move the shared parameters of the draws, and everybody's mode along, to the normal approximation."""

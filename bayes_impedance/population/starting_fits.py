@@ -30,7 +30,7 @@ from bayes_impedance.person.noise import (
     scatter_of_repetitions,
     scatter_of_roughness,
 )
-from bayes_impedance.population.parameters import Prior
+from bayes_impedance.population.prior import Prior
 from bayes_impedance.recordings.files import Recordings, Subject
 from bayes_impedance.runtime.checkpoint import forget_pieces, in_pieces, load_arrays, save_arrays
 from bayes_impedance.runtime.executors import map_persons

@@ -13,7 +13,8 @@ import numpy as np
 
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.parameters import SIGNED
-from bayes_impedance.population.parameters import PopulationParameters, Prior
+from bayes_impedance.population.parameters import PopulationParameters
+from bayes_impedance.population.prior import Prior
 from bayes_impedance.population.shared import Pooling
 
 

@@ -19,6 +19,7 @@ from bayes_impedance.quality import point_anomalies
 from bayes_impedance.quality.curve_anomalies import duplicates, odd_subjects, repetition_spreads, suspect_units
 from bayes_impedance.quality.marks import Mark, marks
 from bayes_impedance.quality.negative_real_part import Explanation, explain, sentence
+from bayes_impedance.quality.place import doubts_of_place
 from bayes_impedance.recordings.dataset import Recordings, Subject
 
 COMMON = 0.5
@@ -36,7 +37,7 @@ class Finding:
     ----------
     id : str
         Kind: reading, network, mark, not_passive, jump, outlier, duplicate_subject, odd_subject, repetition_spread,
-        phase_in_radians, magnitude_in_db, one_subject, one_repetition.
+        transfer, phase_in_radians, magnitude_in_db, one_subject, one_repetition.
     severity : {"note", "warning"}
         A note says what cannot be estimated; a warning says what may be wrong.
     subject, repetition : str or None
@@ -98,6 +99,7 @@ def check_recordings(recordings: Recordings) -> tuple[Finding, ...]:
         *_check_duplicates(recordings),
         *_check_odd_subjects(recordings),
         *(finding for finding in _check_repetition_spread(recordings) if finding.subject not in jumped),
+        *_check_place(recordings),
         *_check_units(recordings),
         *_check_size(recordings),
     ]
@@ -329,6 +331,13 @@ def _check_repetition_spread(recordings: Recordings) -> Iterator[Finding]:
             frequency_hz=None,
             message=f'subject "{name}": the repetitions differ by {spread:.2g} of |z| where {usual:.2g} is usual; '
             "check that all are of the same person and contact, and delete the faulty one",
+        )
+
+
+def _check_place(recordings: Recordings) -> Iterator[Finding]:
+    if (found := doubts_of_place(recordings)) is not None:
+        yield Finding(
+            id="transfer", severity="warning", subject=found[0], repetition=None, frequency_hz=None, message=found[1]
         )
 
 

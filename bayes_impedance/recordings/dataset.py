@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayes_impedance.errors import InputError
+from bayes_impedance.recordings.calibration import CommonError
 from bayes_impedance.recordings.csv_table import ComplexArray, FloatArray, has_control_character
 from bayes_impedance.runtime.user_table import similar
 
@@ -121,6 +122,10 @@ class Recordings:
         Whether the file has magnitude and phase, each of which can be in a wrong unit.
     convention : str or None
         Convention that the file declares; z here is that of exp(+jwt). None if it does not say.
+    calibration : CommonError or None
+        What a calibration has left uncertain, the same in all recordings.
+    place : str or None
+        ``driving point`` if that is declared: recordings that look like transfer functions are then believed.
 
     Raises
     ------
@@ -138,6 +143,8 @@ class Recordings:
     warnings: tuple[str, ...] = ()
     polar: bool = False
     convention: str | None = None
+    calibration: CommonError | None = None
+    place: str | None = None
 
     def __post_init__(self) -> None:
         """Check that the subjects' names are unique."""

@@ -110,6 +110,8 @@ def read_recordings(path: str | os.PathLike[str]) -> Recordings:
         ),
         polar=reading.polar,
         convention=metadata.convention,
+        calibration=metadata.calibration,
+        place=metadata.place,
     )
 
 
@@ -289,7 +291,8 @@ def write_recordings(
     noted = circumstances_csv(recordings.subjects)
     if noted is not None:
         contents[REPETITIONS_FILE] = noted
-    contents[METADATA_FILE] = "\n".join(filter(None, (_metadata_toml(recordings), recipe))).encode()
+    left = "" if recordings.calibration is None else recordings.calibration.toml() + "\n"
+    contents[METADATA_FILE] = "\n".join(filter(None, (_metadata_toml(recordings), left, recipe))).encode()
     contents |= beside or {}
     write_together({target / name: content for name, content in contents.items()})
     # Files of an earlier dataset would be read together with the new ones.
@@ -325,6 +328,7 @@ def _metadata_toml(recordings: Recordings) -> str:
         "unit": recordings.unit,
         "sign": SIGNS[0],
         "convention": CONVENTIONS[0] if recordings.convention else "",
+        "place": recordings.place,
         "network": recordings.network,
         "source": recordings.source,
         "licence": recordings.licence,

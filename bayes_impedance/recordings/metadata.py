@@ -10,13 +10,16 @@ import re
 from dataclasses import dataclass
 
 from bayes_impedance.errors import InputError
+from bayes_impedance.recordings.calibration import TABLE, CommonError, common_error_of
 from bayes_impedance.runtime.input_files import decode, line_of, parse_toml
 from bayes_impedance.runtime.user_table import UserTable, shown
 
 DEFAULT_UNIT = "N s/m"
 SIGNS = ("passive positive", "passive negative")
 CONVENTIONS = ("exp(+jwt)", "exp(-jwt)")
-_KEYS = ("title", "unit", "sign", "convention", "network", "source", "licence")
+DRIVING_POINT = "driving point"
+"""The only place of which recordings are evaluated; who declares it is believed."""
+_KEYS = ("title", "unit", "sign", "convention", "network", "source", "licence", "place", TABLE)
 RECIPE = "import"
 """Key of the table that records how the dataset was made from other files; it is not evaluated."""
 
@@ -82,6 +85,10 @@ class Metadata:
     network : str or None
         Notation of the network that the data are usually modelled with.
     warnings : tuple of str
+    calibration : CommonError or None
+        What a calibration has left uncertain in all recordings.
+    place : str or None
+        :data:`DRIVING_POINT` if that is declared.
     """
 
     title: str
@@ -93,6 +100,8 @@ class Metadata:
     source: str = ""
     licence: str = ""
     warnings: tuple[str, ...] = ()
+    calibration: CommonError | None = None
+    place: str | None = None
 
 
 def parse_metadata(data: bytes, file: str, default_title: str) -> Metadata:
@@ -162,6 +171,8 @@ def parse_metadata(data: bytes, file: str, default_title: str) -> Metadata:
         source=source,
         licence=licence,
         warnings=tuple(warnings),
+        calibration=common_error_of(table[TABLE], where) if TABLE in table else None,
+        place=table.choice("place", (DRIVING_POINT,)) if "place" in table else None,
     )
 
 

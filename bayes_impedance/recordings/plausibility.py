@@ -11,7 +11,8 @@ import numpy as np
 
 from bayes_impedance.errors import InputError
 from bayes_impedance.recordings.dataset import Subject
-from bayes_impedance.recordings.metadata import CONVENTIONS, SIGNS, Metadata
+from bayes_impedance.recordings.driving_point import sentence, verdict_of
+from bayes_impedance.recordings.metadata import CONVENTIONS, DRIVING_POINT, SIGNS, Metadata
 from bayes_impedance.recordings.phase_relation import excess_phase
 
 WRONG_SIGN = 0.6
@@ -26,7 +27,7 @@ class Plausibility:
     """Counts of points that contradict the declared sign or convention, over all subjects of a dataset."""
 
     def __init__(self) -> None:
-        self.points = self.wrong = self.turned = self.conjugated = 0
+        self.points = self.wrong = self.turned = self.conjugated = self.transfer = 0
 
     def add(self, subject: Subject) -> None:
         """Count the points of one subject."""
@@ -34,13 +35,15 @@ class Plausibility:
         self.points, self.wrong = self.points + size, self.wrong + wrong
         self.turned += size if _is_turned(subject, wrong / size) else 0
         self.conjugated += size if is_conjugate(subject) else 0
+        self.transfer += size if wrong > 0 and is_transfer(subject) else 0
 
     def require(self, metadata: Metadata, file: str, first_row: int, metadata_file: str) -> None:
         """Refuse a dataset that contradicts its metadata.
 
         A sign is refused if more than `WRONG_SIGN` of the points have negative real parts and most are turned. A
         convention is refused if most recordings are complex conjugates and none is declared: too large a mass or
-        stiffness that was subtracted can do the same, and who declares the convention is believed.
+        stiffness that was subtracted can do the same, and who declares the convention is believed. Transfer functions
+        are refused if most recordings are clearly none of a driving point, unless that is declared.
 
         Parameters
         ----------
@@ -53,6 +56,11 @@ class Plausibility:
         ------
         InputError
         """
+        if metadata.place is None and self.transfer > 0.5 * self.points:
+            raise InputError(
+                f"{file}: {sentence(surely=True)}; record force and motion at one place, or, if they are of one, write "
+                f'place = "{DRIVING_POINT}" in {metadata_file}, beside a file named recordings.csv'
+            )
         wrong = self.wrong / max(self.points, 1)
         if wrong > WRONG_SIGN and self.turned > 0.5 * self.points:
             declared_positive = metadata.sign == SIGNS[0]
@@ -71,6 +79,11 @@ class Plausibility:
                 f'that subtracts phases the other way; write convention = "{CONVENTIONS[1]}" in {metadata_file}, '
                 f'beside a file named recordings.csv, and they are turned, or "{CONVENTIONS[0]}" if they are none'
             )
+
+
+def is_transfer(subject: Subject) -> bool:
+    """Whether a subject's curve is of no driving point."""
+    return verdict_of(subject.frequency_hz, subject.mean) == "transfer"
 
 
 def is_conjugate(subject: Subject) -> bool:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from bayes_impedance.network.parameters import unit_of_parameter
-from bayes_impedance.network.redundancy import inseparable
+from bayes_impedance.population.calibrated import inseparable_given
 from bayes_impedance.population.fit import PopulationFit, too_few_for_correlations
 from bayes_impedance.results.adequacy import Adequacy
 from bayes_impedance.results.misfit import coverage_by_frequency, misfit_words, network_misfits, noise_scale_summary
@@ -165,22 +165,29 @@ def _remarks(fit: PopulationFit, predictive: Predictive, gross: bool) -> list[st
         remarks.append("There is one subject: the values are this subject's, and no dispersion can be estimated.")
     elif n < FEW_PERSONS:
         remarks.append(f"There are only {n} subjects: dispersions rest on the prior as much as on the data.")
-    if not fit.one_person and too_few_for_correlations(n, len(fit.kernel.elements)):
+    own = sum(not parameter.shared for parameter in fit.kernel.parameters)
+    if not fit.one_person and too_few_for_correlations(n, own):
         remarks.append(
-            f"{n} subjects are too few to estimate the correlations of {len(fit.kernel.elements)} elements, which are "
-            "taken as zero."
+            f"{n} subjects are too few to estimate the correlations of {own} elements, which are taken as zero."
         )
     if not fit.repeated:
         mixed = "" if fit.one_person else "the dispersion between persons includes that between repetitions, and "
         remarks.append(
             f"There is one repetition per subject: {mixed}the noise was estimated from the roughness of the curves."
         )
+    left = fit.recordings.calibration
+    if left is not None:
+        remarks.append(
+            f"The calibration's own error, which is the same in all recordings, is estimated along: "
+            f"{100 * left.share:.3g} % of its variance as {', '.join(left.parameters)}, with the calibration's prior. "
+            "--exact-calibration takes the calibration as exact instead."
+        )
     for c in fit.combinations:
         remarks.append(
             f"Recordings can determine only {c.expression}, not {' or '.join(c.elements)} alone: one element, "
             f"{c.name}, replaces them."
         )
-    lost = inseparable(fit.kernel.network)
+    lost = inseparable_given(fit.kernel, fit.prior)
     if lost:
         remarks.append(
             f"No recording can determine {', '.join(lost[:-1])} and {lost[-1]}, because a change of one of them can be "

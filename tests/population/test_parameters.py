@@ -10,14 +10,15 @@ from scipy.integrate import quad
 from scipy.stats import beta, halfnorm, kstest, norm
 from strategies import repeatable
 
-from bayes_impedance.population.parameters import Coordinates, Prior
+from bayes_impedance.population.parameters import Coordinates
+from bayes_impedance.population.prior import Prior
 
 DRAWS = 4000
 
 
 def coordinates(n=4, correlated=True, repetitions=True, covariates=2, held=(), **prior):
     return Coordinates(
-        prior=Prior(np.linspace(-3.0, 2.0, n), **prior),
+        prior=Prior(centre=np.linspace(-3.0, 2.0, n), **prior),
         correlated=correlated,
         repetitions=repetitions,
         n_covariates=covariates,

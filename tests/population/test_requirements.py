@@ -13,7 +13,7 @@ from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
 from bayes_impedance.population.covariates import standardised_covariates
 from bayes_impedance.population.fit import FitSettings
-from bayes_impedance.population.parameters import Prior
+from bayes_impedance.population.prior import Prior
 from bayes_impedance.population.requirements import MOST_ELEMENTS, network_of, require_usable
 from bayes_impedance.recordings.dataset import Recordings
 

@@ -28,7 +28,7 @@ from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.residuals.absolute_fit import GROSS_ERROR
 from bayes_impedance.network.elements import KINDS, band_scale
 from bayes_impedance.person.likelihood import Likelihood
-from bayes_impedance.population.parameters import Prior
+from bayes_impedance.population.prior import Prior
 from bayes_impedance.population.starting_fits import PROVISIONAL_NOISE, search_modes, thinned_points
 
 _SIZES = 8
@@ -136,4 +136,5 @@ def _search(model: Model, u: np.ndarray, typical: Likelihood, signed: bool, seed
     starts = centre + spread * np.random.default_rng(seed).normal(size=(sizes.size, _STARTS, centre.size))
     starts[..., coefficient] = sizes[:, None]
     centre[coefficient], sd[coefficient] = 0.0, sizes.max()  # all of these sizes are as likely
-    return search_modes(model.kernel, typical, starts.reshape(-1, centre.size), Prior(centre, sd), _ENDS)
+    prior = Prior(centre=centre, centre_sd=sd)
+    return search_modes(model.kernel, typical, starts.reshape(-1, centre.size), prior, _ENDS)

@@ -1,0 +1,99 @@
+"""Prior of the population's parameters: where their means may be, and how far people may differ.
+
+The default is derived in :mod:`bayes_impedance.population.parameters` and
+:mod:`bayes_impedance.population.natural_scales`. Of some parameters more may be known, such as of the rig after a
+calibration: their means are then correlated, and their prior is narrow.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bayes_impedance.errors import InputError
+from bayes_impedance.runtime.user_table import number_in
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prior:
+    """Scales of the prior.
+
+    Attributes
+    ----------
+    centre : ndarray, shape (P,)
+        Prior mean of the population's mean log elements.
+    centre_sd : float or ndarray, shape (P,)
+        Its standard deviation, in natural logarithms.
+    dispersion_sd : float
+        Scale of the half-normal priors of both dispersions.
+    concentration : float
+        LKJ concentration eta of the correlations.
+    slope_sd : float
+        Standard deviation of the effect of one standard deviation of a covariate on a log element.
+    correlation : ndarray, shape (P, P), optional
+        Of the prior means; none if not given.
+    informed : ndarray of bool, shape (P,), optional
+        Parameters of which the prior is knowledge from other recordings, such as calibration runs: they are estimated
+        whatever these recordings say of them. None if not given.
+    """
+
+    centre: np.ndarray
+    centre_sd: float | np.ndarray = 3.0
+    dispersion_sd: float = 1.0
+    concentration: float = 2.0
+    slope_sd: float = 1.0
+    correlation: np.ndarray | None = None
+    informed: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        centre = np.asarray(self.centre)
+        if centre.ndim != 1 or centre.dtype.kind not in "fiu" or not np.all(np.isfinite(centre)):
+            raise InputError("prior: centre must be a one-dimensional array of finite numbers, one for each element")
+        for name in ("dispersion_sd", "concentration", "slope_sd"):
+            number_in(getattr(self, name), f"prior: {name}", above=0)
+        for sd in np.atleast_1d(self.centre_sd).tolist():
+            number_in(sd, "prior: centre_sd", above=0)
+
+    @property
+    def centre_sds(self) -> np.ndarray:
+        """Standard deviation of each prior mean, shape (P,)."""
+        return np.broadcast_to(np.asarray(self.centre_sd, dtype=float), self.centre.shape)
+
+    def of(self, columns: np.ndarray) -> Prior:
+        """The prior of some of the parameters, whatever the others are."""
+        return replace(
+            self,
+            centre=self.centre[columns],
+            centre_sd=self.centre_sds[columns],
+            correlation=None if self.correlation is None else self.correlation[np.ix_(columns, columns)],
+            informed=None if self.informed is None else self.informed[columns],
+        )
+
+    @property
+    def known(self) -> np.ndarray:
+        """Which parameters are informed, shape (P,)."""
+        return np.zeros(self.centre.size, dtype=bool) if self.informed is None else self.informed
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Of the prior means, shape (P, P)."""
+        sds = self.centre_sds
+        return np.diag(sds**2) if self.correlation is None else self.correlation * np.outer(sds, sds)
+
+    @property
+    def factor(self) -> np.ndarray:
+        """Lower Cholesky factor of the covariance, shape (P, P)."""
+        sds = self.centre_sds
+        return np.diag(sds) if self.correlation is None else sds[:, None] * np.linalg.cholesky(self.correlation)
+
+    @property
+    def precision(self) -> np.ndarray:
+        """Inverse of the covariance, shape (P, P)."""
+        sds = self.centre_sds
+        return np.diag(sds**-2.0) if self.correlation is None else np.linalg.inv(self.correlation) / np.outer(sds, sds)
+
+    def misfit(self, centre: np.ndarray) -> float:
+        """Half the squared distance of centres (P,) from the prior's, in its standard deviations."""
+        offset = centre - self.centre
+        return 0.5 * float(offset @ self.precision @ offset)
