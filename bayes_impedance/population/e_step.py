@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayes_impedance.network.kernel import Kernel
-from bayes_impedance.person.bounded_search import bounded_search
+from bayes_impedance.person.bounded_search import GROSS, bounded_search
 from bayes_impedance.person.likelihood import Likelihood, repetition_equations
 from bayes_impedance.person.mode import Mode, find_mode
 from bayes_impedance.person.noise import contrasts
@@ -83,10 +83,10 @@ def expect(
         Further starting points.
     """
     likelihood = likelihood.moved(before.deviations)
-    if len(starts):  # a resonance of low damping is not found from them by the exact objective alone
-        nearer = bounded_search(kernel, likelihood, starts, mean, precision)
-        starts = np.concatenate([starts, nearer])
     mode = find_mode(kernel, likelihood, np.concatenate([before.theta[None], starts]), mean, precision)
+    if len(starts) and mode.scale > GROSS:
+        nearer = bounded_search(kernel, likelihood, starts, mean, precision)
+        mode = find_mode(kernel, likelihood, np.concatenate([mode.theta[None], nearer]), mean, precision)
     gradient, information = repetition_equations(kernel, likelihood, mode.theta)
     deviations = _realigned(likelihood, mode, gradient, information, rho)
     return PersonFit(mode, deviations, likelihood.deviations, gradient, information)

@@ -18,9 +18,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from bayes_impedance.network.kernel import Kernel
-from bayes_impedance.person.bounded_search import bounded_search
+from bayes_impedance.person.bounded_search import bounded_search, modes_from
 from bayes_impedance.person.likelihood import Likelihood
-from bayes_impedance.person.mode import all_modes, find_mode
+from bayes_impedance.person.mode import all_modes
 from bayes_impedance.person.noise import (
     FLOOR_WITH_REPETITIONS,
     FLOOR_WITHOUT,
@@ -199,19 +199,15 @@ def _try_all(
     searches go on with all points, and are compared there.
     """
     few, whole = _thinned(subject, centre.size), _typical(subject, centre.size, slice(None))
-    nearer = bounded_search(kernel, few, candidates, centre, precision)
-    ends, objectives, _ = all_modes(kernel, few, nearer, centre, precision, 40)
+    ends, objectives = modes_from(kernel, few, candidates, centre, precision, 40)
     promising = np.where(objectives < objectives.min() + _REGRET, objectives, np.inf)
     kept = np.array(_distinct(ends, promising, _COMPARED, _SAME))
-    nearer = np.concatenate([kept, bounded_search(kernel, whole, kept, centre, precision)])
-    better, values, _ = all_modes(kernel, whole, nearer, centre, precision, 40)
-    better, values = better.reshape(2, len(kept), -1), values.reshape(2, len(kept))
-    first = np.argmin(values, axis=0), np.arange(len(kept))
+    better, values = modes_from(kernel, whole, kept, centre, precision, 40)
     apart = np.abs(ends[:, None] - kept).max(axis=2)
     nearest = np.argmin(apart, axis=1)
     found = apart.min(axis=1) <= _SAME
-    ends = np.where(found[:, None], better[first][nearest], ends)
-    objectives = np.where(found, values[first][nearest], np.inf)
+    ends = np.where(found[:, None], better[nearest], ends)
+    objectives = np.where(found, values[nearest], np.inf)
     return ends, objectives, best_distinct(ends, objectives, _KEPT)
 
 
@@ -219,8 +215,7 @@ def _provisional(
     kernel: Kernel, centre: np.ndarray, precision: np.ndarray, subject: Subject, start: np.ndarray
 ) -> tuple[np.ndarray]:
     likelihood = _typical(subject, centre.size, slice(None))
-    nearer = bounded_search(kernel, likelihood, start[None], centre, precision)
-    return (find_mode(kernel, likelihood, np.concatenate([start[None], nearer]), centre, precision).theta,)
+    return (modes_from(kernel, likelihood, start[None], centre, precision, 100)[0][0],)
 
 
 def search_modes(kernel: Kernel, likelihood: Likelihood, starts: np.ndarray, prior: Prior, n: int) -> np.ndarray:
@@ -357,8 +352,7 @@ def _own_elements(kernel: Kernel, subject: Subject, theta: np.ndarray) -> np.nda
     for z in subject.z:
         sd = PROVISIONAL_NOISE * np.abs(z)
         likelihood = Likelihood.make(subject.frequency_hz, z[None], sd[None], np.zeros((1, theta.size)))
-        nearer = bounded_search(kernel, likelihood, theta[None], theta, precision)
-        own.append(find_mode(kernel, likelihood, np.concatenate([theta[None], nearer]), theta, precision).theta)
+        own.append(modes_from(kernel, likelihood, theta[None], theta, precision, 100)[0][0])
     return np.array(own)
 
 
