@@ -45,6 +45,7 @@ from bayes_impedance.diagnosis.fit.normal_equations import (
     sums,
     weights,
 )
+from bayes_impedance.diagnosis.fit.outliers_alone import ends_of_outliers
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood
 from bayes_impedance.person.marginal_likelihood import LEAST_RHO
@@ -53,6 +54,9 @@ from bayes_impedance.population.em_state import PRIOR_PERSONS, SMALLEST_DISPERSI
 _LONGEST_STEP, _LONGEST_SHARE = 1.0, 0.3
 """Largest step of the additions, in prior standard deviations or units of the coefficient, and as a share of it if that
 is more: a filter in the middle of the band has 100 units. By choice."""
+
+_ALONE_TRIES = 3
+"""Starts of a round in which people who are described much worse than most are searched alone. By choice."""
 
 
 @dataclass(frozen=True)
@@ -185,6 +189,8 @@ class Refitter:
                 else:
                     draw = fit.population.mu + rng.normal(size=(n, factor.shape[0])) @ factor.T
                     start[:, varying] = draw[self.owner]
+                if k < _ALONE_TRIES:
+                    start = ends_of_outliers(fit, start, rng)
                 trial = self.fit(fit.model, start, fit.population, 15, hold_population=True, hold_additions=True)
                 better = trial.evidence > best_evidence + 0.2
                 best_evidence = np.where(better, trial.evidence, best_evidence)

@@ -218,7 +218,9 @@ def own_shapes(
     return _from_cold(refitter, fit, _trial(chosen, "free", grown, fit), rounds)
 
 
-def try_shortlist(refitter: Refitter, fit: Refit, screening: Screening, begin: Refit | None = None) -> list[Trial]:
+def try_shortlist(
+    refitter: Refitter, fit: Refit, screening: Screening, seed: int, begin: Refit | None = None
+) -> list[Trial]:
     """Refit the shortlist, and then its best effect at all remaining places.
 
     The refits begin at `begin` if given, else at `fit`.
@@ -231,7 +233,7 @@ def try_shortlist(refitter: Refitter, fit: Refit, screening: Screening, begin: R
         trials += try_candidate(refitter, fit, candidate, float(screening.size[k]), poolings, _FIRST_ROUNDS, begin)
         if candidate.effect.side == "body" and "varying" in poolings and has_shapes(candidate.effect) and differs:
             trials.append(own_shapes(refitter, fit, screening, k, _FIRST_ROUNDS, begin))
-    trials = _continued(refitter, fit, trials) + _from_levels(refitter, fit, screening)
+    trials = _continued(refitter, fit, trials) + _from_levels(refitter, fit, screening, seed)
     possible = [t for t in trials if t.physical and np.isfinite(t.gain)]
     if not possible:
         return trials
@@ -248,15 +250,17 @@ def try_shortlist(refitter: Refitter, fit: Refit, screening: Screening, begin: R
     return trials
 
 
-def _from_levels(refitter: Refitter, fit: Refit, screening: Screening) -> list[Trial]:
+def _from_levels(refitter: Refitter, fit: Refit, screening: Screening, seed: int) -> list[Trial]:
     """Effects with poles of their own, from the coefficients on a grid that fit best."""
     if len(refitter.data) < FEWEST_TO_VARY:
         return []
     found = []
     for candidate, size in best_levels(fit, screening.candidates):
         grown = from_level(refitter, fit, candidate, size, _FIRST_ROUNDS + _MORE_ROUNDS)
-        trial = _trial(candidate, "varying", grown, fit)
-        found.append(_from_cold(refitter, fit, trial, _FIRST_ROUNDS + _MORE_ROUNDS))
+        trial = _from_cold(refitter, fit, _trial(candidate, "varying", grown, fit), _FIRST_ROUNDS + _MORE_ROUNDS)
+        # Whoever has a pole in the band begins on the wrong side of it.
+        rested = _trial(candidate, "varying", refitter.settle(trial.fit, seed, tries=2, rounds=2), fit)
+        found.append(max(trial, rested, key=lambda t: t.gain))
     return found
 
 

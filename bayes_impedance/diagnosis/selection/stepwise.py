@@ -148,7 +148,7 @@ def search(
             screening = screen(begin, person_residuals(begin, names, executor), possible, seed, executor)
         step = Step(fit, residuals, screening, (), None)
         if number < most and step.log_p < np.log(ALPHA):
-            trials = [*try_shortlist(refitter, fit, screening, begin), *from_afar(refitter, fit, possible, seed)]
+            trials = [*try_shortlist(refitter, fit, screening, seed, begin), *from_afar(refitter, fit, possible, seed)]
             ranked = finalists(refitter, fit, trials, possible, seed)
             ranked = with_lookalikes(refitter, fit, screening, ranked, possible, seed)
             chosen, better = None, None

@@ -1,0 +1,67 @@
+"""People who are described much worse than most are searched alone, from starts far from the population.
+
+Most people in the right valley hold the population there, and draws of it do not lead a person out of another valley
+whose own values lie at its edge: with a line of distributed mass, those whose first standing wave lies inside the band.
+One such person among 45 cost 1800 nats, and another explanation won. So these people are searched from starts that are
+spread several times as wide as the population, by the bounded and by the exact error, under a prior as wide. Whether an
+end is taken is decided by the population's evidence.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from bayes_impedance.diagnosis.fit.refit import Refit
+from bayes_impedance.person.bounded_search import GROSS, bounded_search
+from bayes_impedance.person.mode import all_modes
+
+_WIDER, _STARTS = 3.0, 16
+"""Spread of the starts in the population's standard deviations, and their number. By choice: people three standard
+deviations off occur, and a start costs a millisecond."""
+
+_MOST = 0.25
+"""Largest share of people who are searched alone: where more are described badly, the model is wrong."""
+
+_HELD = 1e-4
+"""Prior width that holds shared parameters at their values. By choice: far below their standard errors."""
+
+_STEPS = 40
+"""Largest number of steps of the exact search. By choice, as in the first fits."""
+
+
+def ends_of_outliers(fit: Refit, start: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """The start (M, P) with the rows of people who are described badly at the end of their own search.
+
+    Parameters
+    ----------
+    fit : Refit
+    start : ndarray, shape (M, P)
+    rng : Generator
+    """
+    scale = fit.weight**-0.5
+    badly = np.flatnonzero(scale > GROSS * np.median(scale))
+    if badly.size == 0 or badly.size > _MOST * scale.size:
+        return start
+    varying = ~fit.model.shared
+    precision = np.eye(varying.size) / _HELD**2
+    precision[np.ix_(varying, varying)] = np.linalg.inv(fit.population.covariance) / _WIDER**2
+    factor = _WIDER * np.linalg.cholesky(fit.population.covariance)
+    start = start.copy()
+    for i in badly:
+        rows = np.flatnonzero(fit.owner == i)
+        data = fit.data[i]
+        one = replace(
+            data, z=data.z[:1], weight=data.weight[:1], deviations=np.zeros((1, varying.size)),
+            count=data.count / len(data.z),
+        )  # fmt: skip
+        centre = fit.u[rows[0]].copy()
+        centre[varying] = fit.population.mu
+        starts = np.tile(centre, (_STARTS, 1))
+        starts[:, varying] += rng.normal(size=(_STARTS, factor.shape[0])) @ factor.T
+        nearer = bounded_search(fit.model.kernel, one, starts, centre, precision)
+        everywhere = np.concatenate([starts, nearer])
+        ends, values, _ = all_modes(fit.model.kernel, one, everywhere, centre, precision, _STEPS)
+        start[np.ix_(rows, np.flatnonzero(varying))] = ends[int(np.argmin(values))][varying]
+    return start
