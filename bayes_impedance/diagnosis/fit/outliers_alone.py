@@ -14,8 +14,12 @@ from dataclasses import replace
 import numpy as np
 
 from bayes_impedance.diagnosis.fit.refit import Refit
-from bayes_impedance.person.bounded_search import GROSS, bounded_search
+from bayes_impedance.person.bounded_search import bounded_search
 from bayes_impedance.person.mode import all_modes
+
+_BADLY = 2.0
+"""Noise scale, over the median person's, from which a person counts as described badly. By choice: people's noise
+differs by less, and another valley costs more."""
 
 _WIDER, _STARTS = 3.0, 16
 """Spread of the starts in the population's standard deviations, and their number. By choice: people three standard
@@ -41,7 +45,7 @@ def ends_of_outliers(fit: Refit, start: np.ndarray, rng: np.random.Generator) ->
     rng : Generator
     """
     scale = fit.weight**-0.5
-    badly = np.flatnonzero(scale > GROSS * np.median(scale))
+    badly = np.flatnonzero(scale > _BADLY * np.median(scale))
     if badly.size == 0 or badly.size > _MOST * scale.size:
         return start
     varying = ~fit.model.shared

@@ -259,7 +259,7 @@ def _from_levels(refitter: Refitter, fit: Refit, screening: Screening, seed: int
         grown = from_level(refitter, fit, candidate, size, _FIRST_ROUNDS + _MORE_ROUNDS)
         trial = _from_cold(refitter, fit, _trial(candidate, "varying", grown, fit), _FIRST_ROUNDS + _MORE_ROUNDS)
         # Whoever has a pole in the band begins on the wrong side of it.
-        rested = _trial(candidate, "varying", refitter.settle(trial.fit, seed, tries=2, rounds=2), fit)
+        rested = _trial(candidate, "varying", refitter.settle(trial.fit, seed), fit)
         found.append(max(trial, rested, key=lambda t: t.gain))
     return found
 

@@ -1,0 +1,59 @@
+"""Who is described much worse than most is searched alone, and found where draws of the population do not lead."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from bayes_impedance.diagnosis.fit.baseline import Fitted, fit_network
+from bayes_impedance.diagnosis.fit.outliers_alone import ends_of_outliers
+from bayes_impedance.diagnosis.fit.refit import Refit
+from bayes_impedance.population.simulate import VirtualPopulation, simulate_recordings
+
+NETWORK = "r1|n2|(m1-n1)"
+
+
+@pytest.fixture(scope="module")
+def fitted() -> Iterator[Fitted]:
+    """Twelve people with an undamped absorber, each recorded twice."""
+    population = VirtualPopulation(
+        network=NETWORK,
+        central={"r1": 0.8, "n2": 8e-4, "m1": 0.02, "n1": 1e-4},
+        between_persons=dict.fromkeys(["r1", "n2", "m1", "n1"], 0.2),
+        between_repetitions={"n2": 0.01},
+    )
+    made = simulate_recordings(population, 12, 2, np.geomspace(5, 1000, 120), 1)
+    with ThreadPoolExecutor(1) as executor:
+        yield fit_network(made.recordings, NETWORK, 1, executor, lambda *_: None)
+
+
+def stuck(fitted: Fitted) -> Refit:
+    """The fit with the third person's resonance, which is sharp, a third too high."""
+    fit = fitted.fit
+    u = fit.u.copy()
+    column = fit.model.kernel.elements.index("n1")
+    u[fit.owner == 2, column] -= 0.6
+    return fitted.refitter.fit(fit.model, u, fit.population, 30, hold_population=True)
+
+
+def test_a_person_in_another_valley_is_found(fitted: Fitted) -> None:
+    wrong = stuck(fitted)
+    assert wrong.evidence[2] < fitted.fit.evidence[2] - 100  # it does not come back by itself
+    start = ends_of_outliers(wrong, wrong.u, np.random.default_rng(1))
+    np.testing.assert_allclose(start[fitted.fit.owner == 2], fitted.fit.u[fitted.fit.owner == 2], atol=0.05)
+    others = fitted.fit.owner != 2
+    np.testing.assert_array_equal(start[others], wrong.u[others])
+    assert fitted.refitter.settle(wrong, 1).evidence[2] == pytest.approx(fitted.fit.evidence[2], abs=1.0)
+
+
+def test_where_nobody_or_nearly_everybody_is_described_badly_nothing_is_moved(fitted: Fitted) -> None:
+    rng = np.random.default_rng(1)
+    assert ends_of_outliers(fitted.fit, fitted.fit.u, rng) is fitted.fit.u
+    wrong, u = fitted.fit, fitted.fit.u.copy()
+    column = wrong.model.kernel.elements.index("n1")
+    u[wrong.owner < 7, column] -= 0.6
+    wrong = fitted.refitter.fit(wrong.model, u, wrong.population, 30, hold_population=True)
+    assert ends_of_outliers(wrong, wrong.u, rng) is wrong.u
