@@ -88,6 +88,8 @@ def find_skirts(residuals: Sequence[PersonResiduals], alpha: float = 0.01) -> Hu
     if any(not np.array_equal(person.frequency_hz, grid) for person in residuals):
         return None
     repeated = any(len(person.white) > 1 for person in residuals)
+    if not repeated and 2 * len(residuals) < _FEWEST_FREEDOM * _OVERLAP:
+        return None
     square, freedom, felt = (_scatter if repeated else _roughness)(residuals)
     near = (grid > _REACH[0] * LINES_HZ[0]) & (grid < _REACH[1] * LINES_HZ[-1])
     near[[0, -1]] &= repeated  # the ends have one neighbour

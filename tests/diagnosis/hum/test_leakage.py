@@ -110,7 +110,9 @@ def test_a_resonance_that_the_network_lacks_is_no_hum_where_everybody_was_record
     assert found == [None] * 4
 
 
-def test_on_different_frequencies_nothing_is_said() -> None:
+def test_on_different_frequencies_or_of_few_recorded_once_nothing_is_said() -> None:
     some = people(1, 50.0, 0.1)
+    assert find_skirts(once(some[:1])) is None
+    assert find_skirts(once(some[:5])) is None
     moved = replace(some[0], name="P", frequency_hz=FREQUENCY * 1.01)
     assert find_skirts([*some[1:], moved]) is None
