@@ -1,7 +1,7 @@
 """Hum of the mains: found where it hides in the noise as estimated, and not where something else is odd."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -97,6 +97,19 @@ def test_the_line_and_its_harmonics_are_told(
     hum = find_mains(people(5, Rig(line, harmonics, 0.02), persons, repetitions, COARSE))
     assert hum is not None
     assert (hum.line_hz, hum.harmonics) == (line, harmonics)
+
+
+@pytest.mark.parametrize("line", [50.0, 60.0])
+def test_a_point_of_one_person_that_is_far_off_is_no_hum(line: float) -> None:
+    """As beside a pole that nothing damps: of 53 people nobody else has it."""
+    some = people(9, Rig(), 53, 1, COARSE)
+    column = int(np.argmin(np.abs(np.log(COARSE / line))))
+    white = some[12].white.copy()
+    white[0, [column, column + COARSE.size]] = 12.0
+    some[12] = replace(some[12], white=white)
+    assert find_mains(some) is None
+    everybody = people(9, Rig(line, (1,), 0.02), 53, 1, COARSE)
+    assert find_mains(everybody) is not None
 
 
 @pytest.mark.parametrize("coherent", [False, True])
