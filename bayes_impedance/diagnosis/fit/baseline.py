@@ -41,6 +41,10 @@ _BEGINNINGS = 5
 _LEAST_GAIN = 3.0
 """Log evidence by which another start must be better: smaller differences are convergence error."""
 
+_LAST_ROUNDS = 200
+"""Largest number of rounds of a fit that has not come to rest after all restarts. By choice: five times as many as
+before."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Fitted:
@@ -108,6 +112,8 @@ def fit_network(
     fit = refitter.fit(model, u, Population(point.mu, point.covariance, point.between_repetitions), 80)
     fit = _gathered(refitter, refitter.settle(fit, seed))
     fit = refitter.settle(fit, seed)
+    if not fit.settled:  # along an element that the recordings hardly determine, rounds are many and small
+        fit = refitter.fit(model, fit.u, fit.population, _LAST_ROUNDS)
     return Fitted(
         recordings=recordings,
         fit=fit,

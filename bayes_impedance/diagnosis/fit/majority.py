@@ -2,8 +2,8 @@
 
 One person's recordings may be described nearly as well by quite other elements. Whoever was left there differs from
 everybody else, and several of them look like a group. Under the population of the others alone, their starts at its
-centre tell: if a person's evidence is larger there than it was, the person belongs to the others. The population is
-then fitted anew, and kept if the evidence of all people is larger.
+centre tell, and at the ends of searches alone: if a person's evidence is larger there than it was, the person belongs
+to the others. The population is then fitted anew, and kept if the evidence of all people is larger.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import numpy as np
 
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.normal_equations import Population
+from bayes_impedance.diagnosis.fit.outliers_alone import search_alone
 from bayes_impedance.diagnosis.fit.refit import Refit
 
 _FEWEST = 3
@@ -52,10 +53,14 @@ def _moved(refitter: Refitter, fit: Refit, movers: np.ndarray) -> Refit:
     rows = np.flatnonzero(movers[fit.owner])
     start[np.ix_(rows, elements)] = mu[elements]
     population = Population(mu, covariance, fit.population.rho)
-    trial = refitter.fit(fit.model, start, population, _ROUNDS, hold_population=True, hold_additions=True)
-    better = movers & (trial.evidence > fit.evidence)
-    if not better.any():
+    u, evidence = fit.u, fit.evidence
+    rng = np.random.default_rng(0)  # for starts alone
+    for begin in (start, search_alone(fit, start, np.flatnonzero(movers), population, rng)):
+        trial = refitter.fit(fit.model, begin, population, _ROUNDS, hold_population=True, hold_additions=True)
+        better = movers & (trial.evidence > evidence)
+        u = np.where(better[fit.owner, None], trial.u, u)
+        evidence = np.where(better, trial.evidence, evidence)
+    if np.array_equal(u, fit.u):
         return fit
-    u = np.where(better[fit.owner, None], trial.u, fit.u)
     again = refitter.fit(fit.model, u, fit.population)
     return again if again.evidence.sum() > fit.evidence.sum() else fit

@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from bayes_impedance.diagnosis.fit.normal_equations import Population
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.person.bounded_search import bounded_search
 from bayes_impedance.person.mode import all_modes
@@ -48,12 +49,29 @@ def ends_of_outliers(fit: Refit, start: np.ndarray, rng: np.random.Generator) ->
     badly = np.flatnonzero(scale > _BADLY * np.median(scale))
     if badly.size == 0 or badly.size > _MOST * scale.size:
         return start
+    return search_alone(fit, start, badly, fit.population, rng)
+
+
+def search_alone(
+    fit: Refit, start: np.ndarray, people: np.ndarray, population: Population, rng: np.random.Generator
+) -> np.ndarray:
+    """The start (M, P) with the rows of some people at the ends of their own searches.
+
+    Parameters
+    ----------
+    fit : Refit
+    start : ndarray, shape (M, P)
+    people : ndarray of int
+    population : Population
+        Around which the starts are spread.
+    rng : Generator
+    """
     varying = ~fit.model.shared
     precision = np.eye(varying.size) / _HELD**2
-    precision[np.ix_(varying, varying)] = np.linalg.inv(fit.population.covariance) / _WIDER**2
-    factor = _WIDER * np.linalg.cholesky(fit.population.covariance)
+    precision[np.ix_(varying, varying)] = np.linalg.inv(population.covariance) / _WIDER**2
+    factor = _WIDER * np.linalg.cholesky(population.covariance)
     start = start.copy()
-    for i in badly:
+    for i in people:
         rows = np.flatnonzero(fit.owner == i)
         data = fit.data[i]
         one = replace(
@@ -61,7 +79,7 @@ def ends_of_outliers(fit: Refit, start: np.ndarray, rng: np.random.Generator) ->
             count=data.count / len(data.z),
         )  # fmt: skip
         centre = fit.u[rows[0]].copy()
-        centre[varying] = fit.population.mu
+        centre[varying] = population.mu
         starts = np.tile(centre, (_STARTS, 1))
         starts[:, varying] += rng.normal(size=(_STARTS, factor.shape[0])) @ factor.T
         nearer = bounded_search(fit.model.kernel, one, starts, centre, precision)
