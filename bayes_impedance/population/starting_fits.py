@@ -70,9 +70,6 @@ difference of two ends, in any log element, that are the same. By choice."""
 _REPOSITIONED = 0.3
 """Prior standard deviation of a recording's log elements about the person's, for the noise: several times what
 repositioning changes. By choice."""
-_BEYOND = 3.0
-"""Standard deviations of noise by which a recording's log magnitude differs from the mean over repetitions where it
-begins to count. By choice: noise alone rarely reaches it."""
 _COMMON = 5
 """Solutions common to all persons that are compared, the best on average first. By choice: more cost time."""
 
@@ -360,22 +357,12 @@ def _own_elements(kernel: Kernel, subject: Subject, theta: np.ndarray) -> np.nda
 
 
 def noise_of(subject: Subject, model: NoiseModel | None) -> np.ndarray:
-    """Standard deviation of the noise of a person's recordings, before the person's own scale, shape (J, F).
-
-    The magnitude to which it is proportional is the mean over repetitions, because that of one recording contains its
-    noise; but where a recording differs from the mean by more than its noise, beside a resonance that has moved, it is
-    the recording's own.
-    """
+    """Standard deviation of the noise of a person's recordings, before the person's own scale, shape (J, F)."""
     if subject.noise_sd is not None:
         return subject.noise_sd
     assert model is not None  # made whenever a recording has no noise of its own
-    log_magnitude = np.log(np.abs(subject.z))
-    mean = np.mean(log_magnitude, axis=0)
-    noise = model.at(subject.frequency_hz, np.exp(mean))
-    own = log_magnitude - mean
-    share = own**2 / (own**2 + (_BEYOND * noise * np.exp(-mean)) ** 2)
-    magnitude = np.exp(mean + share * own)
-    return np.array([model.at(subject.frequency_hz, row) for row in magnitude])
+    magnitude = np.exp(np.mean(np.log(np.abs(subject.z)), axis=0))
+    return np.tile(model.at(subject.frequency_hz, magnitude), (len(subject.repetitions), 1))
 
 
 def _watched(results: Iterable[Result], stage: str, total: int, progress: Progress) -> Iterator[Result]:

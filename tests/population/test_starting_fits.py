@@ -13,7 +13,6 @@ from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.mode import all_modes
-from bayes_impedance.person.noise import NoiseModel
 from bayes_impedance.population.e_step import begin, contrasts_of, evidence, expect
 from bayes_impedance.population.natural_scales import default_prior
 from bayes_impedance.population.simulate import FINGERTIP, VirtualPopulation, simulate_recordings
@@ -22,7 +21,6 @@ from bayes_impedance.population.starting_fits import (
     _START_SPREAD,
     best_distinct,
     first_fits,
-    noise_of,
     search_modes,
 )
 from bayes_impedance.recordings.files import read_recordings
@@ -130,22 +128,3 @@ def test_the_evidence_does_not_depend_on_where_the_deviations_are_expanded() -> 
     objective = sum(fit.mode.objective for fit in moved)
     determinant = np.linalg.slogdet([fit.mode.precision for fit in moved])[1].sum()
     assert evidence(moved, rho) == pytest.approx(contrast[1] - gain - objective - determinant / 2, abs=0.02 * gain)
-
-
-def test_noise_follows_a_recording_whose_resonance_has_moved_and_is_smooth_elsewhere() -> None:
-    frequency = np.geomspace(5, 500, 80)
-    kernel = Kernel(parse("m1|n1|r1"))
-    theta = np.log([[0.05, 1e-3, 0.05], [0.05, 1.1e-3, 0.05]])
-    clean = kernel.impedance(theta, frequency)
-    rng = np.random.default_rng(1)
-    noise = 0.02 * np.abs(clean) * (rng.normal(size=clean.shape) + 1j * rng.normal(size=clean.shape))
-    subject = replace(simulate_recordings(FINGERTIP, 1, 2, frequency, 1).recordings.subjects[0], z=clean + noise)
-    model = NoiseModel(frequency, np.full(80, 0.02), True, 1e-4)
-    sd = noise_of(subject, model)
-    ratio = sd / (0.02 * np.abs(clean))
-    assert np.all(np.abs(np.log(ratio)) < 0.2)  # the mean of both is off by a factor of two beside the resonance
-    mean = np.exp(np.mean(np.log(np.abs(clean)), axis=0))
-    assert np.abs(np.log(0.02 * mean / (0.02 * np.abs(clean)))).max() > 0.5
-    same = np.abs(clean[0] / clean[1]) < 1.005
-    own = np.log(np.abs(subject.z) / np.abs(clean))
-    assert np.std(np.log(ratio[:, same])) < 0.95 * np.std(own[:, same])
