@@ -191,7 +191,7 @@ def run_nuts(fit: PopulationFit, warmup: int = 800, draws: int = 2400, seed: int
         }
         starts.append(unconstrain_fn(model, (data,), {}, {name: jnp.asarray(v) for name, v in start.items()}))
     stacked = {name: jnp.stack([s[name] for s in starts]) for name in starts[0]}
-    kernel = NUTS(model, dense_mass=[("mu", "tau", "rho", "correlation")], target_accept_prob=0.8)
+    kernel = NUTS(model, dense_mass=[("mu", "tau", "rho", "correlation")], target_accept_prob=0.9)
     mcmc = MCMC(
         kernel, num_warmup=warmup, num_samples=draws, num_chains=4, chain_method="vectorized", progress_bar=False
     )
