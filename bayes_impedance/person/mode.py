@@ -27,7 +27,7 @@ DECREMENT_LIMIT = 1e-6
 """Newton decrement below which a mode counts as converged. By choice: its square root, a thousandth of a posterior
 standard deviation, is the remaining distance."""
 
-_MAX_ITERATIONS = 100
+MAX_ITERATIONS = 100
 """Most steps from each start. By choice: more cost time; convergence is judged by the decrement alone."""
 
 _GAUSS_NEWTON_ITERATIONS = 15
@@ -185,7 +185,7 @@ def all_modes(
     starts: np.ndarray,
     prior_mean: np.ndarray,
     prior_precision: np.ndarray,
-    max_iterations: int = _MAX_ITERATIONS,
+    max_iterations: int = MAX_ITERATIONS,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Levenberg-Marquardt from every start, shape (S, P): end points (S, P), objectives (S,), decrements (S,)."""
     d = likelihood

@@ -12,7 +12,6 @@ import numpy as np
 from bayes_impedance.network.parameters import LOG, SIGNED, Parameter
 from bayes_impedance.plots.access import (
     INTERVAL,
-    PRIOR_CENTRE_SD,
     element_scale,
     identified,
     needed,
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
 Density = Callable[[np.ndarray], np.ndarray]
 
 PRIOR_DISPERSION_SD = 1.0
-"""Scales of the default prior (population.parameters.Prior). They are fixed, and results do not contain them."""
+"""Scales of the default prior (population.prior.Prior). They are fixed, and results do not contain them."""
 _WIDE = 8.0
 """A posterior whose 90 % interval spans more than this factor is shown on a logarithmic scale. By choice: on a linear
 one its lower part cannot be read."""
@@ -57,14 +56,13 @@ def corner_central(figure: Figure, result: Result) -> Figure:
         low, middle, high = np.quantile(x, INTERVAL)
         value, interval = with_interval(middle, low, high)
         titles.append(f"{name} = {value} {scale.unit}\n({interval})")
-        parameter = result.parameters[i]
+        parameter, sd = result.parameters[i], float(prior_sds(result)[i])
         if parameter.link != LOG:
-            sd = float(prior_sds(result)[i])
             labels.append(f"{name}\n({scale.unit})" if scale.unit else name)
             columns.append(x)
             priors.append(_of_parameter(parameter, normal_density(float(centre[i]), sd), scale.factor))
             continue
-        log_prior = normal_density(float(centre[i]) + math.log(scale.factor), PRIOR_CENTRE_SD)
+        log_prior = normal_density(float(centre[i]) + math.log(scale.factor), sd)
         if high > _WIDE * low:
             labels.append(f"log10 {name}\n({scale.unit})")
             columns.append(np.log10(x))

@@ -283,7 +283,8 @@ def priors(figure: Figure, result: Result) -> Figure:
                 transform=panels[0].get_yaxis_transform(),
             )
     log_axis(panels[0].xaxis, math.exp(-reach), math.exp(reach), ticks=7)
-    panels[0].set_xlabel("central value / prior centre" + ("" if np.all(sds == 1) else " (or exp of the difference)"))
+    wide = "central value / prior centre" if np.all(sds == 1) else "exp(3 (value - prior centre) / prior sd)"
+    panels[0].set_xlabel(wide)
     panels[0].set_yticks(range(len(names)), names)
     panels[0].set_ylim(len(names) - 0.6, -1.0)
     if spread:

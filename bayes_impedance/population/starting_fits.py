@@ -215,7 +215,7 @@ def _provisional(
     kernel: Kernel, centre: np.ndarray, precision: np.ndarray, subject: Subject, start: np.ndarray
 ) -> tuple[np.ndarray]:
     likelihood = _typical(subject, centre.size, slice(None))
-    return (modes_from(kernel, likelihood, start[None], centre, precision, 100)[0][0],)
+    return (modes_from(kernel, likelihood, start[None], centre, precision)[0][0],)
 
 
 def search_modes(kernel: Kernel, likelihood: Likelihood, starts: np.ndarray, prior: Prior, n: int) -> np.ndarray:
@@ -352,7 +352,7 @@ def _own_elements(kernel: Kernel, subject: Subject, theta: np.ndarray) -> np.nda
     for z in subject.z:
         sd = PROVISIONAL_NOISE * np.abs(z)
         likelihood = Likelihood.make(subject.frequency_hz, z[None], sd[None], np.zeros((1, theta.size)))
-        own.append(modes_from(kernel, likelihood, theta[None], theta, precision, 100)[0][0])
+        own.append(modes_from(kernel, likelihood, theta[None], theta, precision)[0][0])
     return np.array(own)
 
 

@@ -13,10 +13,10 @@ changes of the elements were projected out. Where nobody was recorded twice, eac
 two beside it, :math:`r_k - (r_{k-1} + r_{k+1})/2`, in which what is smooth in frequency cancels; these contrasts
 overlap, which takes half of their degrees of freedom, and see the hum of the two neighbours too. A narrow resonance
 that the network lacks can look like hum there, but at one frequency; so the other harmonics must be significant without
-the strongest. The logarithm of their mean square over people is normal with known
-variance; ln B is a cubic spline with about one knot per factor e, and for every :math:`f_1`, K and gamma the amplitude
-a is profiled. Hum is reported if the best :math:`f_1` is a mains frequency, and significantly better than no hum after
-correction for all tests. Roughness of the background beyond its spline is counted as scatter.
+the strongest. The logarithm of their mean square over people is normal with known variance; ln B is a cubic spline with
+about one knot per factor e, and for every :math:`f_1`, K and gamma the amplitude a is profiled. Hum is reported if the
+best :math:`f_1` is a mains frequency, and significantly better than no hum after correction for all tests.
+Roughness of the background beyond its spline is counted as scatter.
 """
 
 from __future__ import annotations
