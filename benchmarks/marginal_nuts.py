@@ -18,9 +18,9 @@ import numpy as np
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
 from bayes_impedance.population.em import estimate
-from bayes_impedance.population.fit import initial_likelihoods
 from bayes_impedance.population.natural_scales import default_prior
 from bayes_impedance.population.posterior import Posterior
+from bayes_impedance.population.recording_noise import initial_likelihoods
 from bayes_impedance.population.shared import Pooling
 from bayes_impedance.population.starting_fits import first_fits
 from bayes_impedance.recordings.files import Recordings
@@ -41,7 +41,7 @@ def prepared(recordings: Recordings, network: str, seed: int) -> Posterior:
     repetitions = np.array([len(s.repetitions) for s in recordings.subjects])
     with ThreadPoolExecutor(2) as executor:
         first = first_fits(kernel, recordings, prior, seeds[0], executor, quiet)
-        likelihoods = initial_likelihoods(recordings, first, p, executor)
+        likelihoods = initial_likelihoods(recordings, first.model, p, executor)
         nothing = np.zeros((n, 0))
         point = estimate(Pooling(kernel), likelihoods, first, prior, nothing, True, seeds[1], quiet)
         posterior = Posterior(repetitions, prior, True, _PER_PERSON, point, nothing)

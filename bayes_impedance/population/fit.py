@@ -32,7 +32,6 @@ from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Network
 from bayes_impedance.network.redundancy import Combination
 from bayes_impedance.person.absolute_density import deviations_of, log_constant
-from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.marginal_likelihood import find_ridge, marginal_log_likelihood
 from bayes_impedance.person.noise import NoiseModel
 from bayes_impedance.population.calibrated import known_of, prior_of, within_rig
@@ -42,17 +41,17 @@ from bayes_impedance.population.em import Estimate, estimate
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.posterior import Posterior
 from bayes_impedance.population.prior import Prior
+from bayes_impedance.population.recording_noise import initial_likelihoods, scaled_noise
 from bayes_impedance.population.requirements import CheckedModel, checked_model
 from bayes_impedance.population.sampling import sampled
 from bayes_impedance.population.shared import Pooling
-from bayes_impedance.population.starting_fits import FirstFits, first_fits, noise_of
+from bayes_impedance.population.starting_fits import FirstFits, first_fits
 from bayes_impedance.population.whole import Whole
-from bayes_impedance.recordings.files import Recordings, Subject
+from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.runtime.checkpoint import claim
 from bayes_impedance.runtime.clock import Clock
 from bayes_impedance.runtime.executors import executor_of, map_persons
 from bayes_impedance.runtime.progress import Progress
-from bayes_impedance.runtime.sharded import Kept
 
 IDENTIFIED_SD = 1.0
 """A central value is reported if the posterior standard deviation of its logarithm is below this: a factor e. By
@@ -125,6 +124,8 @@ class PopulationFit:
         Estimated deviations of the repetitions.
     noise : tuple of ndarray, shape (J, F)
         Standard deviation of the noise of each recording, the person's scale included.
+    noise_model : NoiseModel or None
+        From which this noise was made; None if all recordings came with theirs.
     noise_scale : ndarray, shape (N,)
         Ratio of the residuals to the noise estimate: near one if the network describes the person.
     identified : ndarray of bool, shape (P,)
@@ -147,6 +148,7 @@ class PopulationFit:
     person_log_likelihood: np.ndarray
     deviations: tuple[np.ndarray, ...]
     noise: tuple[np.ndarray, ...]
+    noise_model: NoiseModel | None
     noise_scale: np.ndarray
     identified: np.ndarray
     diagnostics: Diagnostics
@@ -239,7 +241,7 @@ def fit_population(
             first = first_fits(kernel, recordings, prior, seeds[0], executor, progress, checkpoint)
             point = estimate(
                 pooling,
-                initial_likelihoods(recordings, first, pooling.varying.size, executor),
+                initial_likelihoods(recordings, first.model, pooling.varying.size, executor),
                 first,
                 prior,
                 covariates,
@@ -268,7 +270,7 @@ def fit_population(
             point.forget()
             person_draws, person_likelihood = posterior.marginal.persons(parameters, seeds[4])
             diagnostics = assess(recordings, point, chains, posterior.marginal, parameters, posterior.redrawn, error)
-            scaled = partial(_scaled_noise, first.model)
+            scaled = partial(scaled_noise, first.model)
             noise = tuple(map_persons(executor, scaled, recordings.subjects, point.scale))
     shape = (settings.sampler.ensembles, -1, len(recordings.subjects))
     shared_spread = np.zeros(0) if parameters.shared is None else parameters.shared.std(axis=0)
@@ -288,6 +290,7 @@ def fit_population(
         person_log_likelihood=person_likelihood.reshape(*shape),
         deviations=tuple(whole.without(own) for own in point.deviations),
         noise=noise,
+        noise_model=first.model,
         noise_scale=point.scale,
         identified=identified,
         diagnostics=diagnostics,
@@ -357,7 +360,8 @@ def _one_person(
         person_draws=whole.persons(theta[:, None], None).reshape(ensembles, -1, 1, p),
         person_log_likelihood=log_density.reshape(ensembles, -1, 1),
         deviations=(likelihood.deviations,),
-        noise=(_scaled_noise(first.model, recordings.subjects[0], mode.scale),),
+        noise=(scaled_noise(first.model, recordings.subjects[0], mode.scale),),
+        noise_model=first.model,
         noise_scale=np.array([mode.scale]),
         identified=(point.determined | prior.known) & (theta.std(axis=0) < IDENTIFIED_SD),
         diagnostics=assess(recordings, point, chains, None, parameters, 0),
@@ -378,20 +382,3 @@ def too_few_for_correlations(n_persons: int, n_elements: int) -> bool:
     The posterior of a full covariance matrix then concentrates at singular matrices; only the prior limits it.
     """
     return n_persons < n_elements + 2
-
-
-def initial_likelihoods(recordings: Recordings, first: FirstFits, n_elements: int, executor: Executor) -> Kept:
-    """Each person's likelihood with the noise of the first fits, and deviations between repetitions of zero.
-
-    Each likelihood is made in the process where the executor keeps it, from the recordings available or read there.
-    """
-    return Kept.of(executor, recordings.subjects).each(partial(_likelihood, first.model, n_elements))
-
-
-def _likelihood(model: NoiseModel | None, n_elements: int, subject: Subject) -> Likelihood:
-    nothing = np.zeros((len(subject.repetitions), n_elements))
-    return Likelihood.make(subject.frequency_hz, subject.z, noise_of(subject, model), nothing)
-
-
-def _scaled_noise(model: NoiseModel | None, subject: Subject, scale: float) -> np.ndarray:
-    return noise_of(subject, model) * scale

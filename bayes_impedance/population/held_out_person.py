@@ -17,9 +17,9 @@ from bayes_impedance.person.marginal_likelihood import LEAST_RHO
 from bayes_impedance.population.e_step import PersonFit, expect
 from bayes_impedance.population.fit import PopulationFit
 from bayes_impedance.population.posterior import FEWEST_DRAWS, RARELY
+from bayes_impedance.population.recording_noise import noise_of
 from bayes_impedance.population.sharded_likelihood import part_of
 from bayes_impedance.population.shared import Placed
-from bayes_impedance.population.starting_fits import noise_of
 from bayes_impedance.recordings.files import Subject
 
 _STARTS = 32

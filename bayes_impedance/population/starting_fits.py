@@ -89,7 +89,8 @@ class FirstFits:
     common : ndarray, shape (C, N, P)
         Candidate common solutions, the most promising first: in each, the searches of all persons began at one point.
     model : NoiseModel or None
-        The common noise model; None if every recording has its own noise. :func:`noise_of` gives that of one person.
+        The common noise model; None if every recording has its own noise. Noise of single recordings follows from it
+        (:mod:`~bayes_impedance.population.recording_noise`).
     """
 
     theta: np.ndarray
@@ -354,15 +355,6 @@ def _own_elements(kernel: Kernel, subject: Subject, theta: np.ndarray) -> np.nda
         likelihood = Likelihood.make(subject.frequency_hz, z[None], sd[None], np.zeros((1, theta.size)))
         own.append(modes_from(kernel, likelihood, theta[None], theta, precision)[0][0])
     return np.array(own)
-
-
-def noise_of(subject: Subject, model: NoiseModel | None) -> np.ndarray:
-    """Standard deviation of the noise of a person's recordings, before the person's own scale, shape (J, F)."""
-    if subject.noise_sd is not None:
-        return subject.noise_sd
-    assert model is not None  # made whenever a recording has no noise of its own
-    magnitude = np.exp(np.mean(np.log(np.abs(subject.z)), axis=0))
-    return np.tile(model.at(subject.frequency_hz, magnitude), (len(subject.repetitions), 1))
 
 
 def _watched(results: Iterable[Result], stage: str, total: int, progress: Progress) -> Iterator[Result]:

@@ -39,6 +39,7 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.population.diagnostics import PARETO_LIMIT
 from bayes_impedance.population.fit import FitSettings, fit_population
 from bayes_impedance.population.held_out_person import held_out_log_densities
+from bayes_impedance.population.recording_noise import noise_of
 from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.results.result import DENSITY_ATTRIBUTE, Result
 from bayes_impedance.runtime.progress import Progress
@@ -177,16 +178,17 @@ def refit_without(
 
 
 def with_noise(recordings: Recordings, result: Result) -> Recordings:
-    """The recordings of a fit, each with the noise that was estimated in it, without the person's own scale."""
-    stored = result.groups["constant_data"]
-    grid = np.log(np.asarray(result.coords["frequency_hz"], dtype=float))
-    subjects = []
-    for s, relative, scale in zip(recordings.subjects, stored["noise_relative"], stored["noise_scale"], strict=True):
-        if s.noise_sd is None:
-            sd = np.interp(np.log(s.frequency_hz), grid, relative) * np.abs(s.mean) / scale
-            s = replace(s, noise_sd=np.tile(sd, (len(s.repetitions), 1)))
-        subjects.append(s)
-    return replace(recordings, subjects=tuple(subjects))
+    """The recordings of a fit, each with the noise that was estimated in it, without the person's own scale.
+
+    Raises
+    ------
+    InputError
+        If a recording has no noise of its own and the result holds no noise model.
+    """
+    model = result.noise_model
+    if model is None and any(s.noise_sd is None for s in recordings.subjects):
+        raise InputError("the result holds no model of the noise; fit the recordings again")
+    return replace(recordings, subjects=tuple(replace(s, noise_sd=noise_of(s, model)) for s in recordings.subjects))
 
 
 def _sum_and_error(each: np.ndarray) -> tuple[float, float]:

@@ -20,6 +20,7 @@ import numpy as np
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.notation import parse
 from bayes_impedance.network.parameters import Parameter, unit_of_parameter, values_of
+from bayes_impedance.person.noise import NoiseModel
 from bayes_impedance.population.fit import PopulationFit
 from bayes_impedance.results.adequacy import Adequacy
 from bayes_impedance.results.predictive import PROBABILITIES, Predictive
@@ -66,6 +67,15 @@ class Result:
     def elements(self) -> list[str]:
         """Names of the elements."""
         return [str(e) for e in self.coords["element"]]
+
+    @property
+    def noise_model(self) -> NoiseModel | None:
+        """From which the noise of every recording follows; None if all recordings came with theirs."""
+        sd = self.groups["constant_data"].get("noise_model_sd")
+        if sd is None:
+            return None
+        relative, floor = bool(self.attributes["noise_is_relative"]), float(self.attributes["noise_floor"])
+        return NoiseModel(np.asarray(self.coords["noise_frequency_hz"], dtype=float), sd, relative, floor)
 
     @property
     def problems(self) -> list[str]:
@@ -120,6 +130,7 @@ DIMS: dict[str, list[str]] = {
     "coverage_50": ["part", "frequency_hz"],
     "coverage_90": ["part", "frequency_hz"],
     "noise_relative": ["subject", "frequency_hz"],
+    "noise_model_sd": ["noise_frequency_hz"],
     "noise_scale": ["subject"],
     "person_relative_rms": ["subject"],
     "person_delta_magnitude": ["subject"],
@@ -188,6 +199,9 @@ def make_result(
     }
     if not fit.settings.covariates:
         del coords["covariate"]
+    if fit.noise_model is not None:
+        coords["noise_frequency_hz"] = fit.noise_model.frequency_hz
+        attributes |= {"noise_is_relative": int(fit.noise_model.relative), "noise_floor": fit.noise_model.floor}
     result = Result({}, _groups(fit, predictive), coords, attributes)
     result.summary.update(summary_of(fit, predictive, seconds, adequacy or Adequacy(), findings, _versions()))
     if before is not None:
@@ -221,6 +235,7 @@ def _groups(fit: PopulationFit, predictive: Predictive) -> dict[str, dict[str, n
     ]
     grid = np.log(predictive.frequency_hz)
     d, r = fit.diagnostics, predictive.replication
+    model = {} if fit.noise_model is None else {"noise_model_sd": fit.noise_model.sd}
     return {
         "posterior": posterior,
         "posterior_predictive": {
@@ -246,6 +261,7 @@ def _groups(fit: PopulationFit, predictive: Predictive) -> dict[str, dict[str, n
                     for s, n in zip(fit.recordings.subjects, noise, strict=True)
                 ]
             ),
+            **model,
             "noise_scale": fit.noise_scale,
             "person_relative_rms": predictive.person_relative_rms,
             "person_delta_magnitude": predictive.person_delta_magnitude,

@@ -12,9 +12,10 @@ from bayes_impedance.mcmc.ensemble import SamplerSettings
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.population.fit import FitSettings, PopulationFit, fit_population
 from bayes_impedance.population.natural_scales import default_prior
+from bayes_impedance.population.recording_noise import noise_of
 from bayes_impedance.population.requirements import network_of
 from bayes_impedance.population.simulate import Simulation, simulate_recordings
-from bayes_impedance.population.starting_fits import first_fits, noise_of
+from bayes_impedance.population.starting_fits import first_fits
 from bayes_impedance.recordings.files import Recordings, Subject
 
 

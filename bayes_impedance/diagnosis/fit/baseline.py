@@ -15,8 +15,8 @@ from bayes_impedance.diagnosis.fit.normal_equations import Population
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.network.notation import Network
 from bayes_impedance.population.em import Estimate, estimate
-from bayes_impedance.population.fit import initial_likelihoods
 from bayes_impedance.population.natural_scales import default_prior
+from bayes_impedance.population.recording_noise import initial_likelihoods
 from bayes_impedance.population.requirements import checked_model
 from bayes_impedance.population.shared import Pooling
 from bayes_impedance.population.starting_fits import first_fits
@@ -90,7 +90,7 @@ def fit_network(
     if checkpoint is not None:
         claim(checkpoint, (s.digest for s in recordings.subjects), version("bayes_impedance"), str(tree), seed)
     first = first_fits(kernel, recordings, prior, seeds[0], executor, progress, checkpoint)
-    likelihoods = initial_likelihoods(recordings, first, pooling.varying.size, executor)
+    likelihoods = initial_likelihoods(recordings, first.model, pooling.varying.size, executor)
     no_covariates = np.zeros((len(recordings.subjects), 0))
     kept = None if checkpoint is None else checkpoint / "point_estimate.npz"
     point = estimate(

@@ -1,0 +1,55 @@
+"""Noise of single recordings from the noise model of all."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.network.notation import parse
+from bayes_impedance.person.noise import NoiseModel
+from bayes_impedance.population.recording_noise import initial_likelihoods, noise_of, scaled_noise
+from bayes_impedance.population.simulate import FINGERTIP, simulate_recordings
+from bayes_impedance.runtime.executors import executor_of
+
+FREQUENCY = np.geomspace(5, 500, 80)
+
+
+def test_noise_follows_a_recording_whose_resonance_has_moved_and_is_smooth_elsewhere() -> None:
+    kernel = Kernel(parse("m1|n1|r1"))
+    theta = np.log([[0.05, 1e-3, 0.05], [0.05, 1.1e-3, 0.05]])
+    clean = kernel.impedance(theta, FREQUENCY)
+    rng = np.random.default_rng(1)
+    noise = 0.02 * np.abs(clean) * (rng.normal(size=clean.shape) + 1j * rng.normal(size=clean.shape))
+    subject = replace(simulate_recordings(FINGERTIP, 1, 2, FREQUENCY, 1).recordings.subjects[0], z=clean + noise)
+    model = NoiseModel(FREQUENCY, np.full(80, 0.02), True, 1e-4)
+    sd = noise_of(subject, model)
+    ratio = sd / (0.02 * np.abs(clean))
+    assert np.all(np.abs(np.log(ratio)) < 0.2)  # the mean of both is off by a factor of two beside the resonance
+    mean = np.exp(np.mean(np.log(np.abs(clean)), axis=0))
+    assert np.abs(np.log(0.02 * mean / (0.02 * np.abs(clean)))).max() > 0.5
+    same = np.abs(clean[0] / clean[1]) < 1.005
+    own = np.log(np.abs(subject.z) / np.abs(clean))
+    assert np.std(np.log(ratio[:, same])) < 0.95 * np.std(own[:, same])
+
+
+def test_noise_that_does_not_grow_with_the_magnitude_is_the_same_in_all_recordings() -> None:
+    recordings = simulate_recordings(FINGERTIP, 1, 3, FREQUENCY, 1).recordings
+    model = NoiseModel(np.array([5.0, 500.0]), np.array([1e-3, 1e-2]), False, 0.0)
+    expected = np.exp(np.interp(np.log(FREQUENCY), np.log([5, 500]), np.log([1e-3, 1e-2])))
+    np.testing.assert_allclose(noise_of(recordings.subjects[0], model), np.tile(expected, (3, 1)))
+
+
+def test_noise_of_the_recordings_is_taken_as_it_is_and_the_likelihood_has_it() -> None:
+    recordings = simulate_recordings(FINGERTIP, 2, 2, FREQUENCY, 1).recordings
+    first, other = recordings.subjects
+    own = np.linspace(1, 2, 160).reshape(2, 80)
+    model = NoiseModel(FREQUENCY, np.full(80, 0.02), True, 1e-4)
+    mixed = replace(recordings, subjects=(replace(first, noise_sd=own), other))
+    np.testing.assert_array_equal(noise_of(mixed.subjects[0], None), own)
+    np.testing.assert_array_equal(scaled_noise(model, mixed.subjects[0], 3.0), 3 * own)
+    with executor_of(1) as executor:
+        likelihoods = list(initial_likelihoods(mixed, model, 8, executor).gathered())
+    np.testing.assert_allclose(likelihoods[0].weight, own**-2)
+    np.testing.assert_allclose(likelihoods[1].weight, noise_of(other, model) ** -2)
