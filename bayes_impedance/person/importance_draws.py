@@ -173,15 +173,14 @@ def _propose_along(
         np.cumsum(valley.weight), (np.arange(n - from_reference) + rng.random()) / (n - from_reference)
     )
     which = np.minimum(which, len(valley.weight) - 1)
-    factors = np.linalg.cholesky(valley.covariance)
     stretch = np.sqrt(nu / rng.chisquare(nu, which.size))
     own = valley.centre[which] + stretch[:, None] * np.einsum(
-        "npq,nq->np", factors[which], rng.normal(size=(which.size, dimension))
+        "npq,nq->np", valley.factor[which], rng.normal(size=(which.size, dimension))
     )
     anywhere = rng.normal(size=(from_reference, dimension)) @ np.linalg.cholesky(reference.covariance).T
     theta = np.vstack([own, reference.mean + anywhere])
     log_t = np.full(n, -np.inf)
-    for centre, factor, weight in zip(valley.centre, factors, valley.weight, strict=True):
+    for centre, factor, weight in zip(valley.centre, valley.factor, valley.weight, strict=True):
         log_t = np.logaddexp(log_t, np.log(weight) + _log_t(theta, centre, factor))
     log_reference = reference.log_density(theta) - 0.5 * dimension * np.log(2 * np.pi)
     return theta, np.logaddexp(np.log1p(-_DEFENSIVE) + log_t, np.log(_DEFENSIVE) + log_reference)
@@ -224,7 +223,7 @@ def _propose(
 
 
 def _log_t(theta: np.ndarray, centre: np.ndarray, factor: np.ndarray) -> np.ndarray:
-    """Log density of the multivariate t at theta (n, P), shape (n,), from its scale matrix's Cholesky factor (P, P)."""
+    """Log density of the multivariate t at theta (n, P), shape (n,), from a triangular factor of its scale matrix."""
     dimension, nu = centre.size, _DEGREES_OF_FREEDOM
     square = np.sum(np.linalg.solve(factor, (theta - centre).T) ** 2, axis=0)
     return np.asarray(

@@ -4,14 +4,18 @@ If the recordings determine one combination of elements precisely and another ha
 valley: its length is set by the population, its width by the noise. One multivariate t around the mode covers only a
 part of it, and its effective number of draws is deceptively high because no draw leaves that part. Here the valley is
 followed from the mode in both directions. With H the information of the recordings and :math:`\Lambda` the precision of
-the reference population, its direction is the eigenvector with
+the reference population, its direction is the longest axis of the posterior,
 
-.. math:: H v = \lambda\,\Lambda v, \qquad \lambda \text{ smallest}, \qquad v^T \Lambda v = 1 .
+.. math:: (H + \Lambda) v = \lambda v, \qquad \lambda \text{ smallest}, \qquad v^T \Lambda v = 1 ,
 
-A step :math:`\theta + h v` is corrected by the mode under a prior that holds its distance along v only; h is chosen so
-that the correction c remains small in units of the noise, :math:`c^T H c \le 1`. Each point is the centre of a normal
+because the network bends on the scale of one in log elements; where the population itself is narrow, nothing bends.
+
+A step :math:`\theta + h v` is corrected to the posterior's mode at that distance along v; h is chosen so that the
+correction c remains small in units of the noise, :math:`c^T H c \le 1`. Each point is the centre of a normal
 distribution with precision :math:`H + \Lambda + (\Lambda v)(\Lambda v)^T/h^2`, weighted with the posterior mass that it
-represents.
+represents. These precisions are factorised in the coordinates :math:`u = L^T \theta` in which the reference's
+:math:`\Lambda = L L^T` is the identity: where the reference hardly allows a combination of elements to differ, their
+entries span thirteen orders of magnitude, and their inverses would not be positive definite.
 """
 
 from __future__ import annotations
@@ -19,7 +23,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import eigh
+from scipy.linalg import eigh, solve_triangular
 
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.person.likelihood import Likelihood
@@ -50,13 +54,14 @@ class Valley:
     Attributes
     ----------
     centre : ndarray, shape (K, P)
-    covariance : ndarray, shape (K, P, P)
+    factor : ndarray, shape (K, P, P)
+        Upper triangular, with positive diagonals: a factor times its transpose is a covariance.
     weight : ndarray, shape (K,)
         Sums to one.
     """
 
     centre: np.ndarray
-    covariance: np.ndarray
+    factor: np.ndarray
     weight: np.ndarray
 
 
@@ -81,34 +86,46 @@ def follow(
     ahead = _walk(kernel, likelihood, begin, mean, precision, +1.0)
     behind = _walk(kernel, likelihood, begin, mean, precision, -1.0)
     points = [*reversed(behind[1:]), *ahead]
-    covariance = np.linalg.inv(np.array([p for _, p, _ in points]))
-    depth = np.array([d for _, _, d in points])
+    root = np.linalg.cholesky(precision)
+    factor = np.array([_factor(root, h, v) for _, h, v, _ in points])
+    depth = np.array([d for *_, d in points])
     # Half of the log weight: populations other than the reference give the ends of the valley more weight.
-    log_weight = 0.5 * (-depth + 0.5 * np.linalg.slogdet(covariance)[1])
+    log_weight = 0.5 * (-depth + np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)), axis=1))
     weight = np.exp(log_weight - log_weight.max())
-    return Valley(np.array([c for c, _, _ in points]), covariance, weight / weight.sum())
+    return Valley(np.array([c for c, *_ in points]), factor, weight / weight.sum())
+
+
+def _factor(root: np.ndarray, information: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """Factor of the covariance at a point, from that of the reference's precision and the term that holds the step."""
+    whitened = solve_triangular(root, solve_triangular(root, information, lower=True).T, lower=True)
+    along = root.T @ direction
+    own = np.linalg.cholesky(whitened + np.eye(len(root)) + np.outer(along, along))
+    in_these = solve_triangular(own.T, np.eye(len(root)), lower=False)
+    return np.asarray(solve_triangular(root.T, in_these, lower=False))
 
 
 def _walk(
     kernel: Kernel, likelihood: Likelihood, begin: Mode, mean: np.ndarray, precision: np.ndarray, sign: float
-) -> list[tuple[np.ndarray, np.ndarray, float]]:
-    """Points of the valley on one side, each with the precision of its normal distribution and its depth."""
+) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, float]]:
+    """Points of the valley on one side: centre, information of the recordings, direction over the step, and depth."""
     here, step, before = begin, _FIRST_STEP, None
-    points = list[tuple[np.ndarray, np.ndarray, float]]()
+    points = list[tuple[np.ndarray, np.ndarray, np.ndarray, float]]()
     while len(points) < _MOST:
-        v = np.asarray(eigh(here.information, precision, subset_by_index=[0, 0])[1][:, 0])
+        v = np.asarray(eigh(here.information + precision, subset_by_index=[0, 0])[1][:, 0])
+        v /= np.sqrt(v @ precision @ v)
         v *= sign * np.sign(v[np.argmax(np.abs(v))]) if before is None else np.sign(v @ precision @ before)
         along = precision @ v
         there, length = here, step
         while length >= _SHORTEST:
             target = here.theta + length * v
-            held = precision * 1e-6 + np.outer(along, along) * _HOLD / length**2
-            there = find_mode(kernel, likelihood, target[None], target, held)
+            hold = _HOLD / length**2
+            centre = mean + v * (hold / (1 + hold) * (along @ (target - mean)))
+            there = find_mode(kernel, likelihood, target[None], centre, precision + hold * np.outer(along, along))
             c = there.theta - target
             if c @ here.information @ c <= _STRAIGHT:
                 break
             length *= 0.5
-        points.append((here.theta, here.information + precision + np.outer(along, along) / length**2, here.objective))
+        points.append((here.theta, here.information, v / length, here.objective))
         if length < _SHORTEST:
             break
         here = mode_at(kernel, likelihood, there.theta, mean, precision, 0.0)

@@ -17,7 +17,7 @@ from bayes_impedance.person.importance_draws import Draws, Reference, draw
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.marginal_likelihood import find_ridge
 from bayes_impedance.person.mode import find_mode
-from bayes_impedance.person.valley import follow
+from bayes_impedance.person.valley import _factor, follow
 
 TRUTH = np.log([1e-3, 1.5, 1e-3])  # n1, r1, m1
 FREQUENCY = np.geomspace(100, 101, 40)
@@ -111,7 +111,7 @@ def test_the_valley_stays_on_its_ground_and_reaches_its_ends() -> None:
     assert np.ptp(np.log(m)) > 1.0
     assert np.ptp(np.log(r)) < 0.05
     assert valley.weight.sum() == pytest.approx(1)
-    assert np.all(np.linalg.eigvalsh(valley.covariance) > 0)
+    assert np.all(np.diagonal(valley.factor, axis1=1, axis2=2) > 0)
 
 
 def test_where_everything_is_determined_the_valley_is_a_point_with_its_surroundings() -> None:
@@ -120,3 +120,29 @@ def test_where_everything_is_determined_the_valley_is_a_point_with_its_surroundi
     likelihood = Likelihood.make(frequency, z, np.full(z.shape, SD), np.zeros((1, 3)))
     valley = follow(KERNEL, likelihood, TRUTH, TRUTH, np.linalg.inv(WIDE))
     assert np.ptp(valley.centre, axis=0).max() < 0.2
+
+
+def test_the_valley_is_followed_beside_an_element_that_the_population_holds() -> None:
+    """Its precision is ten orders of magnitude larger there, and nothing bends along it."""
+    reference = WIDE.copy()
+    reference[1, :] = reference[:, 1] = 0.0
+    reference[1, 1] = 1e-10
+    likelihood = person(2)
+    valley = follow(KERNEL, likelihood, TRUTH, TRUTH, np.linalg.inv(reference))
+    assert np.ptp(valley.centre[:, 2]) > 1.0
+    assert np.ptp(valley.centre[:, 1]) < 1e-4
+    covariance = valley.factor @ np.swapaxes(valley.factor, 1, 2)
+    np.testing.assert_allclose(covariance[:, 1, 1], 1e-10, rtol=1e-3)
+    assert drawn(likelihood, TRUTH, reference, along_valley=True).effective > 100
+
+
+def test_covariances_of_the_valley_are_inverses_where_these_can_be_computed() -> None:
+    likelihood = person(2)
+    precision = np.linalg.inv(WIDE)
+    information = find_mode(KERNEL, likelihood, TRUTH[None], TRUTH, precision).information
+    direction = np.array([3.0, 0.5, -2.0])
+    factor = _factor(np.linalg.cholesky(precision), information, direction)
+    along = precision @ direction
+    expected = np.linalg.inv(information + precision + np.outer(along, along))
+    np.testing.assert_allclose(factor @ factor.T, expected, rtol=1e-8, atol=1e-12)
+    np.testing.assert_array_equal(factor, np.triu(factor))
