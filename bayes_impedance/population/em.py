@@ -55,6 +55,9 @@ _AT_REST = -1.0
 """Marks, in place of the distance moved, that the last iteration, from many starting points, is done."""
 _TOLERANCE = 0.02
 """Iterations end when the population moves by less than this, in its standard errors. By choice: see `_MAX_ROUNDS`."""
+_ALIGNED = (2, 5)
+"""Rounds after which recordings are searched one by one where linear steps have not described them. By choice: such
+steps need two rounds where they suffice."""
 _TRIAL_ROUNDS, _TRIAL_POINTS = 10, 100
 """Iterations and frequencies per person in comparing modes. By choice: few, as their evidences differ by much."""
 
@@ -209,6 +212,8 @@ def estimate(
     while moved >= 0 and rounds < _MAX_ROUNDS and not (rounds >= _FEWEST_ROUNDS and moved < _TOLERANCE):
         rounds += 1
         moved = state.iterate(first.alternatives[..., pooling.varying] if rounds in (1, 4) else None)
+        if rounds in _ALIGNED:
+            state.align()
         progress("population estimate", rounds, _MAX_ROUNDS)
         keep()
     if moved >= 0:
@@ -290,8 +295,10 @@ def _best_common(
     found, ends = [], []
     for c, theta in enumerate(first.common):
         state = state_from(theta, thinned)
-        for _ in range(_TRIAL_ROUNDS):
+        for k in range(_TRIAL_ROUNDS):
             state.iterate(None)
+            if k + 1 in _ALIGNED:
+                state.align()
         found.append(state.log_evidence())
         ends.append(state.theta)
         progress("common solutions", c + 1, len(first.common))

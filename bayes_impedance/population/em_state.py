@@ -15,6 +15,7 @@ from scipy.linalg import block_diag
 
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.person.likelihood import Likelihood
+from bayes_impedance.population.alignment import aligned
 from bayes_impedance.population.e_step import (
     PersonFit,
     Sums,
@@ -159,6 +160,11 @@ class State:
         stretch = np.abs(np.log(np.diag(self.covariance) / np.diag(old_covariance)))
         wobble = np.abs(self.rho - old_rho) / np.maximum(self.rho, 0.01)
         return float(max(moved, np.max(shift), np.max(stretch), np.max(wobble)))
+
+    def align(self) -> None:
+        """Search the recordings of everybody who is described badly one by one (after an iteration, before another)."""
+        own = partial(aligned, self.pooling.at(self.phi), np.linalg.inv(self.covariance), self.rho)
+        self.fits = self.data.each(own, self.fits, self.means)
 
     @property
     def theta(self) -> np.ndarray:

@@ -1,0 +1,69 @@
+"""Recordings whose sharp resonances repositioning moves are brought to their own elements."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.network.notation import parse
+from bayes_impedance.person.bounded_search import GROSS
+from bayes_impedance.person.likelihood import Likelihood
+from bayes_impedance.population.alignment import aligned
+from bayes_impedance.population.e_step import begin, expect
+from bayes_impedance.population.shared import Placed
+
+FREQUENCY = np.geomspace(5, 500, 120)
+KERNEL = Kernel(parse("r1-(m1|n1)"))
+THETA = np.log([10.0, 0.05, 5e-4])
+PRECISION, RHO = np.eye(3) / 0.3**2, np.full(3, 0.1)
+NO_STARTS = np.empty((0, 3))
+NOISE = 0.005
+
+
+def likelihood_of(moves: list[float]) -> Likelihood:
+    """Recordings whose compliance differs by these factors, that is, their resonance by the roots of these."""
+    rng = np.random.default_rng(1)
+    theta = THETA + np.outer(np.log(moves), [0.0, 0.0, 1.0])
+    z = KERNEL.impedance(theta, FREQUENCY)
+    sd = NOISE * np.abs(z)
+    z = z + sd * (rng.normal(size=z.shape) + 1j * rng.normal(size=z.shape))
+    return Likelihood.make(FREQUENCY, z, sd, np.zeros(theta.shape))
+
+
+def test_linear_steps_do_not_arrive_where_the_search_of_each_recording_does() -> None:
+    moves = [0.85, 1.0, 1.2]
+    likelihood = likelihood_of(moves)
+    fit = expect(KERNEL, PRECISION, RHO, likelihood, begin(likelihood, THETA), THETA, NO_STARTS)
+    for _ in range(10):
+        fit = expect(KERNEL, PRECISION, RHO, likelihood, fit, THETA, NO_STARTS)
+    assert fit.mode.scale > 3  # ten linear steps have not arrived
+    place = aligned(KERNEL, PRECISION, RHO, likelihood, fit, THETA)
+    assert isinstance(place, Placed)
+    np.testing.assert_allclose(place.deviations.sum(axis=0), 0, atol=1e-12)
+    there = expect(KERNEL, PRECISION, RHO, likelihood, place, THETA, NO_STARTS)
+    assert 0.9 < there.mode.scale < 1.1
+    np.testing.assert_allclose(there.deviations[:, 2], np.log(moves) - np.mean(np.log(moves)), atol=0.01)
+
+
+def test_who_is_described_stays_as_he_is() -> None:
+    likelihood = likelihood_of([1.0, 1.001])
+    fit = expect(KERNEL, PRECISION, RHO, likelihood, begin(likelihood, THETA), THETA, NO_STARTS)
+    assert fit.mode.scale < GROSS
+    assert aligned(KERNEL, PRECISION, RHO, likelihood, fit, THETA) is fit
+
+
+def test_one_recording_has_no_deviations() -> None:
+    likelihood = likelihood_of([1.5])
+    fit = expect(KERNEL, PRECISION, RHO, likelihood, begin(likelihood, THETA + 1.0), THETA + 1.0, NO_STARTS)
+    assert aligned(KERNEL, PRECISION, RHO, likelihood, fit, THETA + 1.0) is fit
+
+
+def test_a_network_that_describes_nothing_keeps_its_fit_unless_another_place_is_better() -> None:
+    other = Kernel(parse("r1-m1-n1"))
+    likelihood = likelihood_of([0.9, 1.1])
+    fit = expect(other, PRECISION, RHO, likelihood, begin(likelihood, THETA), THETA, NO_STARTS)
+    assert fit.mode.scale > GROSS
+    place = aligned(other, PRECISION, RHO, likelihood, fit, THETA)
+    if place is not fit:
+        there = expect(other, PRECISION, RHO, likelihood, place, THETA, NO_STARTS)
+        assert there.mode.scale < fit.mode.scale
