@@ -30,6 +30,10 @@ standard deviation, is the remaining distance."""
 MAX_ITERATIONS = 100
 """Most steps from each start. By choice: more cost time; convergence is judged by the decrement alone."""
 
+ROUNDING = 1e-12
+"""Relative ridge of an information matrix. Beside a pole of a lossless network one point outweighs all others by 1e20,
+and what these say of the other elements is lost in rounding: the matrix would be singular."""
+
 _GAUSS_NEWTON_ITERATIONS = 15
 """Steps before the exact second derivative is used. By choice: it costs several gradients a
 step, and where the network fits, fewer steps than these suffice."""
@@ -148,7 +152,12 @@ def _minimise(
                 lowest = np.linalg.eigvalsh(exact)[0]
                 if lowest > 0.0:
                     curvature = exact
-            decrements[i] = g @ np.linalg.solve(curvature, g)
+            if not (np.all(np.isfinite(curvature)) and np.all(np.isfinite(g))):  # beside a pole that nothing damps
+                break
+            solvable = curvature.copy()
+            for p in range(n_elements):
+                solvable[p, p] += ROUNDING * diagonal[p]
+            decrements[i] = g @ np.linalg.solve(solvable, g)
             if decrements[i] < 1e-9:
                 break
             accepted = False

@@ -27,7 +27,7 @@ from scipy.linalg import eigh, solve_triangular
 
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.person.likelihood import Likelihood
-from bayes_impedance.person.mode import Mode, find_mode, mode_at
+from bayes_impedance.person.mode import ROUNDING, Mode, find_mode, mode_at
 
 _FIRST_STEP, _SHORTEST, _LONGEST = 0.1, 1e-3, 0.5
 """First, shortest and longest step, in standard deviations of the reference population. By choice: longer steps leave
@@ -99,7 +99,8 @@ def _factor(root: np.ndarray, information: np.ndarray, direction: np.ndarray) ->
     """Factor of the covariance at a point, from that of the reference's precision and the term that holds the step."""
     whitened = solve_triangular(root, solve_triangular(root, information, lower=True).T, lower=True)
     along = root.T @ direction
-    own = np.linalg.cholesky(whitened + np.eye(len(root)) + np.outer(along, along))
+    whole = 0.5 * (whitened + whitened.T) + np.eye(len(root)) + np.outer(along, along)
+    own = np.linalg.cholesky(whole + ROUNDING * np.diag(np.diag(whole)))
     in_these = solve_triangular(own.T, np.eye(len(root)), lower=False)
     return np.asarray(solve_triangular(root.T, in_these, lower=False))
 

@@ -146,3 +146,12 @@ def test_covariances_of_the_valley_are_inverses_where_these_can_be_computed() ->
     expected = np.linalg.inv(information + precision + np.outer(along, along))
     np.testing.assert_allclose(factor @ factor.T, expected, rtol=1e-8, atol=1e-12)
     np.testing.assert_array_equal(factor, np.triu(factor))
+
+
+def test_information_beside_a_pole_leaves_a_factor() -> None:
+    """One combination is determined ten billion times better than the others: the sums are singular to rounding."""
+    strong = np.array([1.0, -0.3, 2.0])
+    information = 1e18 * np.outer(strong, strong)
+    factor = _factor(np.linalg.cholesky(np.linalg.inv(WIDE)), information, np.array([1.0, 0.0, 0.0]))
+    assert np.all(np.isfinite(factor))
+    assert np.all(np.diagonal(factor) > 0)

@@ -34,7 +34,6 @@ import numpy as np
 
 from bayes_impedance.diagnosis.fit.model import Model
 from bayes_impedance.diagnosis.fit.normal_equations import (
-    ROUNDING,
     Equations,
     Population,
     Stack,
@@ -49,6 +48,7 @@ from bayes_impedance.diagnosis.fit.outliers_alone import ends_of_outliers
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood
 from bayes_impedance.person.marginal_likelihood import LEAST_RHO
+from bayes_impedance.person.mode import ROUNDING
 from bayes_impedance.population.em_state import PRIOR_PERSONS, SMALLEST_DISPERSION
 
 _LONGEST_STEP, _LONGEST_SHARE = 1.0, 0.3

@@ -22,15 +22,12 @@ from bayes_impedance.diagnosis.fit.model import Model
 from bayes_impedance.network.kernel import compiled
 from bayes_impedance.network.program import Program
 from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood, normal_equations
+from bayes_impedance.person.mode import ROUNDING
 from bayes_impedance.runtime.broadcast import Lent
 
 _FREEDOM = 5.0
 """Prior width of the elements in standard deviations of the population. By choice: practically free where the band
 determines them, and bounded where it does not."""
-
-ROUNDING = 1e-12
-"""Relative ridge of an information matrix. Beside a pole of a lossless network one point outweighs all others by 1e20,
-and what these say of the other elements is lost in rounding: the matrix would be singular."""
 
 _SMALL_PIECE, _LARGE_PIECE = 4_000, 25_000
 """Smallest and largest piece of work, in points (recordings times frequencies). Below the first, a third of a
