@@ -32,7 +32,6 @@ from bayes_impedance.intake.spectrum import SAME_FREQUENCY, Spectrum
 from bayes_impedance.intake.stepped_sine import FREQUENCY_TOLERANCE, SETTLE, stepped_ratio
 from bayes_impedance.runtime.user_table import shown
 
-EXCITATIONS = ("periodic", "noise", "hammer", "stepped sine")
 CREST_OF_A_HAMMER = 10.0
 """Largest force over its root mean square. By choice: of a million samples of noise the largest is five, and a pulse
 that lasts a hundredth of its record has ten."""
@@ -54,7 +53,7 @@ class SignalSettings:
     reference : str or None
         Channel of the signal that was sent to the exciter: periodic excitation has its lines.
     excitation : str or None
-        One of :data:`EXCITATIONS`; None to find out.
+        ``periodic``, ``noise``, ``hammer`` or ``stepped sine``; None to find out.
     rate_hz : float or None
     estimator : str
         ``H1``, ``H2``, ``Hv`` or ``local polynomial``, of noise and hits.
