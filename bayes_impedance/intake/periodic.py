@@ -27,6 +27,7 @@ import numpy as np
 from bayes_impedance.intake.ratio import ComplexArray, FloatArray, Ratio
 
 FEWEST_PERIODS = 2
+"""Fewest periods that are averaged: from one alone the noise cannot be estimated."""
 LINE_LEVEL = 0.1
 """Amplitude of an excited line, of the largest one within an octave to either side. By choice: distortion is below a
 tenth, or no linear network describes the load; excitations are flatter than that."""

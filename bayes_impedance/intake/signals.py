@@ -30,6 +30,7 @@ from bayes_impedance.intake.quantities import FORMS, IMPEDANCE_UNIT, si_response
 from bayes_impedance.intake.ratio import FloatArray, Ratio
 from bayes_impedance.intake.spectrum import SAME_FREQUENCY, Spectrum
 from bayes_impedance.intake.stepped_sine import FREQUENCY_TOLERANCE, SETTLE, stepped_ratio
+from bayes_impedance.recordings.repetitions import MINIMUM_POINTS
 from bayes_impedance.runtime.user_table import shown
 
 CREST_OF_A_HAMMER = 10.0
@@ -39,7 +40,6 @@ LARGEST_SAMPLE = 1e12
 """Of force or motion, in SI units. By choice: far above anything, and squares of it stay finite."""
 SEGMENTS = 16
 """Segments into which noise is cut by default. By choice: the standard deviation is then known to about a sixth."""
-MINIMUM_POINTS = 3
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,10 +27,8 @@ from bayes_impedance.intake.quantities import (
 )
 from bayes_impedance.intake.recipes import Recipe, recipe_for
 from bayes_impedance.intake.spectrum import ComplexArray, FloatArray, Spectrum
+from bayes_impedance.recordings.repetitions import MINIMUM_POINTS
 from bayes_impedance.runtime.user_table import shown
-
-MINIMUM_POINTS = 3
-"""Fewest frequencies of a recording, as a dataset needs them."""
 
 
 @dataclass(frozen=True, kw_only=True)

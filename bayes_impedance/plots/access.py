@@ -10,9 +10,6 @@ from bayes_impedance.population.natural_scales import LOG_SD
 from bayes_impedance.results.result import Result
 from bayes_impedance.units import Scale, scale_for
 
-INTERVAL = (0.05, 0.5, 0.95)
-"""Quantiles of every interval that is shown: the ends of the 90 % interval, and the median."""
-
 
 def variable(result: Result, name: str) -> np.ndarray | None:
     """A variable of any group, or None if the run has none of that name."""

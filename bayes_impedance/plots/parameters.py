@@ -9,7 +9,6 @@ import numpy as np
 
 from bayes_impedance.network.parameters import LOG, LOGIT
 from bayes_impedance.plots.access import (
-    INTERVAL,
     element_scale,
     identified,
     needed,
@@ -24,7 +23,7 @@ from bayes_impedance.plots.joint import PRIOR_DISPERSION_SD, half_normal_density
 from bayes_impedance.plots.style import BLUE, ENSEMBLES, GREY, INK, LIGHT, ORANGE, RED, log_axis, log_limits
 from bayes_impedance.population.natural_scales import LOG_SD
 from bayes_impedance.results.result import Result
-from bayes_impedance.units import excludes_zero, signed
+from bayes_impedance.units import INTERVAL, excludes_zero, signed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
