@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 TRUTH_FILE = "truth.json"
 SPECTRA, SIGNALS = (71, 401), (8, 30)
-"""Usual numbers of subjects and frequencies: the paper's, and of signals so many that they are 200 MB."""
+"""Default numbers of subjects and frequencies: for spectra the paper's, for signals fewer: they are 200 MB."""
 
 
 def simulate_dataset(
@@ -55,7 +55,7 @@ def simulate_dataset(
     Returns
     -------
     list of str
-        Lines that say what was written, and how it goes on.
+        Lines that say what was written, and the command that follows.
 
     Raises
     ------

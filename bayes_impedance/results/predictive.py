@@ -136,7 +136,7 @@ def predict(fit: PopulationFit, *, n_draws: int = 1000, n_replicates: int = 200,
     rows = np.linspace(0, total - 1, min(n_draws, total)).astype(int)
 
     centre = Band.of(kernel.impedance(fit.parameters.mu[rows], frequency))
-    # The recordings are those of the same people: what the bands differ by is then repetitions and noise, not chance.
+    # The recordings are those of the same people: the bands then differ by repetitions and noise only.
     people = _people(fit, rows, rng)
     person = Band.of(kernel.impedance(people, frequency))
     noise = _relative_noise(fit, frequency)
