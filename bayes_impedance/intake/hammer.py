@@ -15,7 +15,8 @@ import numpy as np
 from bayes_impedance.intake.ratio import FloatArray
 
 TRIGGER = 0.2
-"""Of the largest force of a record. By choice: soft hits of an operator have half of the hardest one's force."""
+"""Share of the largest force of a record at which a hit begins. By choice: soft hits of an operator have half of the
+hardest one's force."""
 PULSE_END, SECOND = 0.05, 0.1
 """Of the hit's peak: below the first the pulse has ended, above the second a later excursion is a second hit. By
 choice: a twentieth is above a sensor's noise, and a second hit of a tenth of the force changes the response by a

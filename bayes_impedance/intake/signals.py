@@ -37,7 +37,7 @@ CREST_OF_A_HAMMER = 10.0
 """Largest force over its root mean square. By choice: of a million samples of noise the largest is five, and a pulse
 that lasts a hundredth of its record has ten."""
 LARGEST_SAMPLE = 1e12
-"""Of force or motion, in SI units. By choice: far above anything, and squares of it stay finite."""
+"""Largest sample of force or motion, in SI units. By choice: far above any measured value, and its square is finite."""
 SEGMENTS = 16
 """Segments into which noise is cut by default. By choice: the standard deviation is then known to about a sixth."""
 
