@@ -70,8 +70,8 @@ def test_repetitions_are_reduced_to_the_frequencies_that_all_have() -> None:
     ("first", "second", "said"),
     [
         ((10, 20, 30, 40, 50, 60, 70), (10, 20, 30), "of up to 7 frequencies, of which only 3 are common to all"),
-        ((10, 20, 30, 40), (10, 20, 50, 60), "has 2 usable frequencies, but at least 3 are needed"),
-        ((10, 20), (10, 20), "has 2 usable frequencies, but at least 3 are needed"),
+        ((10, 20, 30, 40), (10, 20, 50, 60), "2 usable frequencies, but at least 3 are needed"),
+        ((10, 20), (10, 20), "2 usable frequencies, but at least 3 are needed"),
     ],
 )
 def test_too_few_frequencies_are_refused(first: tuple[int, ...], second: tuple[int, ...], said: str) -> None:
