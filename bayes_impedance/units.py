@@ -22,6 +22,8 @@ LOWEST_HZ, HIGHEST_HZ = 1e-12, 1e15
 NORMAL_Q95 = 1.6448536269514722
 """Half the width of a 90 % interval, the level of all intervals here, in standard errors: the 95 % quantile of the
 standard normal distribution."""
+INTERVAL = (0.05, 0.5, 0.95)
+"""Quantiles that are given of a posterior: the ends of the 90 % interval, and the median between them."""
 
 _PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G", 12: "T"}
 # A prefix on a unit with a power would be raised to it as well, so such units get a power of ten instead.

@@ -43,6 +43,34 @@ def test_classes_with_more_than_five_fields_are_keyword_only() -> None:
     assert not [name for name, decorator in large if "kw_only=True" not in decorator]
 
 
+def test_numbers_with_a_name_say_where_they_come_from() -> None:
+    """A text below each numeric constant of a module, or a comment beside or above it; one text may serve a group."""
+    constants, without = 0, []
+    for file in sorted(PACKAGE.rglob("*.py")):
+        lines = (text := file.read_text(encoding="utf-8")).splitlines()
+        body = ast.parse(text).body
+        for i, node in enumerate(body):
+            if not (isinstance(node, ast.Assign | ast.AnnAssign) and _is_numeric(node.value)):
+                continue
+            constants += 1
+            last = next((later for later in body[i + 1 :] if not isinstance(later, ast.Assign)), None)
+            told = isinstance(last, ast.Expr) and lines[node.end_lineno or 0].strip()  # without a blank line between
+            if not (told or "#" in lines[node.lineno - 1] or lines[node.lineno - 2].startswith("#")):
+                without.append(f"{file.relative_to(ROOT)}: {lines[node.lineno - 1]}")
+    assert constants > 400
+    assert not without
+
+
+def _is_numeric(value: ast.expr | None) -> bool:
+    if isinstance(value, ast.Tuple):
+        return bool(value.elts) and all(map(_is_numeric, value.elts))
+    if isinstance(value, ast.UnaryOp):
+        return _is_numeric(value.operand)
+    if isinstance(value, ast.BinOp):
+        return _is_numeric(value.left) and _is_numeric(value.right)
+    return isinstance(value, ast.Constant) and type(value.value) in (int, float)
+
+
 def test_no_test_file_imports_another() -> None:
     """Shared helpers live in files without tests: an imported test file would be run twice, or bring its fixtures."""
     for file in (ROOT / "tests").rglob("*.py"):

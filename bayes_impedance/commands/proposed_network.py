@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from bayes_impedance.commands.result_folders import VERDICT_FILE
 from bayes_impedance.errors import InputError
 from bayes_impedance.runtime.input_files import read_json
 
-_REMEDY = "diagnose the recordings again"
+if TYPE_CHECKING:
+    from bayes_impedance.diagnosis.verdict_types import Verdict
 
 
 def proposed_network(file: Path) -> str:
@@ -22,25 +24,19 @@ def proposed_network(file: Path) -> str:
     Raises
     ------
     InputError
-        If it is no verdict, or what was found is no network.
+        If it is no verdict of this version, or what was found is no network.
     """
-    path = file / "verdict.json" if file.is_dir() else file
-    record = read_json(path, _REMEDY)
-    networks = record.get("network")
-    if not (isinstance(networks, list) and len(networks) == 2 and all(isinstance(n, str) for n in networks)):
+    verdict = _read(file)
+    if verdict.extended_network is not None:
+        return verdict.extended_network
+    before, after = verdict.network
+    effects = sorted({entry.id for entry in verdict.physics if entry.parameters})
+    if effects and before == after:
         raise InputError(
-            f"{path}: is not the verdict of a diagnosis, because it has no pair of networks; give another file"
+            f"{_path(file)}: what was found ({', '.join(effects)}) cannot be written as a network; fit {before} "
+            "without --with"
         )
-    proposed = record.get("extended_network")
-    if isinstance(proposed, str):
-        return proposed
-    effects = [e for e in record.get("physics", []) if isinstance(e, dict) and e.get("parameters")]
-    if effects and networks[0] == networks[1]:
-        names = ", ".join(sorted({str(e.get("id")) for e in effects}))
-        raise InputError(
-            f"{path}: what was found ({names}) cannot be written as a network; fit {networks[0]} without --with"
-        )
-    return str(networks[1])
+    return after
 
 
 def before_in(file: Path) -> dict[str, Any] | None:
@@ -51,10 +47,21 @@ def before_in(file: Path) -> dict[str, Any] | None:
     InputError
         If it is no verdict of this version.
     """
-    from bayes_impedance.diagnosis.verdict_file import before_of, from_json
+    from bayes_impedance.diagnosis.verdict_file import before_of
 
-    path = file / "verdict.json" if file.is_dir() else file
+    return before_of(_read(file))
+
+
+def _path(file: Path) -> Path:
+    return file / VERDICT_FILE if file.is_dir() else file
+
+
+def _read(file: Path) -> Verdict:
+    from bayes_impedance.diagnosis.verdict_file import from_json
+
+    path = _path(file)
+    record = read_json(path, "diagnose the recordings again")
     try:
-        return before_of(from_json(read_json(path, _REMEDY)))
+        return from_json(record)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None

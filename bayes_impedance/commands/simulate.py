@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 TRUTH_FILE = "truth.json"
 SPECTRA, SIGNALS = (71, 401), (8, 30)
-"""Usual numbers of subjects and frequencies: the paper's, and of signals so many that they are 200 MB."""
+"""Default numbers of subjects and frequencies: for spectra the paper's, for signals fewer: they are 200 MB."""
 
 
 def simulate_dataset(
@@ -55,7 +55,7 @@ def simulate_dataset(
     Returns
     -------
     list of str
-        Lines that say what was written, and how it goes on.
+        Lines that say what was written, and the command that follows.
 
     Raises
     ------
@@ -69,13 +69,15 @@ def simulate_dataset(
 
     from bayes_impedance.population.simulate import FINGERTIP, simulate_recordings
     from bayes_impedance.recordings.files import METADATA_FILE, RECORDINGS_FILES, SUBJECTS_FILE, write_recordings
+    from bayes_impedance.recordings.repetitions import MINIMUM_POINTS
 
     usual = SIGNALS if signals else SPECTRA
     n_subjects, n_points = n_subjects or usual[0], n_points or usual[1]
     low, high = band_hz
-    if not 0 < low < high or n_points < 3:
+    if not 0 < low < high or n_points < MINIMUM_POINTS:
         raise InputError(
-            f"the band is {low} to {high} Hz with {n_points} points: give 0 < low < high and at least 3 points"
+            f"the band is {low} to {high} Hz with {n_points} points: give 0 < low < high and at least "
+            f"{MINIMUM_POINTS} points"
         )
     people = FINGERTIP if population is None else _population(population)
     frequency = np.geomspace(low, high, n_points)

@@ -46,9 +46,9 @@ _MAINS_ALPHA = 1e-3
 out."""
 
 _OF_THE_SHAPE = (Subgroup, CorrelationTest)
-"""Findings about the shape of the population's distribution. Elements of a network without a name only come near what
-is there and have another distribution: a covariate or a drift still moves them, but groups and correlations may be of
-the network's making."""
+"""Findings about the shape of the population's distribution. The elements of an unnamed network only approximate the
+physics, and their distribution is another one: a covariate or a drift still shifts them, but groups and correlations
+may be artefacts of the network."""
 
 _SHAPE_UNKNOWN = (
     "The elements are not distributed as the population's distribution says; whether people form groups cannot be "

@@ -32,7 +32,7 @@ second derivative times this."""
 
 _LARGEST_LOG = 1.0
 """Largest standard deviation of a logarithm for which the mean of a log-normal distribution is formed: beyond it the
-mean says nothing of people."""
+mean is far above most people's values."""
 
 
 def extended_posterior(model: Model, extended: ExtendedNetwork, fit: PopulationFit) -> CoefficientPosterior:

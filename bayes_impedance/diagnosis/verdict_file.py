@@ -59,9 +59,8 @@ PHYSICS_KEYS: dict[Kind, tuple[str, ...]] = {
 }
 """Fields of an entry of the physics by its kind, in the order of the file. No two kinds have the same fields."""
 
-
 _OPTIONAL = ("joint", "parameters_differ", "extended_network")
-"""Keys that are left out if there is nothing to say."""
+"""Keys that are left out where the verdict has no value; so is ``shortcomings`` where it is empty."""
 
 
 def to_json(verdict: Verdict) -> dict[str, Any]:
@@ -74,9 +73,7 @@ def to_json(verdict: Verdict) -> dict[str, Any]:
     named = {field.name: getattr(verdict, field.name) for field in fields(verdict)}
     record: dict[str, Any] = {"schema": SCHEMA, "mismatch": verdict.mismatch}
     for name, value in named.items():
-        if (name in ("joint", "parameters_differ", "extended_network") and value is None) or (
-            name == "shortcomings" and not value
-        ):
+        if (name in _OPTIONAL and value is None) or (name == "shortcomings" and not value):
             continue
         record[name] = _plain(value)
         if name == "network":
@@ -141,7 +138,7 @@ def _verdict(record: Mapping[str, Any]) -> Verdict:
         located=_located(record["located"]),
         physics=tuple(_physics(entry) for entry in record["physics"]),
         improvement=None if record["improvement"] is None else _improvement(record["improvement"]),
-        network=(before, after),
+        network=(_text(before), _text(after)),
         detectable=tuple(Detectable(**row) for row in record["detectable"]),
         not_identifiable=tuple(record["not_identifiable"]),
         elements_not_identified=tuple(record["elements_not_identified"]),
@@ -155,8 +152,14 @@ def _verdict(record: Mapping[str, Any]) -> Verdict:
         joint=None if joint is None else Joint(tuple(joint["parameters"]), tuple(map(tuple, joint["correlation"]))),
         parameters_differ=None if differ is None else tuple(ParameterDifference(**row) for row in differ),
         shortcomings=tuple(record.get("shortcomings", ())),
-        extended_network=record.get("extended_network"),
+        extended_network=None if "extended_network" not in record else _text(record["extended_network"]),
     )
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise TypeError(f"a network is {value!r}, but must be a text")
+    return value
 
 
 def _where(record: Mapping[str, Any]) -> Where:

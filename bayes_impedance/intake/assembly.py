@@ -2,7 +2,7 @@
 
 Files of one person may differ in the last digits of their frequencies, or in a few lines; a dataset has one grid for
 each person. Frequencies that agree to a recording's tolerance are one; those that not all repetitions have are left out
-with a word, and if less than half remain the files are refused.
+with a remark, and if less than half remain the files are refused.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from bayes_impedance.units import HIGHEST_HZ, LARGEST_IMPEDANCE, LOWEST_HZ, SMAL
 
 
 def assemble(spectra: Sequence[Spectrum], believed: bool = False) -> tuple[list[Subject], list[Spectrum], list[str]]:
-    """Subjects in the order of their first file; the recordings as they are in them; what was changed.
+    """Subjects in the order of their first file, their recordings, and what was changed, in sentences.
 
     Raises
     ------

@@ -25,9 +25,6 @@ import numpy.typing as npt
 
 from bayes_impedance.intake.ratio import ComplexArray, FloatArray, Ratio
 
-ESTIMATORS = ("H1", "H2", "Hv")
-WINDOWS = ("hann", "hamming", "blackman", "flattop", "boxcar")
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Spectra:
@@ -57,7 +54,7 @@ class Spectra:
             return np.asarray(np.abs(self.cross) ** 2 / (self.force * self.motion))
 
     def response(self, estimator: str = "H1") -> ComplexArray:
-        """Motion over force by one of :data:`ESTIMATORS`, shape (F,)."""
+        """Motion over force by the estimator ``H1``, ``H2`` or ``Hv``, shape (F,)."""
         with np.errstate(invalid="ignore", divide="ignore"):
             if estimator == "H1":
                 return np.asarray(self.cross / self.force)
@@ -86,7 +83,7 @@ def averaged_spectra(
     force, motion : ndarray of float, shape (K, N)
     rate_hz : float
     window : str
-        One of :data:`WINDOWS`.
+        ``hann``, ``hamming``, ``blackman``, ``flattop`` or ``boxcar``.
     overlap : float
         Share of a segment that the next one shares, from which the number of independent segments follows.
     """

@@ -15,10 +15,12 @@ import numpy as np
 from bayes_impedance.intake.ratio import FloatArray
 
 TRIGGER = 0.2
-"""Of the largest force of a record. By choice: soft hits of an operator have half of the hardest one's force."""
-PULSE_END = 0.05
-SECOND = 0.1
-"""Of the hit's peak. By choice: a second hit of a tenth of the force changes the response by a tenth."""
+"""Share of the largest force of a record at which a hit begins. By choice: soft hits of an operator have half of the
+hardest one's force."""
+PULSE_END, SECOND = 0.05, 0.1
+"""Of the hit's peak: below the first the pulse has ended, above the second a later excursion is a second hit. By
+choice: a twentieth is above a sensor's noise, and a second hit of a tenth of the force changes the response by a
+tenth."""
 CLIPPED = 3
 """Samples. As in the package pyFRF."""
 BEFORE = 0.01

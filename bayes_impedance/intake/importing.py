@@ -155,7 +155,7 @@ def _facts(one: Spectrum) -> dict[str, object]:
 
 
 def _merged(notes: Sequence[str]) -> list[str]:
-    """Each sentence once: the same about several files is said of the first, with the number of others."""
+    """Each sentence once; if it holds for several files, it names the first and the number of the others."""
     groups: dict[str, list[str]] = {}
     for note in notes:
         _, colon, said = note.partition(": ")

@@ -19,6 +19,7 @@ from bayes_impedance.intake.ratio import FloatArray, Ratio
 NEIGHBOURS = 6
 """n: 13 lines, 7 complex degrees of freedom. By choice: the smallest windows with six or more, as in the literature."""
 _UNKNOWNS = 6
+"""Complex unknowns of a window: constant, slope and bend, of the response and of the transient."""
 
 
 def local_polynomial(force: FloatArray, motion: FloatArray, rate_hz: float) -> Ratio:

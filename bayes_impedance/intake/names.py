@@ -14,7 +14,7 @@ GROUPS = ("subject", "repetition", "realisation")
 
 @dataclass(frozen=True, kw_only=True)
 class Who:
-    """Of whom a file is.
+    """Subject, repetition and realisation that a file holds.
 
     Attributes
     ----------

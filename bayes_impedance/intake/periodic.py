@@ -27,6 +27,7 @@ import numpy as np
 from bayes_impedance.intake.ratio import ComplexArray, FloatArray, Ratio
 
 FEWEST_PERIODS = 2
+"""Fewest periods that are averaged: from one alone the noise cannot be estimated."""
 LINE_LEVEL = 0.1
 """Amplitude of an excited line, of the largest one within an octave to either side. By choice: distortion is below a
 tenth, or no linear network describes the load; excitations are flatter than that."""
@@ -230,7 +231,7 @@ def find_period(signal: FloatArray, largest: int) -> int | None:
     overlap = n - lags
     energy = (square[overlap] - square[0]) + (square[n] - square[lags])
     difference = (energy - 2 * product) / overlap
-    # Neighbours of lag 0 are alike in every smooth signal: begin where the signal has lost its likeness.
+    # At small lags every smooth signal resembles itself: begin where it no longer does.
     unlike = np.flatnonzero(difference > energy / overlap / 2)
     if not unlike.size:
         return None
@@ -238,7 +239,7 @@ def find_period(signal: FloatArray, largest: int) -> int | None:
     best = float(rest.min())
     if best > 0.5 * float((energy / overlap)[unlike[0] + int(np.argmin(rest))]):
         return None
-    # Within a valley of likeness, its bottom; the first valley that is as deep as any.
+    # The minimum of the first valley of the difference that is as deep as any.
     limit = max(ALIKE * best, 1e-12 * float(x @ x) / n)
     first = unlike[0] + int(np.argmax(rest <= limit))
     last = first

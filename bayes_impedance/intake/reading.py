@@ -121,7 +121,7 @@ def _recordings_of(files: Sequence[Path], settings: ReadingSettings) -> tuple[li
 
 
 def _who(file: Path, settings: ReadingSettings) -> Who:
-    """Of whom a file is; a calibration run need not have a name like the recordings'."""
+    """Subject, repetition and realisation of a file; a calibration run need not have a name like the recordings'."""
     try:
         return who_is(str(file), settings.who)
     except InputError:

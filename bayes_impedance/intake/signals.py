@@ -30,17 +30,16 @@ from bayes_impedance.intake.quantities import FORMS, IMPEDANCE_UNIT, si_response
 from bayes_impedance.intake.ratio import FloatArray, Ratio
 from bayes_impedance.intake.spectrum import SAME_FREQUENCY, Spectrum
 from bayes_impedance.intake.stepped_sine import FREQUENCY_TOLERANCE, SETTLE, stepped_ratio
+from bayes_impedance.recordings.repetitions import MINIMUM_POINTS
 from bayes_impedance.runtime.user_table import shown
 
-EXCITATIONS = ("periodic", "noise", "hammer", "stepped sine")
 CREST_OF_A_HAMMER = 10.0
 """Largest force over its root mean square. By choice: of a million samples of noise the largest is five, and a pulse
 that lasts a hundredth of its record has ten."""
 LARGEST_SAMPLE = 1e12
-"""Of force or motion, in SI units. By choice: far above anything, and squares of it stay finite."""
+"""Largest sample of force or motion, in SI units. By choice: far above any measured value, and its square is finite."""
 SEGMENTS = 16
 """Segments into which noise is cut by default. By choice: the standard deviation is then known to about a sixth."""
-MINIMUM_POINTS = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +53,7 @@ class SignalSettings:
     reference : str or None
         Channel of the signal that was sent to the exciter: periodic excitation has its lines.
     excitation : str or None
-        One of :data:`EXCITATIONS`; None to find out.
+        ``periodic``, ``noise``, ``hammer`` or ``stepped sine``; None to find out.
     rate_hz : float or None
     estimator : str
         ``H1``, ``H2``, ``Hv`` or ``local polynomial``, of noise and hits.

@@ -129,7 +129,7 @@ class SimulatedRig:
         return stream.getvalue()
 
     def options(self) -> list[str]:
-        """How ``import`` is told of the channels."""
+        """Arguments that describe the channels to ``import``."""
         return [
             *("--force", f"force@{1e3 * self.force_sensitivity:g} mV/N"),
             *("--motion", f"acceleration@{1e3 * self.acceleration_sensitivity:g} mV/(m/s^2)"),

@@ -1,4 +1,4 @@
-r"""The rig by six numbers for all frequencies: gain, skew, what moves with it, and the compliance of its mount.
+r"""The rig as six numbers for all frequencies: gain, skew, moving mass, damper, stiffness, and the mount's compliance.
 
 A force sensor of gain g that is late by tau measures a load z through a mount of compliance n (one force: mobilities
 add), and with it the mass m0, damper r0 and stiffness k0 between sensor and mount (one velocity: impedances add):

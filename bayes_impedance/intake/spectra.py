@@ -27,10 +27,8 @@ from bayes_impedance.intake.quantities import (
 )
 from bayes_impedance.intake.recipes import Recipe, recipe_for
 from bayes_impedance.intake.spectrum import ComplexArray, FloatArray, Spectrum
+from bayes_impedance.recordings.repetitions import MINIMUM_POINTS
 from bayes_impedance.runtime.user_table import shown
-
-MINIMUM_POINTS = 3
-"""Fewest frequencies of a recording, as a dataset needs them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,7 +129,7 @@ def spectra_of(contents: Contents, who: Who, settings: SpectraSettings) -> tuple
 
 
 def _degrees(settings: SpectraSettings, noise: FloatArray | None, columns: dict[str, Column]) -> float | None:
-    """Of averages by coherence, 2 (n - 1): n complex averages less the fitted response."""
+    """Degrees of freedom of averages, for the noise by coherence: 2 (n - 1), n complex averages less the response."""
     known = noise is not None and settings.averages is not None and "noise_sd" not in columns
     return 2.0 * (settings.averages - 1) if known and settings.averages else None
 

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayes_impedance.intake.periodic import FEWEST_PERIODS
 from bayes_impedance.intake.ratio import ComplexArray, FloatArray, Ratio
 
 SETTLE = 5
 """Periods of each step that are left out by default: as in the paper."""
-FEWEST_PERIODS = 2
 HYSTERESIS = 0.25
 """Of the local root mean square: a crossing counts if the signal goes from below minus this to above it. By choice:
 noise of a tenth of the signal does not reach it."""
@@ -32,6 +32,9 @@ _NEIGHBOURS = 15
 """Periods over which that scatter is found. By choice: so many that the first period of a step, which is different,
 does not change the median."""
 REFINEMENTS = 3
+"""Times that the frequency of a step is corrected by the drift of its phase. By choice: each correction leaves a small
+part of the error, so the third changes no digit that counts.
+"""
 FREQUENCY_TOLERANCE = 4e-3
 """Relative, of the same step in two records. By choice: a quarter of what separates steps."""
 

@@ -22,6 +22,7 @@ STANDARD_GRAVITY = 9.80665
 _POUND = 0.45359237  # kg, exact by definition (1959)
 
 _FORCE = (1, 1, -2, 0)
+"""Dimension of a force: kg m/s^2."""
 _UNITS: dict[str, tuple[float, Dimension]] = {
     "kg": (1.0, (1, 0, 0, 0)),
     "g": (1e-3, (1, 0, 0, 0)),

@@ -1,8 +1,8 @@
-r"""Search for modes by an error that is bounded: the reflection coefficient with respect to the recording's magnitude.
+r"""Search for modes by a bounded error: that of the reflection coefficient with respect to the recording's magnitude.
 
-Beside a pole or a zero of low damping a relative error has no bound: a model whose resonance lies one point further is
-a thousand times off there, and the least squares of :mod:`bayes_impedance.person.mode` have a wall between every two
-points that resonances must cross. For a passive z the reflection coefficient has none,
+Near a pole or a zero of low damping the relative error is unbounded: a model whose resonance is one point off is wrong
+there by a factor of a thousand, and the sum of squares of :mod:`bayes_impedance.person.mode` has a barrier between
+neighbouring points, which the resonance must cross. For a passive z the reflection coefficient is bounded,
 
 .. math:: \Gamma(z) = \frac{z - z_0}{z + z_0}, \qquad |\Gamma| \le 1 \text{ where } \operatorname{Re} z \ge 0, \qquad
           \frac{d\Gamma}{dz} = \frac{2 z_0}{(z + z_0)^2},
@@ -25,8 +25,8 @@ from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood
 from bayes_impedance.person.mode import MAX_ITERATIONS, all_modes
 
 GROSS = 1.5
-"""Noise scale above which no optimum is taken for the best. By choice: persons of one population differ by less, and in
-the first fits the noise that is assumed is several times that of most recordings."""
+"""Noise scale above which an optimum is not taken for the global one. By choice: persons of one
+population differ by less, and in the first fits the noise that is assumed is several times that of most recordings."""
 
 STEPS = 15
 """Steps from each start. By choice, for time: with 40, in twice the time, 57 of 600 starts reached the best mode of

@@ -6,11 +6,9 @@ import math
 
 import numpy as np
 
+from bayes_impedance.population.natural_scales import LOG_SD
 from bayes_impedance.results.result import Result
 from bayes_impedance.units import Scale, scale_for
-
-INTERVAL = (0.05, 0.5, 0.95)
-"""Quantiles of every interval that is shown: the ends of the 90 % interval, and the median."""
 
 
 def variable(result: Result, name: str) -> np.ndarray | None:
@@ -19,10 +17,6 @@ def variable(result: Result, name: str) -> np.ndarray | None:
         if name in group:
             return np.asarray(group[name])
     return None
-
-
-PRIOR_CENTRE_SD = 3.0
-"""Prior standard deviation of a log element (:data:`bayes_impedance.population.natural_scales.LOG_SD`)."""
 
 
 def needed(result: Result, name: str) -> np.ndarray:
@@ -74,9 +68,12 @@ def varying(result: Result) -> np.ndarray:
 
 
 def prior_sds(result: Result) -> np.ndarray:
-    """Prior standard deviation of each element on the scale on which it is estimated, shape (P,)."""
+    """Prior standard deviation of each element on the scale on which it is estimated, shape (P,).
+
+    Results of earlier versions do not hold it: all their priors are those of a log element.
+    """
     known = variable(result, "prior_centre_sd")
-    return np.full(len(result.elements), PRIOR_CENTRE_SD) if known is None else np.asarray(known, dtype=float)
+    return np.full(len(result.elements), LOG_SD) if known is None else np.asarray(known, dtype=float)
 
 
 def element_scale(result: Result, element: int) -> Scale:

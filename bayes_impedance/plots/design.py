@@ -27,7 +27,7 @@ from bayes_impedance.plots.style import (
     new_figure,
     phase_axis,
 )
-from bayes_impedance.units import rounded, typeset
+from bayes_impedance.units import INTERVAL, rounded, typeset
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -192,7 +192,7 @@ def felt(answer: DesignAnswer) -> Figure | None:
     top, bottom = figure.subplots(2, 1, sharex=True)
     frequency = found.frequency_hz
     top.plot(frequency, np.abs(found.desired), color=INK, ls="--", label="desired: K/s + B")
-    rows = np.quantile(np.abs(found.transmitted), (0.05, 0.5, 0.95), axis=0)
+    rows = np.quantile(np.abs(found.transmitted), INTERVAL, axis=0)
     top.fill_between(frequency, rows[0], rows[2], color=INNER, lw=0)
     top.plot(frequency, rows[1], color=BLUE, label="transmitted (median and 90 % of users)")
     log_axis(top.yaxis, *log_limits(np.abs(found.desired), rows))

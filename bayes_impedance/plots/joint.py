@@ -11,7 +11,6 @@ import numpy as np
 
 from bayes_impedance.network.parameters import LOG, SIGNED, Parameter
 from bayes_impedance.plots.access import (
-    INTERVAL,
     element_scale,
     identified,
     needed,
@@ -21,7 +20,7 @@ from bayes_impedance.plots.access import (
 )
 from bayes_impedance.plots.style import BLUE, INK, RED
 from bayes_impedance.results.result import Result
-from bayes_impedance.units import with_interval
+from bayes_impedance.units import INTERVAL, with_interval
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -9,8 +9,6 @@ import numpy as np
 
 from bayes_impedance.network.parameters import LOG, LOGIT
 from bayes_impedance.plots.access import (
-    INTERVAL,
-    PRIOR_CENTRE_SD,
     element_scale,
     identified,
     needed,
@@ -23,8 +21,9 @@ from bayes_impedance.plots.access import (
 )
 from bayes_impedance.plots.joint import PRIOR_DISPERSION_SD, half_normal_density, normal_density
 from bayes_impedance.plots.style import BLUE, ENSEMBLES, GREY, INK, LIGHT, ORANGE, RED, log_axis, log_limits
+from bayes_impedance.population.natural_scales import LOG_SD
 from bayes_impedance.results.result import Result
-from bayes_impedance.units import excludes_zero, signed
+from bayes_impedance.units import INTERVAL, excludes_zero, signed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -262,10 +261,10 @@ def priors(figure: Figure, result: Result) -> Figure:
     spread = variable(result, "dispersion_between_persons") is not None
     panels = np.atleast_1d(np.array(figure.subplots(1, 1 + spread, sharey=True)))
     names, seen, centre = result.elements, identified(result), needed(result, "prior_centre")
-    reach = 2.6 * PRIOR_CENTRE_SD
+    reach = 2.6 * LOG_SD
     grid = np.linspace(-reach, reach, 300)
-    prior = normal_density(0.0, PRIOR_CENTRE_SD)(grid)
-    sds = prior_sds(result) / PRIOR_CENTRE_SD
+    prior = normal_density(0.0, LOG_SD)(grid)
+    sds = prior_sds(result) / LOG_SD
     for row, name in enumerate(names):
         _ridge(panels[0], row, np.exp(grid), prior, LIGHT, "prior")
         if seen[row]:

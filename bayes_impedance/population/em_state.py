@@ -122,8 +122,8 @@ class State:
         """Arrays that determine the next iteration, for the checkpoint."""
         places = self.fits.gathered(_place)
         return {
-            "mu": self.mu,
-            "slopes": self.slopes,
+            "mu": self.mu.copy(),  # of both, an iteration writes into the array itself
+            "slopes": self.slopes.copy(),
             "covariance": self.covariance,
             "rho": self.rho,
             "phi": self.phi,
@@ -134,7 +134,8 @@ class State:
 
     def restore(self, snapshot: Mapping[str, np.ndarray]) -> None:
         """Restore the state from what `snapshot` returned."""
-        self.mu, self.slopes, self.covariance, self.rho = (snapshot[k] for k in ("mu", "slopes", "covariance", "rho"))
+        self.mu, self.slopes = snapshot["mu"].copy(), snapshot["slopes"].copy()
+        self.covariance, self.rho = snapshot["covariance"], snapshot["rho"]
         self.phi = snapshot["phi"]
         own = np.split(snapshot["deviations"], np.cumsum(snapshot["repetitions"])[:-1])
         self.fits = self.data.each(_begun_at, snapshot["theta"], own)

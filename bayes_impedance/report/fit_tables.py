@@ -29,7 +29,7 @@ from bayes_impedance.plots.access import (
 from bayes_impedance.population.diagnostics import FEWEST_EFFECTIVE, PARETO_LIMIT, RHAT_LIMIT, VARIANCE_LIMIT
 from bayes_impedance.population.posterior import VARIANCE_WANTED
 from bayes_impedance.results.result import Result
-from bayes_impedance.units import excludes_zero, hertz, scale_for, signed, significant, typeset, with_interval
+from bayes_impedance.units import INTERVAL, excludes_zero, hertz, scale_for, signed, significant, typeset, with_interval
 
 NOT_DETERMINED = "not determined by these recordings"
 _WITHHELD = "withheld"
@@ -186,7 +186,7 @@ def slope_rows(result: Result) -> list[tuple[str, str, str, str]]:
             continue
         for j, covariate in enumerate(result.coords["covariate"]):
             if np.all(np.isfinite(slopes[:, i, j])):
-                low, middle, high = np.quantile(slopes[:, i, j], (0.05, 0.5, 0.95))
+                low, middle, high = np.quantile(slopes[:, i, j], INTERVAL)
                 rows.append((name, str(covariate), f"×{middle:.2f}", f"{low:.2f} to {high:.2f}"))
     return rows
 

@@ -45,7 +45,8 @@ from bayes_impedance.results.result import DENSITY_ATTRIBUTE, Result
 from bayes_impedance.runtime.progress import Progress
 
 FEWEST_PEOPLE = 2
-"""With one person nobody is left who predicts. (Standard errors over very few people say little; they are shown.)"""
+"""Fewest people: with one, no other person is left to predict from. (Standard errors over very few people are shown,
+although they are uncertain.)"""
 
 
 @dataclass(frozen=True)

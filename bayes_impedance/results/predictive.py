@@ -26,6 +26,7 @@ from bayes_impedance.results.curve_errors import (
     on_grid,
     relative_rms,
 )
+from bayes_impedance.units import INTERVAL
 
 PROBABILITIES = (0.05, 0.25, 0.5, 0.75, 0.95)
 """Quantiles of every band: its 50 % and 90 % limits and the median."""
@@ -135,7 +136,7 @@ def predict(fit: PopulationFit, *, n_draws: int = 1000, n_replicates: int = 200,
     rows = np.linspace(0, total - 1, min(n_draws, total)).astype(int)
 
     centre = Band.of(kernel.impedance(fit.parameters.mu[rows], frequency))
-    # The recordings are those of the same people: what the bands differ by is then repetitions and noise, not chance.
+    # The recordings are those of the same people: the bands then differ by repetitions and noise only.
     people = _people(fit, rows, rng)
     person = Band.of(kernel.impedance(people, frequency))
     noise = _relative_noise(fit, frequency)
@@ -239,15 +240,14 @@ def _replicate(
         z[missing] = np.nan
         errors.append(error_curves(magnitude, phase, z))
     m, p = np.array([e.magnitude for e in errors]), np.array([e.phase_deg for e in errors])
-    quantiles = (0.05, 0.5, 0.95)
 
     def rank(replicated: np.ndarray, value: np.ndarray) -> np.ndarray:
         # One is added to both counts: the observed population counts as a replicate, so that no rank is zero.
         return np.asarray((1 + np.sum(replicated >= value, axis=0)) / (n_replicates + 1))
 
     return Replication(
-        magnitude=np.quantile(m, quantiles, axis=0),
-        phase_deg=np.quantile(p, quantiles, axis=0),
+        magnitude=np.quantile(m, INTERVAL, axis=0),
+        phase_deg=np.quantile(p, INTERVAL, axis=0),
         magnitude_rank=rank(m, seen.magnitude),
         phase_rank=rank(p, seen.phase_deg),
         mean_magnitude_rank=float(rank(np.nanmean(m, axis=1), np.nanmean(seen.magnitude))),

@@ -27,6 +27,7 @@ from bayes_impedance.results.predictive import PROBABILITIES, Predictive
 from bayes_impedance.results.summary import summary_of
 from bayes_impedance.runtime.atomic_files import write_json
 from bayes_impedance.runtime.input_files import read_json
+from bayes_impedance.units import INTERVAL
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -194,7 +195,7 @@ def make_result(
         "covariate": list(fit.settings.covariates),
         "frequency_hz": predictive.frequency_hz,
         "probability": list(PROBABILITIES),
-        "replicate_quantile": [0.05, 0.5, 0.95],
+        "replicate_quantile": list(INTERVAL),
         "part": ["magnitude", "phase_deg"],
     }
     if not fit.settings.covariates:

@@ -17,6 +17,7 @@ from bayes_impedance.population.fit import PopulationFit, too_few_for_correlatio
 from bayes_impedance.results.adequacy import Adequacy
 from bayes_impedance.results.misfit import coverage_by_frequency, misfit_words, network_misfits, noise_scale_summary
 from bayes_impedance.results.predictive import Predictive
+from bayes_impedance.units import INTERVAL
 
 SCHEMA = 1
 """Version of the layout of ``summary.json``."""
@@ -30,7 +31,7 @@ def _interval(values: np.ndarray, known: bool = True) -> dict[str, float | None]
     """Median and 90 % interval, or nulls."""
     if not known or not np.all(np.isfinite(values)):
         return {"median": None, "q05": None, "q95": None}
-    low, middle, high = np.quantile(values, (0.05, 0.5, 0.95))
+    low, middle, high = np.quantile(values, INTERVAL)
     return {"median": float(middle), "q05": float(low), "q95": float(high)}
 
 
@@ -92,7 +93,7 @@ def summary_of(
         for i, a in enumerate(fit.kernel.elements):
             for j in range(i):
                 if fit.identified[i] and fit.identified[j] and not (shared[i] or shared[j]):
-                    low, middle, high = np.quantile(p.correlation[:, i, j], (0.05, 0.5, 0.95))
+                    low, middle, high = np.quantile(p.correlation[:, i, j], INTERVAL)
                     correlation.append([fit.kernel.elements[j], a, float(middle), float(low), float(high)])
     errors: dict[str, Any] = {name: curve.summary() for name, curve in predictive.errors.items()}
     r = predictive.replication

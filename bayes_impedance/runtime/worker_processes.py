@@ -70,11 +70,6 @@ class Processes(Executor):
         self._closed, self._abandoned, self._lock = False, Event(), Lock()
         self._workers = [_Worker(self._tasks, self._abandoned) for _ in range(workers)]
 
-    @property
-    def pids(self) -> tuple[int, ...]:
-        """Process numbers (PIDs) of the running processes."""
-        return tuple(w.process.pid for w in self._workers if w.process is not None and w.process.pid is not None)
-
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Submit a task to the next free process; function, arguments and result must be picklable."""
         with self._lock:

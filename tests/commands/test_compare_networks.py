@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 import results_by_hand
 from conftest import THREE_ELEMENTS
+from diagnoses_by_hand import verdict_of
 
 from bayes_impedance.commands import network_comparison
 from bayes_impedance.commands.cli import main
 from bayes_impedance.commands.network_comparison import lines_of
+from bayes_impedance.diagnosis.verdict_file import to_json
 from bayes_impedance.population.simulate import simulate_recordings
 from bayes_impedance.recordings.files import write_recordings
 from bayes_impedance.results.leave_one_out import LeftOut, leave_one_out
@@ -106,7 +108,8 @@ def test_resume_takes_what_is_finished(place: Path, out: Path, monkeypatch: pyte
 
 def test_a_verdict_stands_for_its_second_network(place: Path) -> None:
     verdict = place / "verdict.json"
-    verdict.write_text(json.dumps({"network": ["m1|r1", "m1|r1|n1"]}), encoding="utf-8")
+    found = verdict_of((), "m1|r1", "m1|r1|n1")
+    verdict.write_text(json.dumps(to_json(found)), encoding="utf-8")
     assert network_comparison._network_in(verdict) == "m1|r1|n1"
 
 
@@ -117,7 +120,7 @@ def test_a_verdict_stands_for_its_second_network(place: Path) -> None:
         (("m1|r1", " m1 | r1 "), "are the same"),
         (("m1|r1", "r1|q7"), "no file or folder"),
         (("m1|r1", "nowhere/fit"), "no file or folder"),
-        (("m1|r1", "{place}/verdict_of_nothing.json"), "no pair of networks"),
+        (("m1|r1", "{place}/verdict_of_nothing.json"), "not a verdict"),
         (("m1|r1", "{place}/broken.json"), "JSON"),
         (("m1|r1", "{place}/notes.txt"), "notes.txt"),
         (("m1|r1", "{place}/data"), "there is no such file"),

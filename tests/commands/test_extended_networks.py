@@ -93,7 +93,7 @@ def test_run_with_a_verdict(verdict: Path, dataset: Path, fitted: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        ("{}", "no pair of networks"),
+        ("{}", "not a verdict of schema"),
         ("[1]", "contains no object"),
         ('{"network": ["m1", "m1|"]}', "not a verdict of schema"),
     ],

@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 from conftest import THREE_ELEMENTS
 from experiments import die_at_once
+from process_numbers import pids
 
 from bayes_impedance.commands.cli import main
 from bayes_impedance.commands.jobs import FitOptions
@@ -78,12 +79,12 @@ def test_a_diagnosis_does_not_depend_on_threads(alone: Diagnosis) -> None:
 
 def test_a_diagnosis_by_processes_of_which_one_is_killed_is_the_same(alone: Diagnosis) -> None:
     with Processes(2) as executor:
-        progress = Killing(lambda: executor.pids)
+        progress = Killing(lambda: pids(executor))
         _require_same(
             alone, diagnose(delayed(), effects=CANDIDATES, quick=True, seed=1, executor=executor, progress=progress)
         )
         assert progress.killed
-        assert progress.killed[0] not in executor.pids
+        assert progress.killed[0] not in pids(executor)
 
 
 def test_a_diagnosis_by_the_standard_library_s_processes_is_the_same(alone: Diagnosis) -> None:
@@ -148,7 +149,7 @@ def test_workers_of_the_command_are_processes_and_threads_without(monkeypatch: p
     with executor_of(FitOptions(workers=3).threads, FitOptions(workers=3).workers) as executor:
         assert isinstance(executor, Processes)
         assert len(executor._workers) == 3
-        assert executor.pids == ()  # they start when they are needed
+        assert pids(executor) == ()  # they start when they are needed
 
 
 def test_the_command_diagnoses_the_same_with_processes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import THREE_ELEMENTS
+from process_numbers import pids
 
 from bayes_impedance.commands.cli import main
 from bayes_impedance.mcmc.ensemble import Chains, SamplerSettings
@@ -118,12 +119,12 @@ def test_processes_of_which_one_is_killed_give_the_same(alone: PopulationFit) ->
 
     def progress(stage: str, done: int, _total: int) -> None:
         if stage == "population estimate" and done >= 2 and not killed:
-            killed.append(executor.pids[0])
+            killed.append(pids(executor)[0])
             os.kill(killed[0], signal.SIGKILL)
 
     with Processes(2) as executor:
         _require_same(alone, fit_population(people(), settings=SETTINGS, seed=2, executor=executor, progress=progress))
-        assert killed[0] not in executor.pids
+        assert killed[0] not in pids(executor)
 
 
 @pytest.mark.parametrize(
@@ -144,9 +145,9 @@ def test_a_cluster_that_loses_a_worker_gives_the_same(alone: PopulationFit, kept
 
             def progress(current: str, done: int, _total: int) -> None:
                 if current == stage and done >= 2 and not killed:
-                    pids = client.run(os.getpid)
+                    numbers = client.run(os.getpid)
                     holders = {w for who in client.who_has().values() for w in who} if kept else set()
-                    killed.append(next((pids[w] for w in pids if w in holders), next(iter(pids.values()))))
+                    killed.append(next((numbers[w] for w in numbers if w in holders), next(iter(numbers.values()))))
                     os.kill(killed[0], signal.SIGKILL)
 
             executor = Cluster(client) if kept else client.get_executor(pure=False, retries=5)

@@ -38,6 +38,7 @@ from bayes_impedance.design.loop.device import Device
 from bayes_impedance.design.loop.population_limit import POPULATIONS, limits_of_populations
 from bayes_impedance.design.loop.sampled_loop import SampledLoop, largest_stiffness, sampled_loop, stable
 from bayes_impedance.design.users import UserPopulation, Users, values_of
+from bayes_impedance.units import INTERVAL
 
 _STEPS = 8
 """Points of the midpoint rule along the line to the worst user. By choice: few, as the gradient varies slowly."""
@@ -186,7 +187,7 @@ def stability_map(
     share = np.clip(weights @ found, 0.0, 1.0)
     rng = np.random.default_rng(seed)
     draws = rng.beta(0.5 + effective[:, None] * share, 0.5 + effective[:, None] * (1 - share))
-    low, middle, high = np.quantile(draws, (0.05, 0.5, 0.95), axis=0)
+    low, middle, high = np.quantile(draws, INTERVAL, axis=0)
     return StabilityMap(
         device=device,
         stiffness=stiffness,
@@ -238,7 +239,7 @@ def limit_of(
     of_populations = limits_of_populations(
         population, device, damping, share, highest=highest, seed=seed, populations=populations
     )
-    low, middle, high = np.quantile(of_populations, (0.05, 0.5, 0.95))
+    low, middle, high = np.quantile(of_populations, INTERVAL)
     return Limit(
         damping=damping,
         share=share,

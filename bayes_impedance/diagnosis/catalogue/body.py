@@ -121,7 +121,7 @@ BODY_SQUEEZE_FILM = register(
     )
 )
 
-BODYRESONATOR = register(
+BODY_RESONATOR = register(
     Effect(
         id="body.resonator",
         name="further joint or bone",

@@ -23,7 +23,7 @@ from bayes_impedance.diagnosis.fit.model import Model
 from bayes_impedance.diagnosis.fit.normal_equations import marginal, quadratic
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.network.elements import kind_of
-from bayes_impedance.units import unit_of
+from bayes_impedance.units import INTERVAL, unit_of
 
 _DRAWS = 2000
 """Draws of the posterior: the 5 % quantile then has an error of a twentieth of a standard deviation."""
@@ -192,19 +192,9 @@ def reported(model: Model, addition: int, posterior: CoefficientPosterior, eleme
 
 
 def _reported(name: str, unit: str, values: np.ndarray, dispersion: np.ndarray | None) -> Reported:
-    low, middle, high = (float(q) for q in np.quantile(values, (0.05, 0.5, 0.95)))
-    if dispersion is None:
-        return Reported(
-            name=name,
-            unit=unit,
-            median=middle,
-            q05=low,
-            q95=high,
-            dispersion=None,
-            dispersion_q05=None,
-            dispersion_q95=None,
-        )
-    d_low, d_middle, d_high = (float(q) for q in np.quantile(dispersion, (0.05, 0.5, 0.95)))
+    low, middle, high = (float(q) for q in np.quantile(values, INTERVAL))
+    spread = (None, None, None) if dispersion is None else (float(q) for q in np.quantile(dispersion, INTERVAL))
+    d_low, d_middle, d_high = spread
     return Reported(
         name=name,
         unit=unit,

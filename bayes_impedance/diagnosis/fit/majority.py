@@ -1,9 +1,10 @@
-"""People who seem to form a group, started where the others are: a group may be no more than a second optimum.
+"""Refit of people who seem to form a group, from starts among the others: the group may be only a local optimum.
 
-One person's recordings may be described nearly as well by quite other elements. Whoever was left there differs from
-everybody else, and several of them look like a group. Under the population of the others alone, their starts at its
-centre tell, and at the ends of searches alone: if a person's evidence is larger there than it was, the person belongs
-to the others. The population is then fitted anew, and kept if the evidence of all people is larger.
+A person's likelihood may have a second optimum, nearly as good, at quite different elements. People whose fits ended
+there differ from everybody else, and several of them look like a group. They are therefore fitted again under the
+population of the others alone, from its centre and from searches of their own. If a person's evidence is larger there,
+the person is counted with the others. The population is then fitted again, and kept if the evidence of all people is
+larger.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ _ROUNDS = 30
 
 
 def joined(refitter: Refitter, fit: Refit, group: np.ndarray) -> Refit:
-    """The fit with people of a group moved to the others, or the reverse, where that is better; else the fit itself.
+    """The fit with people of a group started among the others, or the reverse, if that is better; else the fit itself.
 
     Parameters
     ----------

@@ -1,10 +1,11 @@
 """People who are described much worse than most are searched alone, from starts far from the population.
 
-Most people in the right valley hold the population there, and draws of it do not lead a person out of another valley
-whose own values lie at its edge: with a line of distributed mass, those whose first standing wave lies inside the band.
-One such person among 45 cost 1800 nats, and another explanation won. So these people are searched from starts that are
-spread several times as wide as the population, by the bounded and by the exact error, under a prior as wide. Whether an
-end is taken is decided by the population's evidence.
+A person may stay in a local optimum although most people, and so the population, are at the right one. Starts drawn
+from the population do not help if the person's own values lie at its edge: with a line of distributed mass, these are
+the people whose first standing wave lies inside the band. One such person among 45 cost 1800 nats, and a wrong
+explanation was chosen. So these people are searched from starts that are spread several times as wide as the
+population, by the bounded and by the exact error, under a prior of the same width. The population's evidence decides
+whether the optimum that is found replaces the old one.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from bayes_impedance.person.mode import all_modes
 
 _BADLY = 2.0
 """Noise scale, over the median person's, from which a person counts as described badly. By choice: people's noise
-differs by less, and another valley costs more."""
+differs by less, and a wrong optimum costs more."""
 
 _WIDER, _STARTS = 3.0, 16
 """Spread of the starts in the population's standard deviations, and their number. By choice: people three standard
@@ -37,7 +38,7 @@ _STEPS = 40
 
 
 def ends_of_outliers(fit: Refit, start: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """The start (M, P) with the rows of people who are described badly at the end of their own search.
+    """The start (M, P), in which people who are described badly begin where a search of their own has ended.
 
     Parameters
     ----------
@@ -55,7 +56,7 @@ def ends_of_outliers(fit: Refit, start: np.ndarray, rng: np.random.Generator) ->
 def search_alone(
     fit: Refit, start: np.ndarray, people: np.ndarray, population: Population, rng: np.random.Generator
 ) -> np.ndarray:
-    """The start (M, P) with the rows of some people at the ends of their own searches.
+    """The start (M, P), in which some people begin where a search of their own has ended.
 
     Parameters
     ----------

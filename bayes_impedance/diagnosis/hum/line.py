@@ -3,8 +3,8 @@ r"""Hum of the electric mains: a narrow additive line at 50 or 60 Hz and its har
 Hum has the phase of the mains, which is random in each recording unless the recording is synchronised to them. So it
 appears as excess scatter at few points (:mod:`~bayes_impedance.diagnosis.hum.neighbours`) or, if synchronised, as the
 same error in all recordings. Hum must not extend to the neighbouring points, and it must scatter between the
-repetitions of a person: a badly described resonance is wide, and the same in all repetitions. One person's resonance
-that nothing damps can be as narrow as hum; so hum must be found without the person in whom it is strongest, too.
+repetitions of a person: a badly described resonance is wide, and the same in all repetitions. An undamped resonance of
+one person can be as narrow as hum; so hum must also be found without the person in whom it is strongest.
 
 Weak hum may be significant at no single harmonic. Therefore Fisher's combination of the first m of them,
 
@@ -49,8 +49,9 @@ _AFFECTED_P = 0.01
 """Level at which a single harmonic counts as affected once the combination is significant. By choice."""
 
 _ENOUGH_TO_OMIT = 5
-"""Number of people from which hum must be found without the one in whom it is strongest as well. By choice: it is in
-everybody's recordings, and a fifth of them is little; a pole of one person that falls onto the line is in one's."""
+"""Number of people from which hum must be found without the one in whom it is strongest as well. By choice: hum
+is in everybody's recordings, so that four fifths of them show it as well; a resonance at the line's frequency is in
+those of one person only."""
 
 CHI_SQUARE_Q90 = NORMAL_Q95**2
 """Drop of twice the log likelihood at the ends of a 90 % interval: chi-square with one degree of freedom."""

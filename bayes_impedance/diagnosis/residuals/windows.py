@@ -31,8 +31,7 @@ import numpy as np
 
 from bayes_impedance.diagnosis.residuals.nodes import Pooled, contrast_matrix
 
-_SMALLEST_WINDOW = 3.0
-_SHAPED_WINDOW = 6
+_SMALLEST_WINDOW, _SHAPED_WINDOW = 3.0, 6
 """Points in the narrowest window, and in the narrowest that is also searched for a slope and for a bend. By choice:
 three points average single ones; six are twice the three terms constant, slope and bend."""
 

@@ -52,9 +52,9 @@ _ENDS = 3
 
 
 def wholly_off(fit: Refit) -> bool:
-    """Whether the model describes so little of the recordings that its derivatives do not say what is missing.
+    """Whether the model is too far from the recordings for its derivatives to show what is missing.
 
-    This is so if the relative error of most people exceeds
+    The criterion is the median person's relative error, above
     :data:`~bayes_impedance.diagnosis.residuals.absolute_fit.GROSS_ERROR`.
     """
     errors, row = [], 0
@@ -67,10 +67,10 @@ def wholly_off(fit: Refit) -> bool:
 
 
 def of_the_chain(fit: Refit, effects: Sequence[Effect]) -> list[Candidate]:
-    """Delays and filters, at the port, that the model has not.
+    """Delays and filters at the port that the model does not contain yet.
 
-    Masses, springs and dampers of the rig are left out: an over-subtraction of more than the whole load describes
-    recordings of anything, also complex conjugates.
+    Masses, springs and dampers of the rig are left out: with more subtracted than the whole load they fit recordings of
+    anything, even complex conjugates.
     """
     taken = {addition.key for addition in fit.model.additions}
     return [

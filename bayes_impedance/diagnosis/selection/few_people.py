@@ -1,22 +1,22 @@
 r"""A further effect in the recordings of few people, from whom no standard error over people can be taken.
 
-An effect of the body has a mean, a dispersion and often a shape, which take people to be estimated. One of the
-measurement chain is one number for everybody, and one recording of enough frequencies can hold two of them: a low-pass
-and a lag. What is in doubt is then not the number of people but that of independent facts. Where the better model
-leaves structure, neighbouring residuals err together, and so do those of all repetitions, while a difference of log
-evidence counts each as a fact of its own. With the whitened residuals :math:`w_{jf}` of J repetitions, their mean
+An effect of the body has a mean, a dispersion and often a shape, and these can be estimated only from several people.
+An effect of the measurement chain is one number for everybody, and one recording of enough frequencies can determine
+two of them: a low-pass and a lag. The question is then how many of the residuals are independent. Where the better
+model leaves structure, neighbouring residuals are correlated, and so are those of all repetitions, but a difference of
+log evidence counts them as independent. With the whitened residuals :math:`w_{jf}` of J repetitions, their mean
 :math:`\bar w_f` and its autocorrelation :math:`\rho_k` k points apart,
 
 .. math:: \kappa = \Bigl(1 + 2 \sum_{k < K} \rho_k\Bigr)
           \max\Bigl(1, \frac{J \sum_f |\bar w_f|^2}{\frac1J \sum_{jf} |w_{jf}|^2}\Bigr)
 
-residuals say one thing: 1 for noise, J for a structure that all repetitions share. (K is the first k with
+residuals count as one: kappa is 1 for noise, J for a structure that all repetitions share. (K is the first k with
 :math:`\rho_k \le 0`.) A further effect counts if its difference of log evidence, divided by the kappa of the better
 model, exceeds :data:`~bayes_impedance.diagnosis.selection.compare.LEAST_GAIN`, and if it predicts blocks of frequencies
 that were held out better than the model without it does.
 
-In a motor's recordings a lag of 0.1 ms had 76 to 3000 nats, of which this leaves 43 to 67; after it a high-pass that
-the motor has not had 55, of which it leaves 2.6.
+In a motor's recordings a lag of 0.1 ms gained 76 to 3000 nats, which division by kappa reduces to 43 to 67. A high-pass
+that the motor does not have then gained 55 nats, which it reduces to 2.6.
 """
 
 from __future__ import annotations

@@ -1,14 +1,15 @@
 r"""Starts of effects that bring poles of their own, such as lines: a coefficient from a grid.
 
-A line whose standing waves lie inside the band has no path from zero: on the way poles cross the band, and every
-crossing is another optimum. So a grid of coefficients is tried in each person. With the coefficient at x, the elements
-one step of Gauss and Newton further and the person's noise scale integrated out
+A line whose standing waves lie inside the band cannot be reached from a coefficient of zero: on the way its poles cross
+the band, and every crossing is another optimum. So a grid of coefficients is tried in each person. With the coefficient
+at x, the elements after one Gauss-Newton step and the person's noise scale integrated out
 (:mod:`bayes_impedance.diagnosis.fit.fitter`), the person's log likelihood is
 
 .. math:: \ell_i(x) = -(\alpha + N_i)\,\ln\bigl(\beta + \tfrac12\,|(1 - QQ^T)\,r_i(x)|^2\bigr)
 
 with Q a basis of what the elements can absorb there. The median of the best x is everybody's start, because a person
-whose best lies far from it is as likely on a wrong branch; what people gain together decides whether a refit is tried.
+whose best lies far from it has probably found another optimum; the gain of all people together decides whether a refit
+is tried.
 """
 
 from __future__ import annotations

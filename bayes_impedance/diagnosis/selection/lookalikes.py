@@ -1,11 +1,11 @@
 r"""Effects that look like the leading one at its place, fitted from where the leader ended.
 
 Two effects may be almost the same curve in the band: a squeeze film and one relaxation, a reflex that responds to a
-stretch and one that responds to its velocity. Whether the recordings tell them apart is known only if both have arrived
-at their best. The scan ranks effects by what the fit *without* them leaves, and may miss the lookalike there; and a
-refit from its own start may end elsewhere. So it begins at the leader's elements and at the leader's shapes, where they
-have the same name, with coefficients that change the impedance as the leader does: with :math:`\Delta` the leader's
-change and J the derivative by the lookalike's coefficient at zero,
+stretch and one that responds to its velocity. Whether the recordings separate them is known only after both fits have
+converged. The scan ranks effects by the residuals of the fit *without* them, and may miss the lookalike there; a refit
+from its own start may end in another optimum. So the refit starts from the leader's elements, from those of the
+leader's shapes that have the same name, and with coefficients that change the impedance as the leader does: with
+:math:`\Delta` the leader's change and J the derivative by the lookalike's coefficient at zero,
 
 .. math:: x = \frac{\sum \operatorname{Re}(\bar J \Delta)/|z|^2}{\sum |J|^2/|z|^2} .
 """

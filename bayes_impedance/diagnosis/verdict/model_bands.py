@@ -16,12 +16,10 @@ from bayes_impedance.diagnosis.residuals.locate import residual_maps
 from bayes_impedance.diagnosis.types import Snapshot
 from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.results.curve_errors import common_grid, coverage, error_curves, on_grid, relative_rms
+from bayes_impedance.units import INTERVAL
 
 _DRAWS = 600
 """Predictive draws: the probability below the 5 % quantile then has a standard error of 0.9 %."""
-
-_QUANTILES = (0.05, 0.5, 0.95)
-"""Median and ends of the 90 % band."""
 
 
 def snapshot(
@@ -60,8 +58,8 @@ def snapshot(
     sd = np.abs(z) * noise[rng.integers(len(noise), size=_DRAWS)]
     z = z + sd * (rng.normal(size=z.shape) + 1j * rng.normal(size=z.shape))
     z = z[np.all(np.isfinite(z), axis=1)]
-    magnitude = np.quantile(np.abs(z), _QUANTILES, axis=0)
-    phase = np.quantile(np.angle(z, deg=True), _QUANTILES, axis=0)
+    magnitude = np.quantile(np.abs(z), INTERVAL, axis=0)
+    phase = np.quantile(np.angle(z, deg=True), INTERVAL, axis=0)
     centre = np.empty((1, shared.size))
     centre[:, shared], centre[:, ~shared] = fit.shared_value, fit.u[:, ~shared].mean(axis=0)
     if not one_person:

@@ -21,6 +21,7 @@ from bayes_impedance.intake.quantities import channel_of, is_response_unit
 from bayes_impedance.runtime.user_table import shown
 
 _TIME, _RESPONSE, _COHERENCE = 1, 4, 6
+"""Function types of dataset 58: time response, frequency response function, coherence."""
 _SI = {8: "m", 9: "N", 11: "m/s", 12: "m/s^2", 13: "N"}
 
 

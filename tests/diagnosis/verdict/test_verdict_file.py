@@ -72,6 +72,8 @@ def test_what_is_not_finite_becomes_null_and_is_read_as_unknown() -> None:
         (lambda r: r["physics"][0].pop("story"), "fit no kind of entry"),
         (lambda r: r["physics"][0].update(colour="red"), "fit no kind of entry"),
         (lambda r: r.update(network=["m1"]), "not a verdict of schema 1"),
+        (lambda r: r.update(network=["m1", None]), "a network is None, but must be a text"),
+        (lambda r: r.update(extended_network=5), "a network is 5, but must be a text"),
     ],
 )
 def test_what_is_no_verdict_is_said_to_be_none(change: Callable[[dict[str, Any]], object], said: str) -> None:
