@@ -77,6 +77,7 @@ def fit_of(network: str, subjects: int = 12, repetitions: int = 2, **changes: An
         person_log_likelihood=np.zeros((1, DRAWS, subjects)),
         deviations=(),
         noise=(),
+        noise_model=None,
         noise_scale=np.ones(subjects),
         identified=np.ones(p, dtype=bool),
         diagnostics=diagnostics,
