@@ -48,7 +48,7 @@ def one_case(case: Mapping[str, Any]) -> Record:
     from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
     from bayes_impedance.diagnosis.selection.score_scan import screen
     from bayes_impedance.diagnosis.selection.shortlist import ALPHA
-    from bayes_impedance.diagnosis.selection.stepwise import Step
+    from bayes_impedance.diagnosis.selection.step import Step
 
     plan = Plan(
         kinds=(case["kind"],),

@@ -43,7 +43,7 @@ from bayes_impedance.diagnosis.residuals.locate import locate
 from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN
 from bayes_impedance.diagnosis.selection.score_scan import screen
 from bayes_impedance.diagnosis.selection.shortlist import ALPHA, best_shapes, poolings_for, try_candidate
-from bayes_impedance.diagnosis.selection.stepwise import Step
+from bayes_impedance.diagnosis.selection.step import Step
 from bayes_impedance.diagnosis.selection.unnamed import ALPHA as STRUCTURE_ALPHA
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.population.fit import PopulationFit

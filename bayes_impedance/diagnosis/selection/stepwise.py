@@ -2,7 +2,8 @@
 
 Each step screens all candidates with the previous additions in the model, refits the most promising ones with the whole
 population and keeps the best. The search stops when no candidate is significant after correction for all that were
-tried, when none improves the evidence, or when there are too few people for more additions.
+tried, when none improves the evidence, or when there are too few people for more additions. Then earlier choices are
+compared with their rivals beside the later ones (:mod:`.exchange`).
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -21,11 +23,13 @@ from bayes_impedance.diagnosis.fit.model import Addition
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN, compare, log_evidence
+from bayes_impedance.diagnosis.selection.exchange import rival_beginnings
 from bayes_impedance.diagnosis.selection.few_people import holds_beside
 from bayes_impedance.diagnosis.selection.finalists import finalists, with_lookalikes
 from bayes_impedance.diagnosis.selection.misfit import dependence
-from bayes_impedance.diagnosis.selection.score_scan import Screening, screen
+from bayes_impedance.diagnosis.selection.score_scan import screen
 from bayes_impedance.diagnosis.selection.shortlist import ALPHA, Trial, from_afar, try_shortlist
+from bayes_impedance.diagnosis.selection.step import Step
 from bayes_impedance.runtime.progress import Progress
 
 MOST_ADDITIONS = 4
@@ -41,44 +45,6 @@ choice."""
 
 _SECOND_CHANCES = 3
 """Explanations of a step that are compared with the model without them, best first, until one is decided. By choice."""
-
-SPREAD_PENALTY = float(np.log(100.0))
-"""Stricter level for the spread between people, by a factor of 100: noise of a different shape in some people looks
-similar. By choice."""
-
-
-@dataclass(frozen=True)
-class Step:
-    """One step of the forward selection.
-
-    Attributes
-    ----------
-    before : Refit
-        Without the addition.
-    residuals : tuple of PersonResiduals
-        Of that fit.
-    screening : Screening
-        Of that fit.
-    trials : tuple of Trial
-        All refits.
-    chosen : Trial or None
-        The addition of this step.
-    """
-
-    before: Refit
-    residuals: tuple[PersonResiduals, ...]
-    screening: Screening
-    trials: tuple[Trial, ...]
-    chosen: Trial | None
-
-    @property
-    def log_p(self) -> float:
-        """Smallest corrected log p-value among candidates with an admissible sign, of a shared or a varying effect."""
-        s = self.screening
-        z = np.where(s.physical, np.nan_to_num(s.z), 0.0)
-        body = np.array([c.effect.side == "body" for c in s.candidates], dtype=bool)
-        spread = float(np.min(np.where(body & s.physical, s.log_p_spread, 0.0), initial=0.0))
-        return min(float(s.log_p(np.abs(z).max(initial=0.0))), spread + SPREAD_PENALTY)
 
 
 @dataclass(frozen=True)
@@ -133,10 +99,46 @@ def search(
     begin : Refit, optional
         Fit of the same model as `base`, at which the first step screens and starts its refits.
     """
+    forward = partial(_forward, refitter, names=names, seed=seed, executor=executor, progress=progress)
+    way = forward(_Way(base, base, (), None), effects=effects, begin=begin)
+    for beginning, later in rival_beginnings(way.steps):
+        rival = _Way(way.base, beginning[-1].after, tuple(beginning), None)
+        if log_evidence(forward(rival, effects=later).fit) > log_evidence(way.fit) + LEAST_GAIN:
+            way = forward(rival, effects=effects)
+            break
+    base, fit, steps, posterior = way.base, way.fit, way.steps, way.posterior
+    final = _backward(refitter, base, fit, seed)
+    if final.model.additions and (final is not fit or posterior is None):
+        final, posterior = measured(refitter, final, seed)
+    progress("looking for what is missing", MOST_ADDITIONS + 1, MOST_ADDITIONS + 1)
+    return Found(base, final, steps, posterior if final.model.additions else None)
+
+
+@dataclass(frozen=True)
+class _Way:
+    """Where a search has come to."""
+
+    base: Refit
+    fit: Refit
+    steps: tuple[Step, ...]
+    posterior: CoefficientPosterior | None
+
+
+def _forward(
+    refitter: Refitter,
+    way: _Way,
+    names: Sequence[str],
+    effects: Sequence[Effect],
+    seed: int,
+    executor: Executor,
+    progress: Progress,
+    begin: Refit | None = None,
+) -> _Way:
+    """Steps from there until nothing is significant, or better, any more."""
     most, of_any_kind = MOST_ADDITIONS, max(1, len(refitter.data) // _PEOPLE_PER_ADDITION)
     of_the_chain = tuple(e for e in effects if e.side == "rig" and e.operation and len(e.coefficients) == 1)
-    fit, steps, posterior = base, list[Step](), None
-    number = repeats = 0
+    base, fit, steps, posterior = way.base, way.fit, list(way.steps), way.posterior
+    number, repeats = len(steps), 0
     while number <= most:
         progress("looking for what is missing", number, most + 1)
         few = number >= of_any_kind
@@ -176,11 +178,7 @@ def search(
             break
         fit = step.chosen.fit
         number += 1
-    final = _backward(refitter, base, fit, seed)
-    if final is not fit and final.model.additions:
-        final, posterior = measured(refitter, final, seed)
-    progress("looking for what is missing", most + 1, most + 1)
-    return Found(base, final, tuple(steps), posterior if final.model.additions else None)
+    return _Way(base, fit, tuple(steps), posterior)
 
 
 def _without_last(refitter: Refitter, fit: Refit, grown: Refit) -> Refit | None:

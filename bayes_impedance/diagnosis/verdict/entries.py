@@ -25,7 +25,8 @@ from bayes_impedance.diagnosis.heterogeneity.subgroups import Subgroup
 from bayes_impedance.diagnosis.heterogeneity.tests import ElementTrends, Structure
 from bayes_impedance.diagnosis.hum.line import Hum
 from bayes_impedance.diagnosis.next_experiment.expected_separation import best_sentence, separation
-from bayes_impedance.diagnosis.selection.stepwise import Found, Step, rivals
+from bayes_impedance.diagnosis.selection.step import Step
+from bayes_impedance.diagnosis.selection.stepwise import Found, rivals
 from bayes_impedance.diagnosis.selection.unnamed import Realised
 from bayes_impedance.diagnosis.verdict_types import (
     Alias,

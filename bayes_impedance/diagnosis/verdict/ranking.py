@@ -12,7 +12,8 @@ from bayes_impedance.diagnosis.fit.model import Model
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
 from bayes_impedance.diagnosis.selection.score_scan import Screening
 from bayes_impedance.diagnosis.selection.shortlist import ALPHA, best_shapes
-from bayes_impedance.diagnosis.selection.stepwise import Step, rivals
+from bayes_impedance.diagnosis.selection.step import Step
+from bayes_impedance.diagnosis.selection.stepwise import rivals
 from bayes_impedance.diagnosis.types import Ranked
 from bayes_impedance.diagnosis.verdict_types import Detectable
 from bayes_impedance.units import number_with_unit as number

@@ -16,11 +16,10 @@ from bayes_impedance.diagnosis.catalogue.effect import Candidate, Coefficient, E
 from bayes_impedance.diagnosis.fit.model import Addition
 from bayes_impedance.diagnosis.selection.score_scan import Screening
 from bayes_impedance.diagnosis.selection.shortlist import ALPHA
+from bayes_impedance.diagnosis.selection.step import SPREAD_PENALTY, Step
 from bayes_impedance.diagnosis.selection.stepwise import (
     MOST_ADDITIONS,
-    SPREAD_PENALTY,
     Found,
-    Step,
     rivals,
     search,
 )
