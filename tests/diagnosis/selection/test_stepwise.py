@@ -127,20 +127,7 @@ def test_with_the_right_addition_no_other_coefficient_seems_to_vary() -> None:
 SUM = ("rig.delay", "body.relaxation", "body.springpot/beside_power")
 
 
-@pytest.mark.parametrize(
-    "seed",
-    [
-        1,
-        pytest.param(
-            3,
-            marks=pytest.mark.xfail(
-                strict=True,
-                reason="A power law with exponents of everybody's own stays, and keeps the relaxation out, though the "
-                "structure that it leaves is refused rather than explained.",
-            ),
-        ),
-    ],
-)
+@pytest.mark.parametrize("seed", [1, 2, 3])
 def test_what_later_additions_make_superfluous_is_taken_out_again(seed: int) -> None:
     """A power law is the best single explanation of a delay and a relaxation together, and of neither alone."""
     result = found(("delay", "relaxation"), seed, 24, SUM)
