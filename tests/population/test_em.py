@@ -275,6 +275,9 @@ class Trial:
         assert extra_starts is None
         return 0.0
 
+    def align(self) -> None:
+        pass
+
     def log_evidence(self) -> float:
         return self._evidence
 

@@ -18,8 +18,12 @@ from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.marginal_likelihood import find_ridge, marginal_log_likelihood
 from bayes_impedance.population.fit import PopulationFit, fit_population
 
-TOLERANCE = 0.05
-"""Nats: three times the Monte-Carlo error of the draws of one person."""
+TOLERANCE = 0.1
+"""Nats. The largest error of 144 persons and populations was 0.072, and the same with eight times as many draws: it is
+Laplace's approximation, of somebody whose repetitions differ by several of the population's dispersions."""
+
+TYPICAL = 0.02
+"""Nats: the median error, three times what the draws of one person leave."""
 
 CASES = {
     "r1": (one_damper, np.array([0.7]), [1, 2, 3, 2, 1, 3, 2, 1], 12, 81),
@@ -53,7 +57,9 @@ def test_densities_equal_a_brute_force_integral(case: tuple[str, PopulationFit])
     rows = np.flatnonzero(smallest > 0.03)[::60][:3]  # the grid resolves dispersions of this size
     assert len(rows) == 3
     expected = np.array([[brute(network, fit, i, row) for i in range(found.shape[1])] for row in rows])
-    assert np.all(np.abs(found[rows] - expected) < TOLERANCE)
+    error = np.abs(found[rows] - expected)
+    assert error.max() < TOLERANCE
+    assert np.median(error) < TYPICAL
     assert np.ptp(expected, axis=0).max() > 10 * TOLERANCE  # the populations do differ
 
 
