@@ -4,7 +4,7 @@ A network that lacks something describes people by elements that nobody has: som
 where the impedance no longer depends on their logarithm. A refit with the missing effect that begins there stays there,
 and a right explanation loses against a wrong one. So refits also begin *cold*: all people at the median person's
 elements, with a typical dispersion, and elements that were driven away at the value at which their impedance has the
-recordings' magnitude in the middle of the band.
+recordings' magnitude in the middle of the band. They also begin at the elements of the best explanation found so far.
 """
 
 from __future__ import annotations
@@ -55,6 +55,31 @@ def cold_start(without: Refit, grown: Refit) -> tuple[np.ndarray, Population]:
     u = grown.u.copy()
     u[:, :n] = centre
     return u, population_around(grown.population, centre)
+
+
+def beside_the_leader(fit: Refit, leader: Refit) -> tuple[np.ndarray, Population]:
+    """Start of another refit of a model, with the network's elements of a fit with another addition.
+
+    Parameters
+    ----------
+    fit : Refit
+        Where the additions begin.
+    leader : Refit
+        Where the elements begin; of the same network and people.
+
+    Returns
+    -------
+    u : ndarray, shape (M, P)
+    population : Population
+    """
+    n = fit.model.n_elements
+    u, mu, covariance, rho = (
+        x.copy() for x in (fit.u, fit.population.mu, fit.population.covariance, fit.population.rho)
+    )
+    u[:, :n], mu[:n], rho[:n] = leader.u[:, :n], leader.population.mu[:n], leader.population.rho[:n]
+    covariance[:n], covariance[:, :n] = 0.0, 0.0
+    covariance[:n, :n] = leader.population.covariance[:n, :n]
+    return u, Population(mu, covariance, rho)
 
 
 def population_around(population: Population, centre: np.ndarray) -> Population:

@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from bayes_impedance.diagnosis.catalogue.effect import Effect
+from bayes_impedance.diagnosis.fit.cold_start import beside_the_leader
 from bayes_impedance.diagnosis.fit.extend import extended_start, has_shapes, is_physical, with_pooling
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.refit import Refit
@@ -90,7 +91,11 @@ def _with_own_shapes(refitter: Refitter, fit: Refit, trial: Trial) -> Trial:
 def _at_rest(
     refitter: Refitter, fit: Refit, ranked: Sequence[Trial], effects: Sequence[Effect], seed: int
 ) -> list[Trial]:
-    """The finalists after convergence; the leader's effect at another place begins at the leader's fit."""
+    """The finalists after convergence; the leader's effect at another place begins at the leader's fit.
+
+    Other effects also begin at the leader's elements: an element that the model without either had driven away may
+    have come back beside one of them only.
+    """
     leader = _again(ranked[0], refitter.settle(ranked[0].fit, seed), fit)
     result = [leader]
     for trial in ranked[1:]:
@@ -99,6 +104,8 @@ def _at_rest(
             grown = refitter.fit(model, leader.fit.u, leader.fit.population, _ROUNDS)
             result.append(_better_of(trial, _again(trial, grown, fit)))
         else:
+            beside = refitter.fit(trial.fit.model, *beside_the_leader(trial.fit, leader.fit), _ROUNDS)
+            trial = _better_of(trial, _again(trial, beside, fit))
             result.append(_settled(refitter, fit, trial, seed, tries=2, rounds=1))
     result = in_order(result, effects)
     if result[0] is not leader:

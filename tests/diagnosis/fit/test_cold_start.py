@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from experiments import TOY, Experiment, entry, toy
 
-from bayes_impedance.diagnosis.fit.cold_start import cold_start, driven_away
+from bayes_impedance.diagnosis.fit.cold_start import beside_the_leader, cold_start, driven_away
 from bayes_impedance.diagnosis.fit.extend import extended_start
 from bayes_impedance.diagnosis.fit.majority import joined
 from bayes_impedance.diagnosis.fit.model import Addition
@@ -54,6 +54,22 @@ def test_a_cold_start_is_the_median_person_and_the_middle_of_the_band() -> None:
     assert np.all(np.diag(population.covariance) > 0)
     again = experiment.refitter.fit(model, u, population, 80)
     assert again.evidence.sum() == pytest.approx(grown.evidence.sum(), abs=3)
+
+
+def test_beside_the_leader_are_its_elements_and_the_own_addition() -> None:
+    experiment = toys()
+    delay = experiment.grown(Addition(effect=entry("rig.delay"), place="port", pooling="shared"))
+    mass = experiment.grown(Addition(effect=entry("body.mass"), place="port", pooling="varying"))
+    own = experiment.refitter.fit(mass, *extended_start(experiment.fit(), mass), 3)
+    leader = experiment.refitter.fit(delay, *extended_start(experiment.fit(), delay), 3)
+    moved = replace(leader, u=leader.u + 0.5, population=replace(leader.population, mu=leader.population.mu + 0.5))
+    u, population = beside_the_leader(own, moved)
+    np.testing.assert_array_equal(u[:, :2], moved.u[:, :2])
+    np.testing.assert_array_equal(u[:, 2], own.u[:, 2])
+    np.testing.assert_array_equal(population.mu, [*moved.population.mu[:2], own.population.mu[2]])
+    np.testing.assert_array_equal(population.covariance[:2, :2], leader.population.covariance[:2, :2])
+    assert population.covariance[2, 2] == own.population.covariance[2, 2]
+    np.testing.assert_array_equal(population.covariance[2, :2], 0.0)
 
 
 def in_the_other_optimum(fit: Refit, people: np.ndarray) -> Refit:
