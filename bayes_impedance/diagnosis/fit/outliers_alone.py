@@ -4,9 +4,9 @@ A person may stay in a local optimum although most people, and so the population
 from the population do not help if the person's own values lie at its edge: with a line of distributed mass, these are
 the people whose first standing wave lies inside the band. One such person among 45 cost 1800 nats, and a wrong
 explanation was chosen. So these people are searched from starts that are spread several times as wide as the
-population, by the bounded and by the exact error, under a prior of the same width. Further starts change only the
-elements that lie outside of this spread, if there are any. The population's evidence decides whether the optimum that
-is found replaces the old one.
+population, by the bounded and by the exact error, under a prior of the same width. A thorough search also begins at the
+person's own optimum with only those elements drawn that lie outside of this spread. The population's evidence decides
+whether the optimum that is found replaces the old one.
 """
 
 from __future__ import annotations
@@ -38,8 +38,9 @@ _MOST = 0.25
 _HELD = 1e-4
 """Prior width that holds shared parameters at their values. By choice: far below their standard errors."""
 
-_STEPS = 40
-"""Largest number of steps of the exact search. By choice, as in the first fits."""
+_FIRST_STEPS, _STEPS = 4, 40
+"""Largest numbers of steps of the exact search, from all starts and from the best. By choice, the second as in the
+first fits."""
 
 
 def ends_of_outliers(fit: Refit, start: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -59,7 +60,12 @@ def ends_of_outliers(fit: Refit, start: np.ndarray, rng: np.random.Generator) ->
 
 
 def search_alone(
-    fit: Refit, start: np.ndarray, people: np.ndarray, population: Population, rng: np.random.Generator
+    fit: Refit,
+    start: np.ndarray,
+    people: np.ndarray,
+    population: Population,
+    rng: np.random.Generator,
+    thorough: bool = False,
 ) -> np.ndarray:
     """The start (M, P), in which some people begin where a search of their own has ended.
 
@@ -71,6 +77,8 @@ def search_alone(
     population : Population
         Around which the starts are spread.
     rng : Generator
+    thorough : bool
+        Also begin at a person's own optimum with only those elements drawn that lie far outside of the population.
     """
     varying = ~fit.model.shared
     precision = np.eye(varying.size) / _HELD**2
@@ -92,9 +100,11 @@ def search_alone(
         lost[varying] = np.abs(fit.u[rows[0]] - centre)[varying] > _WIDER * sd
         # The others may be right already: in fewer dimensions a narrow optimum is hit sooner.
         starts[_STARTS:, ~lost] = fit.u[rows[0], ~lost]
-        starts = starts if lost.any() else starts[:_STARTS]
+        starts = starts if thorough and lost.any() else starts[:_STARTS]
         nearer = bounded_search(fit.model.kernel, one, starts, centre, precision)
         everywhere = np.concatenate([starts, nearer])
-        ends, values, _ = all_modes(fit.model.kernel, one, everywhere, centre, precision, _STEPS)
+        near, values, _ = all_modes(fit.model.kernel, one, everywhere, centre, precision, _FIRST_STEPS)
+        best = np.argsort(values, kind="stable")[: 2 * _STARTS]
+        ends, values, _ = all_modes(fit.model.kernel, one, near[best], centre, precision, _STEPS)
         start[np.ix_(rows, np.flatnonzero(varying))] = ends[int(np.argmin(values))][varying]
     return start
