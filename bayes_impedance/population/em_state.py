@@ -15,6 +15,7 @@ from scipy.linalg import block_diag
 
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.person.likelihood import Likelihood
+from bayes_impedance.person.mode import Mode
 from bayes_impedance.population.alignment import aligned
 from bayes_impedance.population.e_step import (
     PersonFit,
@@ -54,13 +55,18 @@ _SHORTER = 6
 of the step, below which the iteration goes on without it."""
 
 
-def _begun_at(_: Likelihood, theta: np.ndarray, deviations: np.ndarray) -> Placed:
-    return Placed(theta, deviations)
+def _kept(fit: PersonFit) -> tuple[np.ndarray, float, np.ndarray, np.ndarray]:
+    """What the next iteration takes from a person's fit: log elements, noise scale and both kinds of deviations."""
+    return fit.theta, fit.mode.scale, fit.deviations, fit.expanded
 
 
-def _place(fit: PersonFit) -> tuple[np.ndarray, np.ndarray]:
-    """Log elements and deviations of a person, from which the next iteration starts."""
-    return fit.theta, fit.deviations
+def _restored(
+    _: Likelihood, theta: np.ndarray, scale: float, deviations: np.ndarray, expanded: np.ndarray
+) -> PersonFit:
+    """A person's fit from :func:`_kept`; what the next iteration computes anew is empty."""
+    nothing = np.empty(0)
+    mode = Mode(theta=theta, objective=np.nan, precision=nothing, information=nothing, scale=scale, decrement=np.nan)
+    return PersonFit(mode=mode, deviations=deviations, expanded=expanded, gradient=nothing, information=nothing)
 
 
 def _placed(fit: PersonFit) -> Placed:
@@ -120,16 +126,18 @@ class State:
 
     def snapshot(self) -> dict[str, np.ndarray]:
         """Arrays that determine the next iteration, for the checkpoint."""
-        places = self.fits.gathered(_place)
+        theta, scale, deviations, expanded = zip(*self.fits.gathered(_kept), strict=True)
         return {
             "mu": self.mu.copy(),  # of both, an iteration writes into the array itself
             "slopes": self.slopes.copy(),
             "covariance": self.covariance,
             "rho": self.rho,
             "phi": self.phi,
-            "theta": np.array([theta for theta, _ in places]),
-            "deviations": np.concatenate([deviations for _, deviations in places]),
-            "repetitions": np.array([len(deviations) for _, deviations in places]),
+            "theta": np.array(theta),
+            "scale": np.array(scale),
+            "deviations": np.concatenate(deviations),
+            "expanded": np.concatenate(expanded),
+            "repetitions": np.array([len(own) for own in deviations]),
         }
 
     def restore(self, snapshot: Mapping[str, np.ndarray]) -> None:
@@ -137,8 +145,10 @@ class State:
         self.mu, self.slopes = snapshot["mu"].copy(), snapshot["slopes"].copy()
         self.covariance, self.rho = snapshot["covariance"], snapshot["rho"]
         self.phi = snapshot["phi"]
-        own = np.split(snapshot["deviations"], np.cumsum(snapshot["repetitions"])[:-1])
-        self.fits = self.data.each(_begun_at, snapshot["theta"], own)
+        ends = np.cumsum(snapshot["repetitions"])[:-1]
+        own = (np.split(snapshot[name], ends) for name in ("deviations", "expanded"))
+        self.fits = self.data.each(_restored, snapshot["theta"], snapshot["scale"].tolist(), *own)
+        self.begun = True  # snapshots are taken after an iteration
 
     @property
     def means(self) -> np.ndarray:
