@@ -25,6 +25,8 @@ _NAME = "belongs_to.txt"
 _OWN_FILES = re.compile(r"(\w+\.npz|ensemble_\d+\.h5)")
 """Names of the files that a fit saves in addition to :data:`_NAME`."""
 _SEAL = "seal"
+_FORMAT = 2
+"""Number of the format of what is saved. Raised by one when arrays change: another version's files are not resumed."""
 _MOST_PIECES, _SMALLEST_PIECE = 64, 16
 """Largest number of pieces, and fewest persons in one. By choice: a kill loses at most a sixty-fourth of the work; with
 fewer than sixteen persons, writing a file would cost more than repeating their fits."""
@@ -49,15 +51,15 @@ def claim(folder: Path, digests: Iterable[str], *settings: object) -> None:
     InputError
         If it belongs to other recordings or settings, or was not made by a fit.
     """
-    digest = hashlib.sha256(repr(settings).encode())
+    digest = hashlib.sha256(repr((_FORMAT, *settings)).encode())
     for own in digests:
         digest.update(own.encode())
     owner, file = digest.hexdigest() + "\n", folder / _NAME
     if file.is_file():
         if file.read_bytes() != owner.encode():
             raise InputError(
-                f"{folder}: the checkpoint is of other data or other options; give the same ones, or start anew "
-                "(without --resume, or with another folder)"
+                f"{folder}: the checkpoint is of other data or other options, or of another version of the package; "
+                "give the same ones, or start anew (without --resume, or with another folder)"
             )
         return
     require_own(folder)

@@ -157,6 +157,15 @@ def test_a_checkpoint_of_another_seed_is_refused(five: tuple[Recordings, Populat
         fit_population(recordings, settings=VERY_SHORT, seed=8, checkpoint=tmp_path)
 
 
+def test_a_checkpoint_of_another_format_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its arrays may lack what this version resumes from."""
+    checkpoint.claim(tmp_path, ["a"], 1)
+    checkpoint.claim(tmp_path, ["a"], 1)
+    monkeypatch.setattr(checkpoint, "_FORMAT", 0)
+    with pytest.raises(InputError, match="another version"):
+        checkpoint.claim(tmp_path, ["a"], 1)
+
+
 def test_damaged_first_fits_and_point_estimate_are_made_anew(
     five: tuple[Recordings, PopulationFit], tmp_path: Path
 ) -> None:
