@@ -10,9 +10,14 @@ But beside a sharp resonance that repositioning moves, the recordings differ by 
 is the magnitude of none of them. With the difference :math:`d_j = \ln |z_j| - \overline{\ln |z|}`, and the noise
 :math:`\varepsilon` relative to the mean, the magnitude of recording j is
 
-.. math:: \overline{\ln |z|} + d_j \, \frac{d_j^2}{d_j^2 + (3 \varepsilon)^2},
+.. math:: \overline{\ln |z|} + d_j \, \frac{d_j^2}{d_j^2 + (3 \varepsilon)^2 + c^2}, \qquad c = 0.5,
 
-the mean's where the difference is noise, its own where it is far more.
+the mean's where the difference is noise or small, its own where it is a large factor. Small differences have to be left
+out even where they exceed the noise. The weight of a point goes with the noise in the magnitude, which shifts the mean
+of the weighted residuals by about :math:`\varepsilon` standard deviations: the same everywhere for the mean over
+repetitions, a gain that the elements absorb, but twice that where the recording's own magnitude is taken. Of fifty
+thousand points of 1 % the difference is two standard errors; three of twenty populations with nothing missing had
+structure of p < 0.002 (with c = 0; none had p < 0.01 with c = 0.5).
 """
 
 from __future__ import annotations
@@ -31,6 +36,10 @@ _BEYOND = 3.0
 """Standard deviations of noise by which a recording's log magnitude differs from the mean over repetitions where half
 of the difference is taken for the recording's own. By choice: noise alone rarely reaches it."""
 
+_MATTERS = 0.5
+"""Difference of log magnitudes of which half is taken for the recording's own, however small the noise. By choice:
+noise that is wrong by a factor below 1.6 costs little precision; beside moved resonances factors are far larger."""
+
 
 def noise_of(subject: Subject, model: NoiseModel | None) -> np.ndarray:
     """Standard deviation of the noise of a person's recordings, before the person's own scale, shape (J, F).
@@ -48,7 +57,7 @@ def noise_of(subject: Subject, model: NoiseModel | None) -> np.ndarray:
     mean = np.mean(log_magnitude, axis=0)
     noise = model.at(subject.frequency_hz, np.exp(mean)) * np.exp(-mean)
     difference = log_magnitude - mean
-    own = difference**2 / (difference**2 + (_BEYOND * noise) ** 2)
+    own = difference**2 / (difference**2 + (_BEYOND * noise) ** 2 + _MATTERS**2)
     return np.array([model.at(subject.frequency_hz, row) for row in np.exp(mean + own * difference)])
 
 
