@@ -87,7 +87,10 @@ def test_elements_without_number_change_nothing_and_are_not_complained_of(
     if hasattr(arviz, "InferenceData"):
         expected = arviz.loo(arviz.from_netcdf(tmp_path / "result.nc"), pointwise=True)
         np.testing.assert_allclose(expected.loo_i.values, found.elpd, rtol=1e-12)
-    np.testing.assert_allclose(found.elpd, leave_one_out(load_result(folders["whole"])).elpd, atol=0.2)
+    whole = leave_one_out(load_result(folders["whole"]))
+    sure = ~whole.doubtful  # of the others, the density depends on the tail that is smoothed, and so on the efficiency
+    assert sure.mean() > 0.6
+    np.testing.assert_allclose(found.elpd[sure], whole.elpd[sure], atol=0.2)
 
 
 def test_results_of_earlier_versions_are_refused(folders: dict[str, Path]) -> None:
