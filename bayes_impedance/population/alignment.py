@@ -21,7 +21,6 @@ from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.marginal_likelihood import LEAST_RHO
 from bayes_impedance.person.mode import find_mode
 from bayes_impedance.population.e_step import PersonFit
-from bayes_impedance.population.shared import Placed
 
 _REACH = 0.1
 """Least prior standard deviation of a recording's log elements about the person's: where the dispersion between
@@ -30,7 +29,7 @@ repetitions starts."""
 
 def aligned(
     kernel: Kernel, precision: np.ndarray, rho: np.ndarray, likelihood: Likelihood, fit: PersonFit, mean: np.ndarray
-) -> PersonFit | Placed:
+) -> PersonFit:
     """The fit of a person, or a better place if the recordings are described badly and have one.
 
     Parameters
@@ -61,4 +60,7 @@ def aligned(
     least = np.maximum(rho, LEAST_RHO)
     gain = fit.mode.objective - mode.objective
     gain += 0.5 * float(np.sum((fit.expanded / least) ** 2) - np.sum((deviations / least) ** 2))
-    return Placed(mode.theta, deviations) if gain > 0 else fit
+    if gain <= 0:
+        return fit
+    nothing = np.empty(0)  # computed by the next iteration
+    return PersonFit(mode=mode, deviations=deviations, expanded=deviations, gradient=nothing, information=nothing)

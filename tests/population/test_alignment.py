@@ -10,7 +10,6 @@ from bayes_impedance.person.bounded_search import GROSS
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.population.alignment import aligned
 from bayes_impedance.population.e_step import begin, expect
-from bayes_impedance.population.shared import Placed
 
 FREQUENCY = np.geomspace(5, 500, 120)
 KERNEL = Kernel(parse("r1-(m1|n1)"))
@@ -38,7 +37,10 @@ def test_linear_steps_do_not_arrive_where_the_search_of_each_recording_does() ->
         fit = expect(KERNEL, PRECISION, RHO, likelihood, fit, THETA, NO_STARTS)
     assert fit.mode.scale > 3  # ten linear steps have not arrived
     place = aligned(KERNEL, PRECISION, RHO, likelihood, fit, THETA)
-    assert isinstance(place, Placed)
+    assert place is not fit
+    # What a step of shared parameters, and a checkpoint, take from a fit between two iterations.
+    assert place.mode.scale < fit.mode.scale
+    np.testing.assert_array_equal(place.expanded, place.deviations)
     np.testing.assert_allclose(place.deviations.sum(axis=0), 0, atol=1e-12)
     there = expect(KERNEL, PRECISION, RHO, likelihood, place, THETA, NO_STARTS)
     assert 0.9 < there.mode.scale < 1.1
