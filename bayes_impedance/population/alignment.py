@@ -62,5 +62,4 @@ def aligned(
     gain += 0.5 * float(np.sum((fit.expanded / least) ** 2) - np.sum((deviations / least) ** 2))
     if gain <= 0:
         return fit
-    nothing = np.empty(0)  # computed by the next iteration
-    return PersonFit(mode=mode, deviations=deviations, expanded=deviations, gradient=nothing, information=nothing)
+    return PersonFit.between_iterations(mode, deviations, deviations)

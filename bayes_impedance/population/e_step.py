@@ -18,7 +18,7 @@ from bayes_impedance.person.bounded_search import GROSS, bounded_search
 from bayes_impedance.person.likelihood import Likelihood, repetition_equations
 from bayes_impedance.person.mode import Mode, find_mode
 from bayes_impedance.person.noise import contrasts
-from bayes_impedance.population.importance_likelihood import Contrasts
+from bayes_impedance.population.contrasts import Contrasts
 from bayes_impedance.population.shared import Placed
 
 
@@ -44,6 +44,12 @@ class PersonFit:
     expanded: np.ndarray
     gradient: np.ndarray
     information: np.ndarray
+
+    @classmethod
+    def between_iterations(cls, mode: Mode, deviations: np.ndarray, expanded: np.ndarray) -> PersonFit:
+        """A fit from which the next iteration begins: what that computes anew is empty."""
+        nothing = np.empty(0)
+        return cls(mode=mode, deviations=deviations, expanded=expanded, gradient=nothing, information=nothing)
 
     @property
     def theta(self) -> np.ndarray:

@@ -34,9 +34,9 @@ from bayes_impedance.network.parameters import LOG
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.mode import Mode
 from bayes_impedance.population.calibrated import inseparable_given
+from bayes_impedance.population.contrasts import Contrasts
 from bayes_impedance.population.e_step import PersonFit, contrasts_of
 from bayes_impedance.population.em_state import State, equations_of, refitted
-from bayes_impedance.population.importance_likelihood import Contrasts
 from bayes_impedance.population.prior import Prior
 from bayes_impedance.population.shared import Pooling
 from bayes_impedance.population.starting_fits import FirstFits

@@ -66,7 +66,7 @@ def _restored(
     """A person's fit from :func:`_kept`; what the next iteration computes anew is empty."""
     nothing = np.empty(0)
     mode = Mode(theta=theta, objective=np.nan, precision=nothing, information=nothing, scale=scale, decrement=np.nan)
-    return PersonFit(mode=mode, deviations=deviations, expanded=expanded, gradient=nothing, information=nothing)
+    return PersonFit.between_iterations(mode, deviations, expanded)
 
 
 def _placed(fit: PersonFit) -> Placed:

@@ -17,160 +17,24 @@ error).
 Where parameters are the same for everybody, monomials in them are further columns of the coefficients, and each
 person's mean is shifted (:mod:`bayes_impedance.population.shared_draws`).
 
-**Between repetitions.** Given a person's mean, the J - 1 orthonormal contrasts d of the deviations
-:math:`\delta_{ij}` are N(0, diag rho^2). A repetition differs little from the person's mean, so the log likelihood of d
-is taken as quadratic, with gradient b and curvature H at zero deviation; each repetition has its own curvature. The
-Gaussian integral has a closed form,
-
-.. math:: \ln p = -\tfrac12 \ln\left|I + D H D\right| + \tfrac12\, b^T D\,(I + D H D)^{-1} D\, b, \qquad D =
-          \operatorname{diag}\rho,
-
-which needs no inverse of H and is smooth down to rho = 0.
+The contrasts between repetitions have a closed form (:mod:`bayes_impedance.population.contrasts`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
+from copy import copy
 
 import numpy as np
 
-from bayes_impedance.network.kernel import compiled
 from bayes_impedance.person.importance_draws import Draws
+from bayes_impedance.population.contrasts import Contrasts
+from bayes_impedance.population.exponentials import sums_of_exponentials
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.shared_draws import Moved, Sharing, monomials, stacked
-from bayes_impedance.runtime.compiled_functions import kept_njit
 
 _BLOCK = 4
 """Persons per matrix product. By choice: W x 4 x K single-precision numbers stay in the processor's cache."""
-
-_summing: Any = kept_njit(nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
-"""Decorator that lets the compiler reorder sums, so that it can use vector instructions."""
-
-
-@dataclass(frozen=True)
-class Contrasts:
-    """Likelihood of the contrasts between repetitions, for persons with the same number of repetitions.
-
-    With C contrasts of P elements each, the combined index runs over contrasts and, within each, over elements.
-
-    Attributes
-    ----------
-    information : ndarray, shape (C P, C P, n)
-        Negative second derivative of the log likelihood of each of n persons.
-    gradient : ndarray, shape (C P, n)
-        Gradient of the log likelihood at zero deviation.
-    """
-
-    information: np.ndarray
-    gradient: np.ndarray
-
-    def log_likelihood(self, rho: np.ndarray) -> np.ndarray:
-        """Log likelihood of dispersions between repetitions, shape (W, P), up to a constant: shape (W,)."""
-        return np.asarray(_contrast_likelihood(self.information, self.gradient, np.ascontiguousarray(rho)))
-
-
-@compiled
-def _contrast_likelihood(information: np.ndarray, gradient: np.ndarray, rho: np.ndarray) -> np.ndarray:
-    size, n = gradient.shape
-    n_elements = rho.shape[1]
-    result = np.empty(rho.shape[0])
-    # Persons are the last, contiguous axis: the compiler handles several of them with one instruction.
-    factor = np.empty((size, size, n))
-    y = np.empty((size, n))
-    for w in range(rho.shape[0]):
-        total = 0.0
-        for p in range(size):  # Cholesky factor of I + D H D, and y = factor^-1 D b
-            scale_p = rho[w, p % n_elements]
-            for q in range(p):
-                scale = scale_p * rho[w, q % n_elements]
-                row, column, entry = factor[p], factor[q], information[p, q]
-                target = row[q]
-                for i in range(n):
-                    target[i] = scale * entry[i]
-                for k in range(q):
-                    left, right = row[k], column[k]
-                    for i in range(n):
-                        target[i] -= left[i] * right[i]
-                diagonal = column[q]
-                for i in range(n):
-                    target[i] *= diagonal[i]  # the diagonal holds reciprocals
-            pivot, entry, own, slope = factor[p, p], information[p, p], y[p], gradient[p]
-            for i in range(n):
-                pivot[i] = 1.0 + scale_p * scale_p * entry[i]
-                own[i] = scale_p * slope[i]
-            for k in range(p):
-                left, before = factor[p, k], y[k]
-                for i in range(n):
-                    pivot[i] -= left[i] * left[i]
-                    own[i] -= left[i] * before[i]
-            for i in range(n):
-                total -= 0.5 * np.log(pivot[i])
-                pivot[i] = 1.0 / np.sqrt(pivot[i])
-                own[i] *= pivot[i]
-                total += 0.5 * own[i] * own[i]
-        result[w] = total
-    return result
-
-
-_LOG2_E, _LOWEST = np.float32(1 / np.log(2)), np.float32(-126.0)
-"""Factor from natural to binary logarithms, and smallest exponent of a normal single-precision number (IEEE 754)."""
-_C0, _C1, _C2 = np.float32(1.00000007), np.float32(0.69314695), np.float32(0.24022122)
-_C3, _C4, _C5 = np.float32(0.05550743), np.float32(0.00967546), np.float32(0.0013267)
-"""2^r = c0 + c1 r + ... + c5 r^5 for |r| <= 1/2, by least squares of the relative error, which is below 1e-7."""
-_HALF, _BIAS, _MANTISSA = np.float32(0.5), np.int32(127), np.int32(23)
-"""One half, to round to the nearest integer; bias of the exponent, and bits of the mantissa, of IEEE 754 singles."""
-_SIGN, _REST, _LEAST = np.int32(31), np.int32(0x7FFFFFFF), np.int32(-0x80000000)
-"""Of 32-bit integers: position of the sign bit, mask of the other bits, and the smallest value."""
-
-
-@compiled
-def _largest(row: np.ndarray) -> np.float32:
-    """Largest of single-precision numbers; nan if there is one.
-
-    Floating-point numbers sort like the integers with the same bits, if all bits but the sign are flipped for negative
-    numbers. The compiler vectorises comparisons of integers, but not of floats, because of nan.
-    """
-    bits = row.view(np.int32)
-    most = _LEAST
-    for k in range(bits.size):
-        key = np.int32(bits[k] ^ np.int32(np.int32(bits[k] >> _SIGN) & _REST))
-        most = key if key > most else most
-    return np.int32(most ^ np.int32(np.int32(most >> _SIGN) & _REST)).view(np.float32)
-
-
-@_summing
-def _exponentials(row: np.ndarray, peak: np.float32) -> tuple[np.float32, np.float32]:
-    """Sum of exp(row - peak) and of its squares; terms below 1e-38 are replaced by that value.
-
-    In base two: the integer part of the exponent is written into the exponent bits of the result, and the fractional
-    part is evaluated by a polynomial. Unlike a library call this is vectorised, and it needs no temporary array.
-    """
-    total, squares = np.float32(0), np.float32(0)
-    for k in range(row.size):
-        y = (row[k] - peak) * _LOG2_E  # the difference first, so that y is never above zero, however large both are
-        y = _LOWEST if y < _LOWEST else y
-        whole = np.floor(y + _HALF)
-        r = y - whole
-        value = ((((_C5 * r + _C4) * r + _C3) * r + _C2) * r + _C1) * r + _C0
-        value = value * np.int32(np.int32(np.int32(whole) + _BIAS) << _MANTISSA).view(np.float32)
-        total += value
-        squares += value * value
-    return total, squares
-
-
-@compiled
-def _sums(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Largest of the log weights (W, B, K), sum of exp(value - largest), and sum of its squares; each (W, B)."""
-    shape = values.shape[:2]
-    peaks, totals, squares = np.empty(shape), np.empty(shape), np.empty(shape)
-    for w in range(shape[0]):
-        for n in range(shape[1]):
-            peak = _largest(values[w, n])
-            totals[w, n], squares[w, n] = _exponentials(values[w, n], peak)
-            peaks[w, n] = peak
-    return peaks, totals, squares
 
 
 class ImportanceLikelihood:
@@ -213,11 +77,12 @@ class ImportanceLikelihood:
         self.path, self.missed = stacked(moved)
         same = bool(np.all(reference_means == reference_means[0]))
         self._same_means = not covariates.shape[1] and same and sharing is None
-        self._factor = np.linalg.cholesky(reference_covariance)
-        self._rows, self._columns = np.tril_indices(n_elements)
+        self.reference_factor = np.linalg.cholesky(reference_covariance)
+        self.pairs = np.tril_indices(n_elements)
         # Twice the entry, except on the diagonal: coefficients of the monomials u_p u_q, p >= q.
-        self._multiplicity = np.where(self._rows == self._columns, 1.0, 2.0)
-        self._blocks: list[tuple[int, np.ndarray, np.ndarray]] = []  # repetitions, persons, features (m, B K)
+        self._multiplicity = np.where(self.pairs[0] == self.pairs[1], 1.0, 2.0)
+        self._thinned: dict[int, ImportanceLikelihood] = {1: self}
+        self.blocks: list[tuple[int, np.ndarray, np.ndarray]] = []  # repetitions, persons, features (m, B K)
         for j in np.unique(repetitions):
             group = np.flatnonzero(repetitions == j)
             for persons in np.split(group, range(_BLOCK, group.size, _BLOCK)):
@@ -225,18 +90,36 @@ class ImportanceLikelihood:
                 if sharing is not None:
                     pairs = zip(features, persons, strict=True)
                     features = [np.vstack([own, moved[i].coefficients.astype(np.float32)]) for own, i in pairs]
-                self._blocks.append((int(j), persons, np.concatenate(features, axis=1)))
+                self.blocks.append((int(j), persons, np.concatenate(features, axis=1)))
+
+    def thinned(self, n_draws: int) -> ImportanceLikelihood:
+        """The same from about `n_draws` of each person's draws, evenly spread: rougher, and faster in proportion."""
+        stride = max(self.n_draws // n_draws, 1)
+        if stride not in self._thinned:
+            self._thinned[stride] = self._every(stride)
+        return self._thinned[stride]
+
+    def _every(self, stride: int) -> ImportanceLikelihood:
+        other = copy(self)
+        other._thinned = {1: other}
+        other.n_draws = len(range(0, self.n_draws, stride))
+        other.blocks = [
+            (j, persons, np.ascontiguousarray(f.reshape(len(f), persons.size, -1)[:, :, ::stride]).reshape(len(f), -1))
+            for j, persons, f in self.blocks
+        ]
+        return other
 
     @property
     def nbytes(self) -> int:
         """Memory in bytes, nearly all of it for the draws."""
-        arrays = [features for _, _, features in self._blocks] + [c.information for c in self.contrasts]
+        arrays = [features for _, _, features in self.blocks] + [c.information for c in self.contrasts]
         return sum(array.nbytes for array in arrays)
 
     def _monomials(self, draws: Draws, mean: np.ndarray) -> np.ndarray:
-        u = np.linalg.solve(self._factor, (draws.theta - mean).T)
+        u = np.linalg.solve(self.reference_factor, (draws.theta - mean).T)
         ratio = draws.log_ratio - draws.log_ratio.max()
-        return np.vstack([u[self._rows] * u[self._columns], u, ratio[None]]).astype(np.float32)
+        rows, columns = self.pairs
+        return np.vstack([u[rows] * u[columns], u, ratio[None]]).astype(np.float32)
 
     def terms(self, parameters: PopulationParameters, effective: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Each person's log marginal likelihood, without the contrasts.
@@ -259,7 +142,7 @@ class ImportanceLikelihood:
         result = np.empty((n_sets, n_persons))
         counts = np.empty((n_sets, n_persons)) if effective else np.empty((0, 0))
         for persons, values, constants in self.exponents(parameters):
-            peaks, sums, squares = _sums(values)
+            peaks, sums, squares = sums_of_exponentials(values)
             result[:, persons] = np.log(sums / self.n_draws) + peaks + constants
             if effective:
                 counts[:, persons] = sums**2 / squares
@@ -290,10 +173,10 @@ class ImportanceLikelihood:
 
         The log weights are overwritten by those of the next block.
         """
-        populations = {j: self._population(parameters, int(j)) for j in np.unique(self.repetitions)}
+        populations = {j: self.population_in_reference(parameters, int(j)) for j in np.unique(self.repetitions)}
         shared: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         values = np.empty((0, 0, 0), dtype=np.float32)
-        for j, persons, features in self._blocks:
+        for j, persons, features in self.blocks:
             if j not in shared or not self._same_means:
                 shared[j] = self._coefficients(parameters, *populations[j], persons)
             coefficients, constants = shared[j]
@@ -310,13 +193,15 @@ class ImportanceLikelihood:
                         np.matmul(coefficients[:, n], own[:, n], out=values[:, n])
             yield persons, values, constants
 
-    def _population(self, parameters: PopulationParameters, repetitions: int) -> tuple[np.ndarray, np.ndarray]:
+    def population_in_reference(
+        self, parameters: PopulationParameters, repetitions: int
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Precision in the coordinates u, (W, P, P), and half its log determinant up to a constant, (W,)."""
         covariance = parameters.covariance
         p = np.arange(covariance.shape[-1])
         covariance[:, p, p] += parameters.between_repetitions**2 / repetitions
         inverse_factor = np.linalg.inv(np.linalg.cholesky(covariance))
-        whitened = inverse_factor @ self._factor
+        whitened = inverse_factor @ self.reference_factor
         log_determinant = np.sum(np.log(np.diagonal(inverse_factor, axis1=-2, axis2=-1)), axis=-1)
         return np.swapaxes(whitened, -1, -2) @ whitened, log_determinant
 
@@ -324,6 +209,27 @@ class ImportanceLikelihood:
         self, parameters: PopulationParameters, precision: np.ndarray, log_determinant: np.ndarray, persons: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients of the monomials, (W, m) if all persons share them or else (W, B, m), and constants (W, B)."""
+        moving = self.moving(parameters)
+        shift = self.shifted_means(parameters, persons, moving)
+        v = np.swapaxes(np.linalg.solve(self.reference_factor, np.swapaxes(shift, -1, -2)), -1, -2)
+        linear = v @ precision
+        constants = log_determinant[:, None] - 0.5 * np.einsum("wnp,wnp->wn", v, linear)
+        quadratic = -0.5 * self._multiplicity * precision[:, self.pairs[0], self.pairs[1]]
+        own = np.broadcast_to(quadratic[:, None], (*linear.shape[:2], quadratic.shape[1]))
+        rest = np.concatenate([np.ones((len(moving), 1)), moving], axis=1)
+        rest = np.broadcast_to(rest[:, None], (*linear.shape[:2], rest.shape[1]))
+        with np.errstate(over="ignore", invalid="ignore"):  # as above: a vanishing dispersion is refused later
+            coefficients = np.concatenate([own, linear, rest], axis=2).astype(np.float32)
+        return (coefficients[:, 0] if coefficients.shape[1] == 1 else coefficients), constants
+
+    def moving(self, parameters: PopulationParameters) -> np.ndarray:
+        """Monomials in the parameters that are the same for everybody, (W, M); M = 0 without such."""
+        if self.sharing is None or parameters.shared is None:
+            return np.empty((len(parameters.mu), 0))
+        return monomials(self.sharing.standardised(parameters.shared))
+
+    def shifted_means(self, parameters: PopulationParameters, persons: np.ndarray, moving: np.ndarray) -> np.ndarray:
+        """Population means less those of the reference and the persons' paths: (W, B, P), or (W, 1, P) if all agree."""
         shift = parameters.mu[:, None, :] - self.reference_means[persons]
         if self.covariates.shape[1]:
             shift = shift + np.einsum("wpq,nq->wnp", parameters.slopes, self.covariates[persons])
@@ -331,18 +237,4 @@ class ImportanceLikelihood:
             self.sharing is None and np.all(self.reference_means[persons] == self.reference_means[persons[0]])
         ):
             shift = shift[:, :1]
-        moving = np.empty((shift.shape[0], 0))
-        if self.sharing is not None and parameters.shared is not None:
-            t = self.sharing.standardised(parameters.shared)
-            moving = monomials(t)
-            shift = shift - np.einsum("nmp,wm->wnp", self.path[persons], moving)
-        v = np.swapaxes(np.linalg.solve(self._factor, np.swapaxes(shift, -1, -2)), -1, -2)
-        linear = v @ precision
-        constants = log_determinant[:, None] - 0.5 * np.einsum("wnp,wnp->wn", v, linear)
-        quadratic = -0.5 * self._multiplicity * precision[:, self._rows, self._columns]
-        own = np.broadcast_to(quadratic[:, None], (*linear.shape[:2], quadratic.shape[1]))
-        rest = np.concatenate([np.ones((len(moving), 1)), moving], axis=1)
-        rest = np.broadcast_to(rest[:, None], (*linear.shape[:2], rest.shape[1]))
-        with np.errstate(over="ignore", invalid="ignore"):  # as above: a vanishing dispersion is refused later
-            coefficients = np.concatenate([own, linear, rest], axis=2).astype(np.float32)
-        return (coefficients[:, 0] if coefficients.shape[1] == 1 else coefficients), constants
+        return np.asarray(shift - np.einsum("nmp,wm->wnp", self.path[persons], moving) if moving.size else shift)

@@ -158,12 +158,13 @@ class Coordinates:
         """Length D of the vector."""
         return sum(self.sizes)
 
-    def _blocks(self, vector: np.ndarray) -> list[np.ndarray]:
+    def blocks(self, vector: np.ndarray) -> list[np.ndarray]:
+        """The parts of the vector, in their order."""
         return np.split(vector, np.cumsum(self.sizes)[:-1], axis=-1)
 
     def unpack(self, vector: np.ndarray) -> PopulationParameters:
         """Population parameters of sampled vectors, shape (W, D)."""
-        centre, persons, repetitions, slopes, partial, shared = self._blocks(vector)
+        centre, persons, repetitions, slopes, partial, shared = self.blocks(vector)
         w, p, free = vector.shape[0], self.n_elements, list(self.free)
         mu = np.tile(self.held_mu, (w, 1))
         mu[:, free] = self.prior.centre[free] + self.prior.centre_sds[free] * centre
@@ -193,11 +194,11 @@ class Coordinates:
             return None
         free = list(self.shared_free)
         phi = np.tile(self.held_shared, (len(coordinates), 1))
-        phi[:, free] = self.shared_prior.centre[free] + coordinates @ self._shared_factor.T
+        phi[:, free] = self.shared_prior.centre[free] + coordinates @ self.shared_factor.T
         return phi
 
     @property
-    def _shared_factor(self) -> np.ndarray:
+    def shared_factor(self) -> np.ndarray:
         """From coordinates to free shared parameters, which may be correlated under the prior."""
         assert self.shared_prior is not None  # there are shared parameters
         return self.shared_prior.of(np.array(self.shared_free, dtype=int)).factor
@@ -205,25 +206,25 @@ class Coordinates:
     def shared_moments(self, mean: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Mean (S',) and covariance (S', S') of the free shared parameters for those of their coordinates."""
         assert self.shared_prior is not None
-        factor = self._shared_factor
+        factor = self.shared_factor
         return self.shared_prior.centre[list(self.shared_free)] + factor @ mean, factor @ covariance @ factor.T
 
     def shared_scale(self, covariance: np.ndarray) -> np.ndarray:
         """Standard deviations (S',) of the coordinates for a covariance (S, S) of all shared parameters."""
         free = list(self.shared_free)
-        inverse = np.linalg.inv(self._shared_factor)
+        inverse = np.linalg.inv(self.shared_factor)
         return np.asarray(np.sqrt(np.diag(inverse @ covariance[np.ix_(free, free)] @ inverse.T)))
 
     def log_prior(self, vector: np.ndarray) -> np.ndarray:
         """Log prior density of sampled vectors, shape (W, D), up to a constant: shape (W,)."""
-        centre, persons, repetitions, slopes, partial, shared = self._blocks(vector)
+        centre, persons, repetitions, slopes, partial, shared = self.blocks(vector)
         value = -0.5 * sum(np.sum(block**2, axis=-1) for block in (centre, slopes, shared))
         value = value + self._log_prior_of(persons, self.bend_persons)
         if self.repetitions:
             value = value + self._log_prior_of(repetitions, self.bend_repetitions)
         if self.correlated:
             # In u = atanh(r) the density (1 - r^2)^(b - 1) becomes (1 - r^2)^b = sech(u)^(2 b).
-            value = value - 2 * np.sum(self._levels() * _log_cosh(partial), axis=-1)
+            value = value - 2 * np.sum(self.levels() * _log_cosh(partial), axis=-1)
         return np.asarray(value)
 
     def pack(
@@ -258,7 +259,7 @@ class Coordinates:
             parts.append(np.arctanh(_partial_from_cholesky(np.linalg.cholesky(correlation))))
         if self.shared_prior is not None and shared is not None:
             chosen = list(self.shared_free)
-            parts.append(np.linalg.solve(self._shared_factor, (shared - self.shared_prior.centre)[chosen]))
+            parts.append(np.linalg.solve(self.shared_factor, (shared - self.shared_prior.centre)[chosen]))
         return np.concatenate(parts)
 
     @property
@@ -276,6 +277,17 @@ class Coordinates:
         s = np.asarray(dispersion) / self.prior.dispersion_sd
         return s if bend is None else np.arcsinh(s / bend[list(self.free)])
 
+    def dispersion_slope(self, u: np.ndarray, bend: np.ndarray | None) -> np.ndarray:
+        """Derivative of dispersions with respect to their coordinates, (W, n)."""
+        own = np.sign(u) if bend is None else bend[list(self.free)] * np.cosh(u) * np.sign(u)
+        return np.asarray(self.prior.dispersion_sd * own)
+
+    def dispersion_prior_slope(self, u: np.ndarray, bend: np.ndarray | None) -> np.ndarray:
+        """Derivative of the log prior density of dispersions with respect to their coordinates, (W, n)."""
+        if bend is None:
+            return -u
+        return np.asarray(np.tanh(u) - bend[list(self.free)] ** 2 * np.sinh(u) * np.cosh(u))
+
     def _log_prior_of(self, u: np.ndarray, bend: np.ndarray | None) -> np.ndarray:
         """Normal in s, with the Jacobian of s(u)."""
         if bend is None:
@@ -283,7 +295,7 @@ class Coordinates:
         s = bend[list(self.free)] * np.sinh(u)
         return np.asarray(np.sum(_log_cosh(u) - 0.5 * s**2, axis=-1))
 
-    def _levels(self) -> np.ndarray:
+    def levels(self) -> np.ndarray:
         """Parameter b of the Beta(b, b) prior of each partial correlation, by rows of the lower triangle."""
         n = len(self.free)
         _, column = np.tril_indices(n, -1)
@@ -297,7 +309,7 @@ def _log_cosh(u: np.ndarray) -> np.ndarray:
 def _cholesky_from_partial(partial: np.ndarray, n: int) -> np.ndarray:
     """Cholesky factors, shape (W, n, n), of the correlation matrices with partial correlations (W, n (n-1)/2)."""
     factor = np.zeros((partial.shape[0], n, n))
-    factor[:, 0, 0] = 1
+    factor[:, :1, :1] = 1
     k = 0
     for i in range(1, n):
         rest = np.ones(partial.shape[0])

@@ -85,6 +85,7 @@ def sampled(
                 checkpoint,
                 first_file=time * settings.ensembles,
                 even=posterior.coordinates.even,
+                gradient=posterior.gradient,
             )
             error = posterior.error(chains)
         if best is None or error.interval_end < best[2].interval_end:

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import partial, reduce
 from typing import Any
 
 import numpy as np
@@ -22,9 +22,11 @@ from bayes_impedance.person.absolute_density import deviations_of, log_constant
 from bayes_impedance.person.importance_draws import Draws, Reference, draw
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.marginal_likelihood import LEAST_RHO, find_ridge
+from bayes_impedance.population.contrasts import Contrasts
 from bayes_impedance.population.e_step import PersonFit, contrasts_of
 from bayes_impedance.population.em import Estimate
-from bayes_impedance.population.importance_likelihood import Contrasts, ImportanceLikelihood
+from bayes_impedance.population.importance_likelihood import ImportanceLikelihood
+from bayes_impedance.population.likelihood_gradient import ParameterGradient, likelihood_gradient
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.person_densities import constants_of, log_densities
 from bayes_impedance.population.shared import SharedEquations
@@ -167,6 +169,10 @@ class KeptDraws:
     def __call__(self, parameters: PopulationParameters) -> np.ndarray:
         """Log likelihood of W sets of population parameters, shape (W,)."""
         return np.asarray(np.sum(self._kept.ask(_log_likelihood, parameters), axis=0))
+
+    def gradient(self, parameters: PopulationParameters, n_draws: int) -> ParameterGradient:
+        """Gradient of the log likelihood of W sets of population parameters, from about `n_draws` of each person's."""
+        return reduce(ParameterGradient.__add__, self._kept.ask(_gradient, parameters, n_draws))
 
     def variance(self, parameters: PopulationParameters) -> np.ndarray:
         """Monte-Carlo variance of the log likelihood, summed over persons, shape (W,)."""
@@ -318,6 +324,10 @@ def _size(part: Part) -> int:
 
 def _log_likelihood(part: Part, parameters: PopulationParameters) -> np.ndarray:
     return part.marginal(parameters)
+
+
+def _gradient(part: Part, parameters: PopulationParameters, n_draws: int) -> ParameterGradient:
+    return likelihood_gradient(part.marginal.thinned(n_draws), parameters)
 
 
 def _missed(part: Part) -> np.ndarray:

@@ -105,6 +105,14 @@ class Sharing:
         t = np.linalg.solve(self.factor, (phi - self.origin).T)
         return np.asarray(np.maximum(np.linalg.norm(t, axis=0) - reach_of(self.origin.size), 0.0))
 
+    def beyond_slope(self, phi: np.ndarray, factor: float) -> np.ndarray:
+        """Derivative of factor times the square of :meth:`beyond`, (W, S)."""
+        t = np.linalg.solve(self.factor, (phi - self.origin).T).T
+        distance = np.linalg.norm(t, axis=1, keepdims=True)
+        outside = np.maximum(distance - reach_of(self.origin.size), 0.0)
+        own = 2 * factor * outside * t / np.maximum(distance, 1e-300)
+        return np.asarray(np.linalg.solve(self.factor.T, own.T).T)
+
 
 @dataclass(frozen=True)
 class Moved:
@@ -135,6 +143,19 @@ def monomials(t: np.ndarray) -> np.ndarray:
         for chosen in combinations_with_replacement(range(size), d)
     ]
     return np.stack(columns, axis=1)
+
+
+def monomial_slopes(t: np.ndarray) -> np.ndarray:
+    """Derivatives of :func:`monomials` with respect to t (W, S), shape (W, M, S)."""
+    size = t.shape[1]
+    slopes = []
+    for d in range(1, _DEGREES.get(size, 2) + 1):
+        for chosen in combinations_with_replacement(range(size), d):
+            own = np.zeros(t.shape)
+            for left_out, s in enumerate(chosen):
+                own[:, s] += np.prod(t[:, list(chosen[:left_out] + chosen[left_out + 1 :])], axis=1)
+            slopes.append(own)
+    return np.stack(slopes, axis=1)
 
 
 def reach_of(size: int) -> float:

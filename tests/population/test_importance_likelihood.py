@@ -8,7 +8,9 @@ from scipy.integrate import quad
 from scipy.stats import multivariate_normal, norm
 
 from bayes_impedance.person.importance_draws import Draws
-from bayes_impedance.population.importance_likelihood import Contrasts, ImportanceLikelihood, _sums
+from bayes_impedance.population.contrasts import Contrasts
+from bayes_impedance.population.exponentials import sums_of_exponentials
+from bayes_impedance.population.importance_likelihood import ImportanceLikelihood
 from bayes_impedance.population.parameters import PopulationParameters
 
 P = 3
@@ -284,7 +286,7 @@ def test_likelihood_with_contrasts_is_the_sum():
 def test_sums_of_exponentials_equal_those_in_double_precision(k, centre):
     values = (centre - 40 * np.random.default_rng(k).random((5, 3, k)) ** 3).astype(np.float32)
     values[0, 0, 0] = -np.inf if k > 1 else centre
-    peaks, totals, squares = _sums(values)
+    peaks, totals, squares = sums_of_exponentials(values)
     assert np.array_equal(peaks, values.max(axis=2))
     terms = np.exp(values.astype(float) - peaks[..., None])
     np.testing.assert_allclose(totals, terms.sum(axis=2), rtol=1e-6)
@@ -294,4 +296,4 @@ def test_sums_of_exponentials_equal_those_in_double_precision(k, centre):
 def test_a_draw_that_is_not_a_number_makes_its_person_none_and_no_other():
     values = np.zeros((1, 3, 16), dtype=np.float32)
     values[0, 0, 5], values[0, 1] = np.nan, -np.inf
-    assert np.array_equal(np.isnan(_sums(values)[1]), [[True, True, False]])
+    assert np.array_equal(np.isnan(sums_of_exponentials(values)[1]), [[True, True, False]])

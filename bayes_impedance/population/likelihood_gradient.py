@@ -1,0 +1,107 @@
+r"""The gradient of the population likelihood with respect to the population's parameters.
+
+By Fisher's identity the gradient of a log marginal likelihood is the posterior mean of that of the complete data. With
+the weights of a person's draws, in the coordinates u in which the reference population is a standard normal (factor
+:math:`F`), under a population of mean v and precision A there,
+
+.. math:: \frac{\partial \ln p}{\partial v} = A\,(\mathrm E[u] - v), \qquad
+          \frac{\partial \ln p}{\partial T} = \tfrac12\, T^{-1}
+          \Big(F\,\mathrm E\big[(u - v)(u - v)^T\big]\,F^T - T\Big)\, T^{-1},
+
+where T is the covariance of a person's mean over J repetitions, :math:`\Sigma + \operatorname{diag}(\rho^2)/J`. The
+moments are one more matrix product of weights with the same monomials from which the weights are computed. Monomials in
+parameters that are the same for everybody change the draws' log likelihoods, with their mean coefficients, and shift v
+along the person's path (:mod:`bayes_impedance.population.shared_draws`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from bayes_impedance.population.exponentials import normalise_rows
+from bayes_impedance.population.importance_likelihood import ImportanceLikelihood
+from bayes_impedance.population.parameters import PopulationParameters
+from bayes_impedance.population.shared_draws import monomial_slopes
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParameterGradient:
+    """Derivatives of a log density with respect to W sets of population parameters.
+
+    Attributes
+    ----------
+    mu : ndarray, shape (W, P)
+    covariance : ndarray, shape (W, P, P)
+        With respect to the covariance between persons: symmetric, a small change dS changes the density by the sum of
+        the products of entries.
+    between_repetitions : ndarray, shape (W, P)
+    slopes : ndarray, shape (W, P, Q)
+    shared : ndarray, shape (W, S)
+    """
+
+    mu: np.ndarray
+    covariance: np.ndarray
+    between_repetitions: np.ndarray
+    slopes: np.ndarray
+    shared: np.ndarray
+
+    def __add__(self, other: ParameterGradient) -> ParameterGradient:
+        return ParameterGradient(**{f.name: getattr(self, f.name) + getattr(other, f.name) for f in fields(self)})
+
+
+def likelihood_gradient(marginal: ImportanceLikelihood, parameters: PopulationParameters) -> ParameterGradient:
+    """Gradient of the log likelihood of W sets of population parameters, summed over persons.
+
+    Parameters
+    ----------
+    marginal : ImportanceLikelihood
+    parameters : PopulationParameters
+    """
+    n_sets, n_elements = parameters.mu.shape
+    factor, rows, columns = marginal.reference_factor, *marginal.pairs
+    n_squares, n_quadratic = rows.size, rows.size + n_elements
+    moving = marginal.moving(parameters)
+    mean = np.zeros((n_sets, n_elements))
+    slopes = np.zeros((n_sets, n_elements, marginal.covariates.shape[1]))
+    on_monomials = np.zeros((n_sets, moving.shape[1]))
+    scatter = {int(j): np.zeros((n_sets, n_elements, n_elements)) for j in np.unique(marginal.repetitions)}
+    precisions = {j: marginal.population_in_reference(parameters, j)[0] for j in scatter}
+    whitening = np.linalg.inv(factor)
+    for (persons, values, _), (j, _, features) in zip(marginal.exponents(parameters), marginal.blocks, strict=True):
+        normalise_rows(values)
+        own = features.reshape(len(features), persons.size, marginal.n_draws)
+        # Means of the draws' monomials, (W, B, m).
+        moments = np.swapaxes(np.swapaxes(values, 0, 1) @ own.transpose(1, 2, 0), 0, 1).astype(float)
+        shift = marginal.shifted_means(parameters, persons, moving)
+        v = np.broadcast_to(shift, (n_sets, persons.size, n_elements)) @ whitening.T
+        first, squares = moments[:, :, n_squares:n_quadratic], moments[:, :, :n_squares].sum(axis=1)
+        cross = np.swapaxes(first, 1, 2) @ v
+        scatter[j] += np.swapaxes(v, 1, 2) @ v - cross - np.swapaxes(cross, 1, 2)
+        scatter[j][:, rows, columns] += squares
+        scatter[j][:, columns, rows] += squares * (rows != columns)
+        pull = (first - v) @ precisions[j] @ whitening
+        mean += pull.sum(axis=1)
+        slopes += np.swapaxes(pull, 1, 2) @ marginal.covariates[persons]
+        if moving.size:
+            on_monomials += moments[:, :, n_quadratic + 1 :].sum(axis=1)
+            on_monomials -= np.einsum("wbp,bmp->wm", pull, marginal.path[persons])
+    covariance = np.zeros((n_sets, n_elements, n_elements))
+    repetitions = np.zeros((n_sets, n_elements))
+    for j, spread in scatter.items():
+        n = int(np.sum(marginal.repetitions == j))
+        inverse = whitening.T @ precisions[j] @ whitening  # of T
+        own = 0.5 * (inverse @ (factor @ spread @ factor.T) @ inverse - n * inverse)
+        covariance += own
+        repetitions += 2 * parameters.between_repetitions / j * np.diagonal(own, axis1=1, axis2=2)
+    for contrasts in marginal.contrasts:
+        repetitions += contrasts.slope(parameters.between_repetitions)
+    shared = np.zeros((n_sets, 0))
+    if marginal.sharing is not None and parameters.shared is not None:
+        turning = monomial_slopes(marginal.sharing.standardised(parameters.shared))
+        shared = np.linalg.solve(marginal.sharing.factor.T, np.einsum("wm,wms->sw", on_monomials, turning)).T
+        shared = shared * (marginal.sharing.beyond(parameters.shared) == 0.0)[:, None]  # at the edge draws stay
+    return ParameterGradient(
+        mu=mean, covariance=covariance, between_repetitions=repetitions, slopes=slopes, shared=shared
+    )
