@@ -1,19 +1,11 @@
 r"""Ensemble sampling of a few dozen dimensions by emcee.
 
 **Moves.** Affine-invariant moves slow down in proportion to the dimension, and a full covariance of eight elements has
-52. Here the posterior is close to normal in its coordinates, so most proposals are of the mixed preconditioned
-Crank-Nicolson type (Kamatani 2018) around a normal approximation N(m, C). With :math:`u = C^{-1/2}(x - m)`,
-
-.. math:: u' = \sqrt{1-\beta^2}\,u + \beta\,\zeta^{-1/2}\,\xi, \qquad \xi \sim N(0, I),\quad
-          \zeta \sim \mathrm{Gamma}\left(D/2,\ |u|^2/2\right),
-
-which is reversible with respect to :math:`|u|^{-D}du`; the Metropolis ratio is therefore that of the target times
-:math:`(|u'|/|u|)^D`. Its acceptance does not fall with the dimension as long as the target resembles N(m, C), and since
-the step grows with the distance from m, walkers do not get stuck in tails that are heavier. Where few of them are
-accepted, because the target is curved, and its gradient is given, Hamiltonian proposals take their place
-(:mod:`bayes_impedance.mcmc.hamiltonian`). One step in ten is emcee's differential evolution, which needs no
-approximation. `DESnookerMove` is not used: in emcee 3.1.6 it samples the
-wrong distribution.
+52. Here the posterior is close to normal in its coordinates, so most proposals are of the Crank-Nicolson type around a
+normal approximation (:mod:`bayes_impedance.mcmc.crank_nicolson`). Where few of them are accepted, because the target is
+curved, and its gradient is given, Hamiltonian proposals take their place (:mod:`bayes_impedance.mcmc.hamiltonian`). One
+step in ten is emcee's differential evolution, which needs no approximation. `DESnookerMove` is not used: in emcee 3.1.6
+it samples the wrong distribution.
 
 **Convergence.** Several ensembles start and adapt independently. R-hat is taken between ensembles, never between the
 walkers of one, which are not independent chains; the autocorrelation time within ensembles gives the effective sample
@@ -32,15 +24,13 @@ import numpy as np
 
 from bayes_impedance.mcmc.autocorrelation import autocorrelation_time
 from bayes_impedance.mcmc.chain_file import read_chain, write_chain
+from bayes_impedance.mcmc.crank_nicolson import crank_nicolson_move
 from bayes_impedance.mcmc.hamiltonian import hamiltonian_move
 from bayes_impedance.runtime.progress import Progress
 
 LogProbability = Callable[[np.ndarray], np.ndarray]
 Gradient = Callable[[np.ndarray], np.ndarray]
 
-_STEP_LENGTHS = (0.6, 0.8)
-"""Values of beta of a Crank-Nicolson proposal, one of them chosen at random. By choice: 1 would be an independent draw
-from the normal approximation, often rejected where that is poor; small values mix slowly."""
 _CURVED = 0.25
 """Acceptance at the end of the burn-in below which a target is too curved for Crank-Nicolson proposals. Measured, quick
 fits of 16 to 71 persons: autocorrelation times of 40 to 100 steps above 0.3, 170 to 430 steps at 0.10 to 0.18. A step
@@ -139,30 +129,6 @@ _CLEARLY_NOT_ZERO = 2.0
 normal distribution about zero, 5 where the normal distribution is five standard deviations away. By choice."""
 
 
-def crank_nicolson_move(mean: np.ndarray, covariance: np.ndarray) -> Any:
-    """An emcee move that is efficient if the target is close to a normal distribution, and valid for any target.
-
-    Parameters
-    ----------
-    mean : ndarray, shape (D,)
-    covariance : ndarray, shape (D, D)
-    """
-    from emcee.moves import MHMove
-
-    factor = np.linalg.cholesky(covariance)
-    half = 0.5 * mean.size
-
-    def propose(x: np.ndarray, rng: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
-        beta = _STEP_LENGTHS[rng.randint(len(_STEP_LENGTHS))]
-        u = np.linalg.solve(factor, (x - mean).T).T
-        square = np.maximum(np.sum(u**2, axis=1), 1e-300)
-        zeta = rng.gamma(half, 2 / square)
-        new = np.sqrt(1 - beta**2) * u + beta * rng.standard_normal(u.shape) / np.sqrt(zeta)[:, None]
-        return mean + new @ factor.T, half * (np.log(np.sum(new**2, axis=1)) - np.log(square))
-
-    return MHMove(propose)
-
-
 class _Ensemble:
     """One independent ensemble: adapts, samples, and can be resumed from its file.
 
@@ -179,7 +145,7 @@ class _Ensemble:
         seed: np.random.SeedSequence,
         file: Path | None,
         even: np.ndarray,
-        gradient: Gradient | None,
+        gradient: Gradient | None = None,
     ) -> None:
         self.log_probability, self.gradient = log_probability, gradient
         self.n_dimensions = centre.size

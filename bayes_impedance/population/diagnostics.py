@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayes_impedance.mcmc.ensemble import QUICK, Chains
-from bayes_impedance.population.draw_error import ERROR_WANTED, DrawError
+from bayes_impedance.population.draw_error import ERROR_WANTED, DrawError, noise_within
 from bayes_impedance.population.em import Estimate
 from bayes_impedance.population.parameters import PopulationParameters
-from bayes_impedance.population.posterior import RARELY, noise_within
+from bayes_impedance.population.posterior import RARELY
 from bayes_impedance.population.sharded_likelihood import KeptDraws
 from bayes_impedance.recordings.files import Recordings
 
@@ -65,7 +65,7 @@ class Diagnostics:
     ensembles, steps, walkers : int
     log_likelihood_variance : float
         Monte-Carlo variance of differences of the population's log likelihood within the posterior, summed over
-        persons (:func:`~bayes_impedance.population.posterior.noise_within`); mean over the posterior.
+        persons (:func:`~bayes_impedance.population.draw_error.noise_within`); mean over the posterior.
     pareto_k, effective_draws : ndarray, shape (N,)
         Pareto tail index of each person's importance weights under the posterior's centre, and the smallest effective
         number of draws under population parameters sampled from the posterior.

@@ -83,3 +83,13 @@ def draw_error(marginal: KeptDraws, coordinates: np.ndarray, parameters: Populat
     if not (np.all(np.isfinite(squares)) and np.all(np.isfinite(least))):
         return DrawError(interval_end=np.inf, least_effective=0.0)
     return DrawError(interval_end=float(np.sqrt(squares.max())), least_effective=float(np.quantile(least, _RARELY)))
+
+
+def noise_within(variance: float, n_persons: int, n_coordinates: int) -> float:
+    """Monte-Carlo variance of log-likelihood differences inside the posterior.
+
+    The same draws serve every population, so only the change of their error between populations matters. The error
+    changes when a population moves by its own dispersion. The posterior of N persons is narrower than the dispersion by
+    the square root of N, in each of its D coordinates: of the variance V, V D/N remains.
+    """
+    return variance * min(1.0, n_coordinates / n_persons)

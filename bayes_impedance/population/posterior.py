@@ -19,12 +19,13 @@ from bayes_impedance.mcmc.ensemble import Chains, SamplerSettings, sample
 from bayes_impedance.mcmc.laplace import normal_approximation
 from bayes_impedance.person.importance_draws import widening
 from bayes_impedance.population.coordinates_gradient import pulled_back
-from bayes_impedance.population.draw_error import DrawError, draw_error
+from bayes_impedance.population.draw_error import DrawError, draw_error, noise_within
 from bayes_impedance.population.em import Estimate, moved_to
 from bayes_impedance.population.parameters import Coordinates, PopulationParameters
 from bayes_impedance.population.prior import Prior
 from bayes_impedance.population.sharded_likelihood import KeptDraws
 from bayes_impedance.population.shared_draws import Sharing, reach_of
+from bayes_impedance.population.starting_point import starting_point, starting_scale
 from bayes_impedance.runtime.progress import Progress
 
 VARIANCE_WANTED = 0.25
@@ -208,32 +209,6 @@ class Posterior:
             return np.zeros(len(parameters.mu))
         return np.asarray(_STEEP * self.sharing.beyond(parameters.shared) ** 2)
 
-    def start(self) -> np.ndarray:
-        """The point estimate in sampled coordinates, shape (D,)."""
-        mean_repetitions = float(np.mean(self.repetitions))
-        between = self.covariance - np.diag(self.point.between_repetitions**2) / mean_repetitions
-        return self.coordinates.pack(
-            self.point.mu,
-            _positive(between),
-            self.point.between_repetitions,
-            self.point.slopes,
-            self.point.shared,
-        )
-
-    def start_scale(self) -> np.ndarray:
-        """Rough posterior standard deviations of the coordinates, shape (D,)."""
-        n = self.repetitions.size
-        few = 1 / np.sqrt(n + 4)
-        repetitions = 1 / np.sqrt(np.sum(self.repetitions - 1) + 4)
-        sizes = self.coordinates.sizes
-        prior, free = self.coordinates.prior, list(self.coordinates.free)
-        centre = self.point.mu_sd[free] / prior.centre_sds[free]
-        widths = (few, repetitions, few / prior.slope_sd, few)
-        blocks = [np.full(k, w) for k, w in zip(sizes[1:-1], widths, strict=True)]
-        if self.coordinates.shared_prior is not None:
-            blocks.append(self.coordinates.shared_scale(self.shared_covariance))
-        return np.concatenate([centre, *blocks])
-
     def draw(self, seed: np.random.SeedSequence, executor: Executor, progress: Progress) -> None:
         """Draw for all persons; while the effective number of draws is too small, move the reference and draw more.
 
@@ -248,7 +223,9 @@ class Posterior:
         few = self._few  # persons times draws is kept about constant
         n_persons = self.repetitions.size
         reach, holds = widening(n_persons), True
-        self.mode, self.normal_covariance = self.start(), np.diag(self.start_scale() ** 2)
+        self.mode = starting_point(self.coordinates, self.point, self.covariance, self.repetitions)
+        scale = starting_scale(self.coordinates, self.point, self.shared_covariance, self.repetitions)
+        self.normal_covariance = np.diag(scale**2)
         for redrawn, child in enumerate(rounds):
             n_draws = _MORE_DRAWS[redrawn] * self.n_draws * few
             self._draw_centred(mu, slopes, covariance, reach, n_draws, child, executor, progress, not holds)
@@ -421,23 +398,3 @@ class Posterior:
         away = mean - self.point.shared[free]
         ours = self.shared_covariance[np.ix_(free, free)]
         return float(np.sqrt(np.linalg.eigvals(np.linalg.solve(ours, moment + np.outer(away, away))).real.max()))
-
-
-def noise_within(variance: float, n_persons: int, n_coordinates: int) -> float:
-    """Monte-Carlo variance of log-likelihood differences inside the posterior.
-
-    The same draws serve every population, so only the change of their error between populations matters. The error
-    changes when a population moves by its own dispersion. The posterior of N persons is narrower than the dispersion by
-    the square root of N, in each of its D coordinates: of the variance V, V D/N remains.
-    """
-    return variance * min(1.0, n_coordinates / n_persons)
-
-
-def _positive(matrix: np.ndarray) -> np.ndarray:
-    """A nearby covariance matrix with variances of at least 1e-4 and correlations that are not extreme."""
-    variance = np.maximum(np.diag(matrix), 1e-4)
-    correlation = matrix / np.sqrt(np.outer(variance, variance))
-    values, vectors = np.linalg.eigh(correlation)
-    repaired = (vectors * np.maximum(values, 0.02)) @ vectors.T
-    scale = np.sqrt(variance / np.diag(repaired))
-    return np.asarray(repaired * np.outer(scale, scale))

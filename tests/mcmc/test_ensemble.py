@@ -13,11 +13,11 @@ from short_chains import SHORT, D, Gaussian, as_bytes, changed, run, silent
 
 import bayes_impedance
 from bayes_impedance.mcmc.autocorrelation import autocorrelation_time
+from bayes_impedance.mcmc.crank_nicolson import crank_nicolson_move
 from bayes_impedance.mcmc.ensemble import (
     SamplerSettings,
     _collect,
     _Ensemble,
-    crank_nicolson_move,
     sample,
 )
 

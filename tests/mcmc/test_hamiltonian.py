@@ -123,7 +123,7 @@ def test_a_run_along_trajectories_is_resumed_to_the_same_bytes(tmp_path, stopped
     whole = run(settings)
     run(changed(settings, longest=stopped_after), tmp_path)
     backend = emcee.backends.Backend()
-    backend.reset(32, target.mean.size)
+    backend.reset(2 * target.mean.size, target.mean.size)
     adapted = read_chain(tmp_path / "ensemble_0.h5", backend)
     assert adapted["curved"] == 1.0
     assert as_bytes(run(settings, tmp_path)) == as_bytes(whole)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_importance_likelihood import REFERENCE_COVARIANCE, N, P, contrasts_of, gaussian_draws, parameters, people
+from persons_with_draws import REFERENCE_COVARIANCE, N, P, contrasts_of, gaussian_draws, parameters, people
 
 from bayes_impedance import FINGERTIP, simulate_recordings
 from bayes_impedance.mcmc.ensemble import SamplerSettings
