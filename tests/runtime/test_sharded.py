@@ -23,11 +23,11 @@ from bayes_impedance.person.importance_draws import Draws
 from bayes_impedance.person.marginal_likelihood import LEAST_RHO
 from bayes_impedance.population import sharded_likelihood
 from bayes_impedance.population.contrasts import Contrasts
+from bayes_impedance.population.draw_error import noise_within
 from bayes_impedance.population.fit import FitSettings, PopulationFit, _kept_sets, fit_population
 from bayes_impedance.population.importance_likelihood import ImportanceLikelihood
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.person_densities import constants_of, log_densities
-from bayes_impedance.population.posterior import noise_within
 from bayes_impedance.population.sharded_likelihood import KeptDraws
 from bayes_impedance.population.simulate import simulate_recordings
 from bayes_impedance.recordings.files import Recordings
