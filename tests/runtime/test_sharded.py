@@ -26,6 +26,7 @@ from bayes_impedance.population.contrasts import Contrasts
 from bayes_impedance.population.draw_error import noise_within
 from bayes_impedance.population.fit import FitSettings, PopulationFit, _kept_sets, fit_population
 from bayes_impedance.population.importance_likelihood import ImportanceLikelihood
+from bayes_impedance.population.likelihood_gradient import likelihood_gradient
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.person_densities import constants_of, log_densities
 from bayes_impedance.population.sharded_likelihood import KeptDraws
@@ -215,6 +216,9 @@ def test_sums_over_parts_are_those_over_all_persons() -> None:
         np.testing.assert_allclose(kept(sets), whole(sets), rtol=1e-9)
         np.testing.assert_allclose(kept.variance(sets), whole.variance(sets), rtol=1e-6)
         np.testing.assert_allclose(kept.effective(sets), whole.terms(sets, effective=True)[1], rtol=1e-6)
+        summed, exact = kept.gradient(sets, k), likelihood_gradient(whole, sets)
+        for name in ("mu", "covariance", "between_repetitions", "slopes"):
+            np.testing.assert_allclose(getattr(summed, name), getattr(exact, name), rtol=1e-5, atol=1e-5)
         theta, log_likelihood = kept.persons(sets, np.random.SeedSequence(1))
     constants = constants_of(draws, np.full(2, LEAST_RHO))
     np.testing.assert_allclose(log_likelihood, log_densities(whole, draws, constants, sets), rtol=1e-9, atol=1e-9)
