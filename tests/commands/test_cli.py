@@ -312,7 +312,6 @@ def test_the_package_is_the_command() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.ci
 def test_real_recordings_run_to_the_end_and_say_how_bad_the_fit_is(
     real_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -149,7 +149,7 @@ def test_gradient_of_a_fits_posterior(kind, monkeypatch):
     posterior = posterior_of(recordings, monkeypatch)
     rng = np.random.default_rng(6)
     factor = np.linalg.cholesky(posterior.normal_covariance)
-    white = 0.7 * rng.normal(size=(12, posterior.mode.size))
+    white = 0.7 * rng.normal(size=(4, posterior.mode.size))  # each takes four densities for every coordinate
     posterior.rough_draws = posterior.drawn
     own = posterior.gradient(posterior.mode + white @ factor.T) @ factor
     expected = slopes_of(lambda x: posterior.log_probability(posterior.mode + x @ factor.T), white)
