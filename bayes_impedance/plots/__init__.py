@@ -18,6 +18,7 @@ picture is drawn.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -165,7 +166,7 @@ _HERE = ("corner_central", "corner_dispersion", "curves", "bands", "noise")
 already imported here."""
 
 
-def write_pictures(result: Result, folder: Path, helper: Executor | None = None) -> dict[str, Path]:
+def write_pictures(result: Result, folder: str | os.PathLike[str], helper: Executor | None = None) -> dict[str, Path]:
     """Write every picture that applies, as PNG and as SVG.
 
     The same result gives the same bytes. A picture appears under its name only when it is complete.
@@ -173,7 +174,7 @@ def write_pictures(result: Result, folder: Path, helper: Executor | None = None)
     Parameters
     ----------
     result : Result
-    folder : Path
+    folder : path
         Made if it does not exist.
     helper : Executor, optional
         Another process, which draws some of them; threads would block each other.
@@ -198,18 +199,18 @@ def prepare() -> None:
     import matplotlib.backends.backend_svg  # noqa: F401
 
 
-def _write(names: Sequence[str], result: Result, folder: Path) -> dict[str, Path]:
+def _write(names: Sequence[str], result: Result, folder: str | os.PathLike[str]) -> dict[str, Path]:
     with style():
         return {p.name: save_figure(p.figure(result), folder, p.name) for p in PICTURES if p.name in names}
 
 
-def write_comparison(comparison: MethodComparison, folder: Path) -> dict[str, Path]:
+def write_comparison(comparison: MethodComparison, folder: str | os.PathLike[str]) -> dict[str, Path]:
     """Write the paper's figures of a comparison of methods, each as PNG and as SVG.
 
     Parameters
     ----------
     comparison : MethodComparison
-    folder : Path
+    folder : path
         Made if it does not exist.
 
     Returns
@@ -222,14 +223,14 @@ def write_comparison(comparison: MethodComparison, folder: Path) -> dict[str, Pa
 
 
 def write_diagnosis_pictures(
-    diagnosis: Diagnosis, folder: Path, formats: Sequence[str] = ("svg", "png")
+    diagnosis: Diagnosis, folder: str | os.PathLike[str], formats: Sequence[str] = ("svg", "png")
 ) -> dict[str, Path]:
     """Write every picture of a diagnosis that applies.
 
     Parameters
     ----------
     diagnosis : Diagnosis
-    folder : Path
+    folder : path
         Made if it does not exist.
     formats : sequence of str
         Of ``png``, ``svg`` and ``pdf``.
@@ -248,14 +249,16 @@ def write_diagnosis_pictures(
     return written
 
 
-def save_figure(figure: Figure, folder: Path, name: str, formats: Sequence[str] = ("svg", "png")) -> Path:
+def save_figure(
+    figure: Figure, folder: str | os.PathLike[str], name: str, formats: Sequence[str] = ("svg", "png")
+) -> Path:
     """Write a figure, as PNG and as SVG by default; the same figure gives the same bytes.
 
     Parameters
     ----------
     figure : Figure
         Drawn inside :func:`style`. Its panels stay where they are now arranged.
-    folder : Path
+    folder : path
         Made if it does not exist.
     name : str
         Of the files, without a suffix.
@@ -277,6 +280,7 @@ def save_figure(figure: Figure, folder: Path, name: str, formats: Sequence[str] 
         raise InputError(
             f"pictures cannot be written as {', '.join(unknown) or 'nothing'}: choose from png, svg and pdf"
         )
+    folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     with style():  # the names of an SVG's parts come from a setting
         _arrange(figure)

@@ -17,6 +17,7 @@ If there is a checkpoint folder, first fits, iterations of the point estimate an
 
 from __future__ import annotations
 
+import os
 from concurrent.futures import Executor
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
@@ -45,6 +46,7 @@ from bayes_impedance.population.recording_noise import initial_likelihoods, scal
 from bayes_impedance.population.requirements import CheckedModel, checked_model
 from bayes_impedance.population.sampling import sampled
 from bayes_impedance.population.shared import Pooling
+from bayes_impedance.population.shown_fit import ShownFit
 from bayes_impedance.population.starting_fits import FirstFits, first_fits
 from bayes_impedance.population.whole import Whole
 from bayes_impedance.recordings.files import Recordings
@@ -95,8 +97,8 @@ QUICK_SETTINGS = FitSettings(draws=256, sampler=QUICK)
 """By choice: fewer draws and shorter chains, faster but with a larger Monte-Carlo error."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class PopulationFit:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class PopulationFit(ShownFit):
     """Posterior of a population.
 
     Attributes
@@ -173,7 +175,7 @@ def fit_population(
     seed: int = 1,
     workers: int = 2,
     progress: Progress = lambda *_: None,
-    checkpoint: Path | None = None,
+    checkpoint: str | os.PathLike[str] | None = None,
     executor: Executor | None = None,
 ) -> PopulationFit:
     """Estimate the elements of a population from its recordings.
@@ -191,7 +193,7 @@ def fit_population(
         Number of threads of this process; the result does not depend on it. They always sample the ensembles.
     progress : callable, optional
         Called with stage, done, total.
-    checkpoint : Path, optional
+    checkpoint : path, optional
         Folder where first fits, point estimate and chains are saved as they are computed; an interrupted fit with the
         same arguments continues from there.
     executor : Executor, optional
@@ -211,6 +213,7 @@ def fit_population(
     """
     from threadpoolctl import threadpool_limits
 
+    checkpoint = None if checkpoint is None else Path(checkpoint)
     settings = settings or FitSettings()
     settings = replace(settings, sampler=replace(settings.sampler, workers=workers))
     model = checked_model(recordings, within_rig(recordings, network), settings.covariates)
