@@ -258,7 +258,7 @@ def _export_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--what",
         action="append",
-        choices=("users", "transfer", "spice", "stability"),
+        choices=("users", "transfer", "spice", "people", "stability"),
         help="files to write; repeatable (default: all)",
     )
     parser.add_argument(

@@ -151,8 +151,9 @@ def save(
             axes = (*sampled, *dims.get(name, ()))
             for axis, size in zip(axes, np.shape(values), strict=True):
                 key = f"{group}/{axis}" if f"{group}/{axis}" in coords else axis
-                used[axis] = coords.get(key, np.arange(size))
-                if key in coords:
+                labelled = key in coords and axis not in _COUNTED
+                used[axis] = coords[key] if labelled else np.arange(size)
+                if labelled:
                     labels[key] = coords[key]
             own = dict(meanings.get(name, {})) | dict(meanings.get(f"{group}/{name}", {}))
             content[name] = xr.Variable(axes, values, attrs=own)

@@ -11,9 +11,10 @@ Each picture is a function that draws into the matplotlib Figure or Axes it is g
         figure = bands(new_figure(8, 8), result)
         figure.savefig("bands.png")
 
-:func:`write_pictures` writes all that apply to a run. Those of :mod:`bayes_impedance.plots.paper` show measured curves
-with models from any source and need no run; :func:`save_figure` writes them. matplotlib is imported when the first
-picture is drawn.
+:mod:`.quick` needs no prepared figure: ``plot_bode``, ``plot_nyquist``, ``plot_person`` and ``plot_predictive_check``
+return the axes that they are given or have made. :func:`write_pictures` writes all that apply to a run. Those of
+:mod:`bayes_impedance.plots.paper` show measured curves with models from any source and need no run;
+:func:`save_figure` writes them. matplotlib is imported when the first picture is drawn.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from bayes_impedance.plots.joint import corner_central, corner_dispersion
 from bayes_impedance.plots.missing_physics import DIAGNOSIS_PICTURES
 from bayes_impedance.plots.paper import all_curves, bode, error_bars
 from bayes_impedance.plots.parameters import correlation, forest, overview, priors, traces
+from bayes_impedance.plots.quick import plot_bode, plot_nyquist, plot_person, plot_predictive_check
 from bayes_impedance.plots.spectra import bands, coverage, curves, errors, noise
 from bayes_impedance.plots.style import new_figure, style
 from bayes_impedance.results.result import Result
@@ -61,6 +63,10 @@ __all__ = [
     "new_figure",
     "noise",
     "overview",
+    "plot_bode",
+    "plot_nyquist",
+    "plot_person",
+    "plot_predictive_check",
     "priors",
     "save_figure",
     "style",

@@ -101,7 +101,7 @@ def from_file(groups: Groups, coords: dict[str, Any]) -> tuple[Groups, dict[str,
         known = list(coords.get(f"{group}/element", elements))
         columns = [elements.index(e) for e in known]
         varying = [elements.index(e) for e in coords.get("varying_element", known)]
-        seen = [i for i, mu in zip(columns, groups[group]["mu"][0, 0].tolist(), strict=True) if np.isfinite(mu)]
+        seen = [i for i in columns if groups["constant_data"]["identified"][i]]
         for name, values in groups[group].items():
             if name == "correlation":
                 restored[group][name] = _matrices(values, list(coords["pair"]), elements, seen)

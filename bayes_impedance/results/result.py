@@ -115,11 +115,11 @@ class Result:
         """The population's elements: :meth:`elements_table`."""
         return self.elements_table()
 
-    def persons_table(self) -> pd.DataFrame:
+    def persons_table(self, intervals: bool = False) -> pd.DataFrame:
         """Each person's elements and fit: :func:`bayes_impedance.results.tables.persons_table`."""
         from bayes_impedance.results.tables import persons_table
 
-        return persons_table(self)
+        return persons_table(self, intervals)
 
 
 DIMS: dict[str, list[str]] = {
