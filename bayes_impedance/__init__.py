@@ -53,6 +53,8 @@ if TYPE_CHECKING:
     from bayes_impedance.intake import ImportSettings, import_recordings
     from bayes_impedance.network import PAPER_NETWORK, Element, Kernel, Network, parse
     from bayes_impedance.population import FitSettings, PopulationFit, fit_population
+    from bayes_impedance.population.given_prior import ElementPrior, GivenPrior, read_prior
+    from bayes_impedance.population.sample_prior import sample_prior
     from bayes_impedance.population.simulate import FINGERTIP, VirtualPopulation, simulate_recordings
     from bayes_impedance.quality import check_recordings, describe
     from bayes_impedance.recordings import Recordings, Subject, read_recordings, write_recordings
@@ -97,6 +99,10 @@ _MODULES = {
     "load_result": "results",
     "make_result": "results",
     "save_result": "results",
+    "ElementPrior": "population.given_prior",
+    "GivenPrior": "population.given_prior",
+    "read_prior": "population.given_prior",
+    "sample_prior": "population.sample_prior",
     "FINGERTIP": "population.simulate",
     "VirtualPopulation": "population.simulate",
     "simulate_recordings": "population.simulate",
@@ -109,7 +115,9 @@ __all__ = [
     "Device",
     "Diagnosis",
     "Element",
+    "ElementPrior",
     "FitSettings",
+    "GivenPrior",
     "ImportSettings",
     "InputError",
     "Kernel",
@@ -137,7 +145,9 @@ __all__ = [
     "population_of",
     "predict",
     "read_device",
+    "read_prior",
     "read_recordings",
+    "sample_prior",
     "save_result",
     "simulate_recordings",
     "vector_fit",

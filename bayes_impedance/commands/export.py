@@ -30,6 +30,8 @@ FILES = {
 PICTURES = {"users": ("users",), "stability": ("stability", "worst_user", "transparency")}
 """Files and names of pictures of each product."""
 PRODUCTS = tuple(FILES)
+DESIGN_INPUTS = tuple(product for product in PRODUCTS if product != "people")
+"""What is written if nothing is asked for."""
 _POINTS = 201
 """Points of the logarithmic grid of exported curves. By choice: 67 per decade of the paper's band."""
 
@@ -66,7 +68,7 @@ class ExportOptions:
         Export a fit that must not be used; every file says so.
     """
 
-    what: tuple[str, ...] = PRODUCTS
+    what: tuple[str, ...] = DESIGN_INPUTS
     users: int = 1000
     seed: int = 1
     spanning: int = 8

@@ -39,6 +39,7 @@ from bayes_impedance.population.calibrated import known_of, prior_of, within_rig
 from bayes_impedance.population.dependence import dependent
 from bayes_impedance.population.diagnostics import Diagnostics, assess
 from bayes_impedance.population.em import Estimate, estimate
+from bayes_impedance.population.given_prior import GivenPrior
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.posterior import Posterior
 from bayes_impedance.population.prior import Prior
@@ -79,12 +80,15 @@ class FitSettings:
     draws : int
         Draws for each person, a power of two.
     sampler : SamplerSettings
+    prior : GivenPrior, optional
+        What replaces the default prior (:mod:`~bayes_impedance.population.given_prior`).
     """
 
     covariance: str = "full"
     covariates: tuple[str, ...] = ()
     draws: int = 512
     sampler: SamplerSettings = field(default_factory=SamplerSettings)
+    prior: GivenPrior | None = None
 
     def __post_init__(self) -> None:
         if self.covariance not in ("full", "diagonal"):
@@ -223,7 +227,7 @@ def fit_population(
     whole = Whole(pooling)
     if too_few_for_correlations(len(recordings.subjects), pooling.varying.size):
         settings = replace(settings, covariance="diagonal")
-    prior = prior_of(kernel, recordings)
+    prior = prior_for(kernel, recordings, settings)
     seeds = np.random.SeedSequence(seed).spawn(5)
     if checkpoint is not None:
         same_for_any = replace(settings, sampler=replace(settings.sampler, workers=0))
@@ -377,6 +381,12 @@ def _kept_sets(chains: Chains, numbers_each: int) -> np.ndarray:
     available = chains.coordinates.shape[1]
     most = max(_MOST_NUMBERS // (numbers_each * chains.coordinates.shape[0]), _FEWEST_SETS)
     return np.unique(np.linspace(0, available - 1, min(available, most)).astype(int))
+
+
+def prior_for(kernel: Kernel, recordings: Recordings, settings: FitSettings) -> Prior:
+    """The default prior, with what a calibration and the settings say."""
+    prior = prior_of(kernel, recordings)
+    return prior if settings.prior is None else settings.prior.applied(prior, kernel, recordings.unit)
 
 
 def too_few_for_correlations(n_persons: int, n_elements: int) -> bool:

@@ -158,6 +158,7 @@ DIMS: dict[str, list[str]] = {
     "identified": ["element"],
     "prior_centre": ["element"],
     "prior_centre_sd": ["element"],
+    "prior_dispersion_sd": ["element"],
 }
 """Axes of every variable besides chain and draw; ``part`` is magnitude, then phase in degrees."""
 
@@ -203,6 +204,9 @@ def make_result(
         "reading_warnings": json.dumps(list(recordings.warnings)),
         "selected_subjects": json.dumps(list(selected)),
         DENSITY_ATTRIBUTE: "absolute",
+        "prior": "" if fit.settings.prior is None else fit.settings.prior.text(),
+        "prior_concentration": fit.prior.concentration,
+        "prior_slope_sd": fit.prior.slope_sd,
     }
     checks = checked_predictions(fit, predictive)
     coords = {
@@ -294,6 +298,7 @@ def _groups(fit: PopulationFit, predictive: Predictive, checks: Checks) -> dict[
             "identified": fit.identified.astype(np.int8),
             "prior_centre": fit.prior.centre,
             "prior_centre_sd": fit.prior.centre_sds.copy(),
+            "prior_dispersion_sd": fit.prior.dispersion_sds.copy(),
         },
     }
 
