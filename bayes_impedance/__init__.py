@@ -1,16 +1,19 @@
 """Population parameters of mechanical impedance networks, with honest uncertainty.
 
-The public names, in the order of a session::
+The public names, in the order of a session:
 
-    from bayes_impedance import diagnose, fit_population, make_result, predict, read_recordings, save_result
-
-    recordings = read_recordings("data/fingertip_71")
-    fit = fit_population(recordings, "(n3|r3)-(m2|r1|n1|(m1-(n2|r2)))", seed=1)
-    fit.diagnostics.problems                       # look here first
-    predictive = predict(fit)
-    save_result(make_result(fit, predictive, fit.seconds), "out")
-    diagnose(recordings).verdict["summary"]        # what the network leaves out
-    population_of(load_result("out")).draw(1000, seed=1)   # users to design against
+>>> from bayes_impedance import diagnose, fit_population, load_result, make_result, population_of, predict
+>>> from bayes_impedance import read_recordings, save_result
+>>> recordings = read_recordings("data/fingertip_71")
+>>> fit = fit_population(recordings, seed=1)  # of the dataset's own network, or of one that is given
+>>> fit.diagnostics.problems  # look here first
+()
+>>> save_result(make_result(fit, predict(fit), fit.seconds), "out")
+>>> diagnose(recordings, seed=1, quick=True).verdict  # what the network leaves out
+<Verdict: ...>
+>>> users = population_of(load_result("out")).draw(1000, seed=1)  # to design against
+>>> len(users)
+1000
 
 Names are imported when they are first used, so that ``import bayes_impedance`` costs nothing.
 """
@@ -50,6 +53,8 @@ if TYPE_CHECKING:
     from bayes_impedance.intake import ImportSettings, import_recordings
     from bayes_impedance.network import PAPER_NETWORK, Element, Kernel, Network, parse
     from bayes_impedance.population import FitSettings, PopulationFit, fit_population
+    from bayes_impedance.population.given_prior import ElementPrior, GivenPrior, read_prior
+    from bayes_impedance.population.sample_prior import sample_prior
     from bayes_impedance.population.simulate import FINGERTIP, VirtualPopulation, simulate_recordings
     from bayes_impedance.quality import check_recordings, describe
     from bayes_impedance.recordings import Recordings, Subject, read_recordings, write_recordings
@@ -94,6 +99,10 @@ _MODULES = {
     "load_result": "results",
     "make_result": "results",
     "save_result": "results",
+    "ElementPrior": "population.given_prior",
+    "GivenPrior": "population.given_prior",
+    "read_prior": "population.given_prior",
+    "sample_prior": "population.sample_prior",
     "FINGERTIP": "population.simulate",
     "VirtualPopulation": "population.simulate",
     "simulate_recordings": "population.simulate",
@@ -106,7 +115,9 @@ __all__ = [
     "Device",
     "Diagnosis",
     "Element",
+    "ElementPrior",
     "FitSettings",
+    "GivenPrior",
     "ImportSettings",
     "InputError",
     "Kernel",
@@ -134,7 +145,9 @@ __all__ = [
     "population_of",
     "predict",
     "read_device",
+    "read_prior",
     "read_recordings",
+    "sample_prior",
     "save_result",
     "simulate_recordings",
     "vector_fit",

@@ -174,6 +174,9 @@ def _fit_arguments(parser: argparse.ArgumentParser) -> None:
         help="covariate on which the elements may depend; repeatable",
     )
     parser.add_argument(
+        "--priors", type=Path, metavar="TOML", help="prior of elements, dispersions and correlations (default: broad)"
+    )
+    parser.add_argument(
         "--subject", action="append", default=[], metavar="NAME", help="use only this subject; repeatable"
     )
     parser.add_argument(
@@ -207,6 +210,13 @@ def _diagnose_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("full", "diagonal"),
         default="full",
         help="claimed covariance between persons (default: full)",
+    )
+    parser.add_argument(
+        "--covariate",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="test only whether elements follow this covariate; repeatable (default: every covariate of the dataset)",
     )
     parser.add_argument(
         "--subject", action="append", default=[], metavar="NAME", help="use only this subject; repeatable"
@@ -258,8 +268,8 @@ def _export_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--what",
         action="append",
-        choices=("users", "transfer", "spice", "stability"),
-        help="files to write; repeatable (default: all)",
+        choices=("users", "transfer", "spice", "people", "stability"),
+        help="files to write; repeatable (default: all but people, the values of those who were recorded)",
     )
     parser.add_argument(
         "--users", type=_whole(MOST_USERS), default=1000, metavar="N", help="number of virtual users (default: 1000)"

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from bayes_impedance.commands.arguments import parser_of_commands
 from bayes_impedance.commands.progress_bars import Bars
+from bayes_impedance.commands.slope_lines import slope_lines
 from bayes_impedance.commands.terminal import complain, prepare_streams, sentence_of, tell
 from bayes_impedance.errors import BusyError, InputError, WorkerError
 
@@ -132,6 +133,7 @@ def _diagnose(options: argparse.Namespace) -> int:
     chosen = FitOptions(
         network=options.network,
         covariance=options.covariance,
+        covariates=tuple(options.covariate),
         subjects=tuple(options.subject),
         seed=options.seed,
         quick=options.quick,
@@ -177,10 +179,10 @@ def _report(options: argparse.Namespace) -> int:
 
 
 def _export(options: argparse.Namespace) -> int:
-    from bayes_impedance.commands.export import PRODUCTS, ExportOptions, assumed, export_result
+    from bayes_impedance.commands.export import DESIGN_INPUTS, ExportOptions, assumed, export_result
 
     chosen = ExportOptions(
-        what=tuple(options.what or PRODUCTS),
+        what=tuple(options.what or DESIGN_INPUTS),
         users=options.users,
         seed=options.seed,
         spanning=options.spanning,
@@ -283,6 +285,7 @@ _JOBS = {
 def _fit_options(options: argparse.Namespace) -> Any:
     from bayes_impedance.commands.jobs import FitOptions
     from bayes_impedance.commands.proposed_network import before_in, proposed_network
+    from bayes_impedance.population.given_prior import read_prior
 
     network, proposed, before = options.network, getattr(options, "proposed", None), None
     if proposed is not None:
@@ -304,6 +307,7 @@ def _fit_options(options: argparse.Namespace) -> Any:
         scheduler=options.scheduler,
         overwrite=options.overwrite,
         before=before,
+        prior=None if options.priors is None else read_prior(options.priors),
     )
 
 
@@ -339,6 +343,10 @@ def _finish(result: Result, last: str) -> int:
     if any(_is_marked(element) for element in summary["elements"].values()):
         tell("* may be wrong by more than its interval because of the misfit that is named above")
     tell("dispersions are standard deviations of the natural logarithm")
+    for line in slope_lines(summary):
+        tell(line)
+    if summary.get("prior", {}).get("given"):
+        tell("with the prior that was given (--priors)")
     tell()
     tell(f"{'error of one curve for all (eq. 5)':36}{'|z|, ' + summary['unit']:>16}{'phase, deg':>14}")
     for key, label in (

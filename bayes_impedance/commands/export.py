@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bayes_impedance.errors import InputError
+from bayes_impedance.runtime.atomic_files import write_text
 from bayes_impedance.runtime.output_folder import output_folder
 from bayes_impedance.runtime.user_table import number_in, shown
 from bayes_impedance.units import LARGEST_ELEMENT
@@ -23,11 +24,14 @@ FILES = {
     "users": ("users.csv", "users.json", "curves.csv"),
     "transfer": ("transfer.json", "transfer.txt"),
     "spice": ("users.lib", "monte_carlo.lib", "sweep.cir"),
+    "people": ("people.csv",),
     "stability": ("stability.json", "stability.csv", "limits.csv", "transparency.csv"),
 }
 PICTURES = {"users": ("users",), "stability": ("stability", "worst_user", "transparency")}
 """Files and names of pictures of each product."""
 PRODUCTS = tuple(FILES)
+DESIGN_INPUTS = tuple(product for product in PRODUCTS if product != "people")
+"""What is written if nothing is asked for."""
 _POINTS = 201
 """Points of the logarithmic grid of exported curves. By choice: 67 per decade of the paper's band."""
 
@@ -64,7 +68,7 @@ class ExportOptions:
         Export a fit that must not be used; every file says so.
     """
 
-    what: tuple[str, ...] = PRODUCTS
+    what: tuple[str, ...] = DESIGN_INPUTS
     users: int = 1000
     seed: int = 1
     spanning: int = 8
@@ -148,6 +152,9 @@ def _written(
     from bayes_impedance.design.representatives import representatives
     from bayes_impedance.design.users import population_of
 
+    if options.what == ("people",):  # which every fit has, also that of one person
+        people, said = _people(fit, out), [*fit.problems, *fit.summary["adequacy"]["misfit"]]
+        return [warned(people, said) if said else people], [], None
     population = population_of(fit, options.assume, options.unreliable)
     if "stability" in options.what and population.unit != "N s/m":
         raise InputError(
@@ -160,10 +167,10 @@ def _written(
     users = population.draw(options.users, options.seed, repetitions=options.repetitions)
     chosen = representatives(population, users, band, options.spanning)
 
-    files: list[Path] = []
     answer = None
     made, what, notes = _possible(chosen.users + users, options.what)
     notes = [note for note in (population.note, *notes) if note]
+    files = [_people(fit, out)] if "people" in what else []
     if "users" in what:
         files += write_users(out, population, users, chosen, grid)
     if "transfer" in what and made is None:
@@ -201,6 +208,11 @@ def _written(
                 figures |= {} if last is None else {"transparency": last}
             files += [save_figure(figure, out, name) for name, figure in figures.items()]
     return files, notes, None if answer is None else answer.sentence
+
+
+def _people(fit: Result, out: Path) -> Path:
+    """The values of everybody who was recorded."""
+    return write_text(out / FILES["people"][0], fit.persons_table(intervals=True).to_csv(lineterminator="\n"))
 
 
 def _possible(everybody: Users, what: Sequence[str]) -> tuple[Equivalent | None, set[str], list[str]]:

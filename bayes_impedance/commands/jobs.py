@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 
     from bayes_impedance.diagnosis import Diagnosis
     from bayes_impedance.population.fit import FitSettings
+    from bayes_impedance.population.given_prior import GivenPrior
     from bayes_impedance.quality.checks import Finding
     from bayes_impedance.recordings.files import Recordings
     from bayes_impedance.results.result import Result
@@ -81,6 +82,8 @@ class FitOptions:
         Replace files with the names of the results that this package did not write.
     before : mapping or None
         Network and errors before a diagnosis added what was missing, for the report.
+    prior : GivenPrior or None
+        What replaces the default prior.
     """
 
     network: str | None = None
@@ -94,6 +97,7 @@ class FitOptions:
     scheduler: str | None = None
     overwrite: bool = False
     before: Mapping[str, Any] | None = None
+    prior: GivenPrior | None = None
 
     @property
     def threads(self) -> int:
@@ -105,7 +109,7 @@ class FitOptions:
         from bayes_impedance.population.fit import QUICK_SETTINGS, FitSettings
 
         base = QUICK_SETTINGS if self.quick else FitSettings()
-        return FitSettings(self.covariance, self.covariates, base.draws, base.sampler)
+        return FitSettings(self.covariance, self.covariates, base.draws, base.sampler, self.prior)
 
 
 def fit_dataset(dataset: Path, out: Path, options: FitOptions, resume: bool, progress: Progress) -> Result:
@@ -216,7 +220,8 @@ def diagnose_dataset(
     out : Path
         Folder for the results.
     options : FitOptions
-        Network, covariance, subjects, seed, quick, workers and scheduler.
+        Network, covariance, covariates (those that are tested; all if none are named), subjects, seed, quick, workers
+        and scheduler.
     simulation : Path or None
         Dataset of a simulated population that claims to describe the recordings.
     resume : bool
@@ -234,7 +239,7 @@ def diagnose_dataset(
     """
     from bayes_impedance.recordings.files import read_recordings
 
-    recordings = selected(read_recordings(dataset), options).in_memory()
+    recordings = _with_covariates(selected(read_recordings(dataset), options).in_memory(), options.covariates)
     claimed = None if simulation is None else read_recordings(simulation).in_memory()
     if claimed is not None and claimed.unit != recordings.unit:
         raise InputError(
@@ -346,6 +351,19 @@ def _findings(recordings: Recordings) -> tuple[Finding, ...]:
     from bayes_impedance.quality.checks import check_recordings
 
     return check_recordings(recordings.in_memory()) if len(recordings.subjects) <= _MOST_CHECKED else ()
+
+
+def _with_covariates(recordings: Recordings, names: Sequence[str]) -> Recordings:
+    """The recordings with some of their covariates only; with all of them if none are named."""
+    if not names:
+        return recordings
+    return replace(
+        recordings,
+        subjects=tuple(
+            replace(s, covariates={name: value for name, value in s.covariates.items() if name in names})
+            for s in recordings.subjects
+        ),
+    )
 
 
 def selected(recordings: Recordings, options: FitOptions) -> Recordings:

@@ -21,6 +21,7 @@ from bayes_impedance.runtime.user_table import shown
 
 if TYPE_CHECKING:
     from bayes_impedance.population.fit import FitSettings
+    from bayes_impedance.population.given_prior import GivenPrior
     from bayes_impedance.recordings.files import Recordings
     from bayes_impedance.results.leave_one_out import LeftOut
     from bayes_impedance.results.network_comparison import NetworkComparison
@@ -79,6 +80,7 @@ def compare_networks(
         )
     candidates = [_candidate(text, recordings, options, dataset) for text in given]
     _require_different(candidates)
+    priors = _priors(candidates, recordings, options)
     folders = [out / str(k) if c.result is None else Path(c.given) for k, c in enumerate(candidates, start=1)]
     for candidate, folder in zip(candidates, folders, strict=True):
         if candidate.result is None:
@@ -86,7 +88,7 @@ def compare_networks(
     entries = []
     with output_folder(out, TABLES, options.overwrite):
         for k, (candidate, folder) in enumerate(zip(candidates, folders, strict=True), start=1):
-            own = replace(options, network=candidate.network)
+            own = replace(options, network=candidate.network, prior=priors[k - 1])
             result = candidate.result or (_finished(folder, recordings, own) if resume else None)
             if result is None:
                 result = fit_dataset(dataset, folder, own, resume, progress)
@@ -161,6 +163,23 @@ def _require_different(candidates: Sequence[_Candidate]) -> None:
         known[identity] = c.given
 
 
+def _priors(candidates: Sequence[_Candidate], recordings: Recordings, options: FitOptions) -> list[GivenPrior | None]:
+    """What the given prior says of each network's own elements; each of its elements is in one of them."""
+    from bayes_impedance.population.calibrated import within_rig
+    from bayes_impedance.population.requirements import checked_model
+
+    if options.prior is None:
+        return [None] * len(candidates)
+    elements = [
+        checked_model(recordings, within_rig(recordings, c.network), options.covariates).kernel.elements
+        for c in candidates
+    ]
+    unknown = sorted(set(options.prior.elements) - {name for names in elements for name in names})
+    if unknown:
+        raise InputError(f"--priors: {shown(unknown[0])} is in none of the networks; leave it out")
+    return [options.prior.only(names) for names in elements]
+
+
 # -------------------------------------------------------------------- fits
 
 
@@ -190,6 +209,7 @@ def _finished(folder: Path, recordings: Recordings, options: FitOptions) -> Resu
     same = all(attributes[name] == value for name, value in wanted.items())
     same = same and _names(result) == recordings.names and _settings_of(result).covariates == options.covariates
     same = same and summary["sampler"]["ensembles"] == settings.sampler.ensembles
+    same = same and attributes.get("prior", "") == ("" if options.prior is None else options.prior.text())
     same = same and summary["versions"]["bayes_impedance"] == version("bayes_impedance")
     return result if same else None
 
@@ -197,11 +217,13 @@ def _finished(folder: Path, recordings: Recordings, options: FitOptions) -> Resu
 def _settings_of(result: Result) -> FitSettings:
     """Settings with which a result was fitted, as far as the command's options go."""
     from bayes_impedance.population.fit import QUICK_SETTINGS, FitSettings
+    from bayes_impedance.population.given_prior import GivenPrior
 
     quick = result.summary["sampler"]["ensembles"] == QUICK_SETTINGS.sampler.ensembles
     base = QUICK_SETTINGS if quick else FitSettings()
     covariates = tuple(str(name) for name in result.coords.get("covariate", ()))
-    return FitSettings(result.attributes["covariance"], covariates, base.draws, base.sampler)
+    prior = GivenPrior.of_text(result.attributes.get("prior", ""))
+    return FitSettings(result.attributes["covariance"], covariates, base.draws, base.sampler, prior)
 
 
 def _with_refits(

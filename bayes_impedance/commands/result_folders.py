@@ -33,6 +33,8 @@ def fit_folder(
     from bayes_impedance.runtime.checkpoint import discard, require_own
 
     checked_model(recordings, options.network, options.covariates)
+    if options.prior is not None:
+        _require_prior(recordings, options)
     checkpoint = out / CHECKPOINT_FOLDER
     if not resume:
         require_own(checkpoint)
@@ -41,6 +43,16 @@ def fit_folder(
             discard(checkpoint)
         with discarded_if_useless(checkpoint, resume):
             yield
+
+
+def _require_prior(recordings: Recordings, options: FitOptions) -> None:
+    """Refuse a prior that does not belong to the network."""
+    from bayes_impedance.population.calibrated import within_rig
+    from bayes_impedance.population.fit import prior_for
+    from bayes_impedance.population.requirements import checked_model
+
+    model = checked_model(recordings, within_rig(recordings, options.network), options.covariates)
+    prior_for(model.kernel, recordings, options.settings())
 
 
 @contextmanager

@@ -29,6 +29,7 @@ import numpy.typing as npt
 from scipy.linalg import solve_triangular
 
 from bayes_impedance.design.body import body_of
+from bayes_impedance.display import MOST_ROWS, heading, joined, lines, table
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Network, parse
@@ -70,6 +71,16 @@ class Users:
 
     def __len__(self) -> int:
         return len(self.names)
+
+    def __repr__(self) -> str:
+        return f"<Users of {self.network}: {len(self)}, impedance in {self.unit}>"
+
+    def _repr_html_(self) -> str:
+        rows = [(self.names[i], *self.of(i).values()) for i in range(min(len(self), MOST_ROWS))]
+        units = self.units
+        columns = ["user", *(f"{e} in {units[e]}" if units[e] else e for e in self.elements)]
+        more = [f"and {len(self) - len(rows)} more"] if len(self) > len(rows) else []
+        return joined(heading(repr(self).strip("<>")), table(columns, rows), lines(more))
 
     def __getitem__(self, rows: slice | npt.ArrayLike) -> Users:
         chosen = np.arange(len(self))[rows if isinstance(rows, slice) else np.asarray(rows)]

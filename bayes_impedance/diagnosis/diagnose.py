@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from contextlib import nullcontext
@@ -86,7 +87,7 @@ def diagnose(
     workers: int = 2,
     progress: Progress = lambda *_: None,
     executor: Executor | None = None,
-    checkpoint: Path | None = None,
+    checkpoint: str | os.PathLike[str] | None = None,
 ) -> Diagnosis:
     """Find effects in recordings that a network lacks.
 
@@ -116,7 +117,7 @@ def diagnose(
     executor : Executor, optional
         Runs the work that is done person by person and recording by recording: processes, workers of a cluster, or any
         other with the standard interface. Threads of this process if not given; the verdict is the same.
-    checkpoint : Path, optional
+    checkpoint : path, optional
         Folder in which the first fit of the network is saved as it progresses; an interrupted diagnosis with the same
         arguments resumes from it. The later search is not saved.
 
@@ -144,7 +145,7 @@ def diagnose(
             seed=seed,
             executor=executor,
             progress=progress,
-            checkpoint=checkpoint,
+            checkpoint=None if checkpoint is None else Path(checkpoint),
         )
         claimed = None
         if simulation is not None:

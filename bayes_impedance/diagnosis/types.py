@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bayes_impedance.diagnosis.verdict_types import ParameterDifference, Verdict
 from bayes_impedance.population.fit import PopulationFit
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,3 +153,15 @@ class Diagnosis:
     differences: tuple[ParameterDifference, ...]
     fit: PopulationFit | None
     seconds: dict[str, float]
+
+    def __repr__(self) -> str:
+        return f"<Diagnosis of {len(self.subjects)} subjects: {self.verdict.summary}>"
+
+    def _repr_html_(self) -> str:
+        return self.verdict._repr_html_()
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The ranking of the first screening, best first: one row for each candidate, columns as :class:`Ranked`."""
+        import pandas as pd
+
+        return pd.DataFrame([vars(row) for row in self.ranking], columns=list(Ranked.__dataclass_fields__))

@@ -11,6 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+from bayes_impedance.diagnosis.verdict_tables import dataframe_of, html_of
+
 Subjects = Literal["all"] | tuple[str, ...]
 """Names of people, or all of them."""
 
@@ -378,6 +380,12 @@ class Verdict:
     parameters_differ: tuple[ParameterDifference, ...] | None = None
     shortcomings: tuple[str, ...] = ()
     extended_network: str | None = None
+
+    def __repr__(self) -> str:
+        return f"<Verdict: {self.summary}>"
+
+    _repr_html_ = html_of
+    to_dataframe = dataframe_of
 
     @property
     def mismatch(self) -> bool:

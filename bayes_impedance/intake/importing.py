@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -102,13 +103,13 @@ class Imported:
 
 
 def import_recordings(
-    sources: Sequence[Path], settings: ImportSettings, progress: Progress = lambda *_: None
+    sources: Sequence[str | os.PathLike[str]], settings: ImportSettings, progress: Progress = lambda *_: None
 ) -> Imported:
     """Read files of spectra or signals.
 
     Parameters
     ----------
-    sources : sequence of Path
+    sources : sequence of path
         Files and folders.
     settings : ImportSettings
     progress : callable
@@ -119,7 +120,8 @@ def import_recordings(
         If anything cannot be used; the message names the file, the row and the remedy.
     """
     runs = settings.calibration.files
-    spectra, notes, files = read_spectra(sources, settings, progress, without=runs)
+    places = [Path(source) for source in sources]
+    spectra, notes, files = read_spectra(places, settings, progress, without=runs)
     calibration = calibrated(spectra, settings.calibration, settings)
     notes += calibration.notes
     subjects, kept, told = assemble(calibration.spectra, settings.driving_point)
@@ -131,7 +133,7 @@ def import_recordings(
         title=settings.title or "imported recordings",
         unit=kept[0].unit,
         network=settings.network,
-        source=settings.source or ", ".join(source.name for source in sources[:5]),
+        source=settings.source or ", ".join(source.name for source in places[:5]),
         licence=settings.licence,
         subjects=tuple(subjects),
         warnings=tuple(_merged(notes)),

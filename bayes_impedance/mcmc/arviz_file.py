@@ -27,6 +27,12 @@ from bayes_impedance.runtime.atomic_files import write_bytes
 
 _SEAL = "content_sha256"
 """Attribute with a digest of the content, by which a damaged file is detected."""
+_SAMPLED = frozenset(
+    {"posterior", "posterior_predictive", "sample_stats", "log_likelihood", "prior", "prior_predictive"}
+)
+"""Groups of draws."""
+_COUNTED = ("chain", "draw")
+"""Axes without labels of their own."""
 _NETCDF_ATTRIBUTES = frozenset({"_NCProperties", "_nc3_strict", "_Netcdf4Dimid", "_Netcdf4Coordinates"})
 """Attributes that netCDF adds to HDF5 for internal use."""
 
@@ -123,36 +129,37 @@ def save(
     ----------
     file : Path
     groups : mapping
-        Group name to variables. Variables of ``posterior``, ``posterior_predictive``, ``sample_stats`` and
-        ``log_likelihood`` start with the axes chain and draw.
+        Group name to variables. Those of the groups in :data:`_SAMPLED` start with the axes chain and draw.
     dims : mapping
         Variable to names of its further axes.
     coords : mapping
-        Axis to labels.
+        Axis to labels; ``group/axis`` to the labels that an axis has in one group only.
     attributes : mapping
         Written to the file and to every group.
     meanings : mapping, optional
-        Variable to its own attributes, such as ``units``.
+        Variable, or ``group/variable``, to its own attributes, such as ``units``.
     """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        import arviz
+    import xarray as xr
 
-        arguments: dict[str, Any] = {name: dict(variables) for name, variables in groups.items()}
-        if _modern():
-            data = arviz.from_dict(arguments, dims=dict(dims), coords=dict(coords))
-            datasets = {name: data[name].to_dataset() for name in groups}
-        else:
-            data = arviz.from_dict(**arguments, dims=dict(dims), coords=dict(coords))
-            datasets = {name: data[name] for name in groups}
-        used = {axis for variables in groups.values() for name in variables for axis in dims.get(name, ())}
-        labels = {axis: values for axis, values in coords.items() if axis in used}
-        for dataset in datasets.values():
-            for name, described in (meanings or {}).items():
-                if name in dataset:
-                    dataset[name].attrs.update(described)
-        own = dict(attributes) | {_SEAL: _seal(groups, labels, attributes)}
-        write_bytes(file, _as_netcdf(datasets, own))
+    meanings = meanings or {}
+    datasets, labels = {}, {}
+    for group, variables in groups.items():
+        sampled = ("chain", "draw") if group in _SAMPLED else ()
+        used: dict[str, Any] = {}
+        content = {}
+        for name, values in variables.items():
+            axes = (*sampled, *dims.get(name, ()))
+            for axis, size in zip(axes, np.shape(values), strict=True):
+                key = f"{group}/{axis}" if f"{group}/{axis}" in coords else axis
+                labelled = key in coords and axis not in _COUNTED
+                used[axis] = coords[key] if labelled else np.arange(size)
+                if labelled:
+                    labels[key] = coords[key]
+            own = dict(meanings.get(name, {})) | dict(meanings.get(f"{group}/{name}", {}))
+            content[name] = xr.Variable(axes, values, attrs=own)
+        datasets[group] = xr.Dataset(content, coords={axis: np.asarray(values) for axis, values in used.items()})
+    own_attributes = dict(attributes) | {_SEAL: _seal(groups, labels, attributes)}
+    write_bytes(file, _as_netcdf(datasets, own_attributes))
 
 
 def _as_netcdf(datasets: Mapping[str, Any], attributes: Mapping[str, Any]) -> bytes:
@@ -170,7 +177,9 @@ def _as_netcdf(datasets: Mapping[str, Any], attributes: Mapping[str, Any]) -> by
         for name, dataset in datasets.items():
             labelled = dataset.copy()
             labelled.attrs = dict(attributes)  # without ArviZ's time of creation: equal runs give equal files
-            numbers = {key: {"zlib": True} for key, v in labelled.variables.items() if v.dtype.kind in "iufcb"}
+            numbers = {
+                key: {"zlib": True, "shuffle": True} for key, v in labelled.variables.items() if v.dtype.kind in "iufcb"
+            }
             labelled.dump_to_store(H5NetCDFStore(opened, group=name, mode="a"), encoding=numbers)
     return content.getvalue()
 
@@ -198,12 +207,15 @@ def load_groups(file: Path) -> tuple[dict[str, dict[str, np.ndarray]], dict[str,
             attributes = {
                 name: _plain(value) for name, value in data["posterior"].attrs.items() if name not in _NETCDF_ATTRIBUTES
             }
-            for group, variables in data.items():
+            for group, variables in sorted(data.items()):
                 groups[group] = {}
                 for name, variable in variables.items():
                     values = np.asarray(variable[...])
                     if variable.is_scale:
-                        coords[name] = [_plain(v) for v in values] if values.dtype.kind in "OSU" else values
+                        labels = [_plain(v) for v in values] if values.dtype.kind in "OSU" else values
+                        first = coords.setdefault(name, labels)
+                        if name not in _COUNTED and not np.array_equal(first, labels):
+                            coords[f"{group}/{name}"] = labels
                     else:
                         groups[group][name] = values
             seal = attributes.pop(_SEAL, None)

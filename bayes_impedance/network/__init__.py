@@ -6,7 +6,7 @@ damper), :mod:`.parameters` and :mod:`.constructs` (power laws, wrappers; what i
 network as arrays) and :mod:`.kernel` (compiled evaluation). :mod:`.electrical` reads and prints circuits.
 :mod:`.operations` is the table of operations on the impedance of a place, :mod:`.transform` their formulas,
 :mod:`.rational` the network as a ratio of polynomials. :mod:`.redundancy` says what no recording can tell apart,
-:mod:`.passivity` whether a network is passive by construction.
+:mod:`.passivity` whether a network is passive by construction. :mod:`.schematic` draws it.
 
 The kernel is imported at first use: the notation alone needs no compiler.
 """

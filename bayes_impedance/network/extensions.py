@@ -31,7 +31,7 @@ RADIAN_PER_SECOND = 1 / (2 * np.pi)
 """Reference frequency in Hz of a power law without one: its size is then the c of c s^(a-1)."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PowerLaw(Network):
     """A power law: p (s/w0)^(a-1), an element between spring and damper, or between damper and mass.
 
@@ -94,7 +94,7 @@ class PowerLaw(Network):
         raise _not_rational(self._notation())
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Wrapped(Network):
     """A network whose impedance is changed as a whole, such as ``delay[d1](...)``.
 

@@ -34,6 +34,12 @@ __all__ = ["PAPER_NETWORK", "Element", "Network", "Parallel", "Place", "PowerLaw
 def parse(text: str) -> Network:
     """Read a network from its notation.
 
+    >>> network = parse("(n3|r3)-(m2|r1|n1)")
+    >>> network.elements
+    ('n3', 'r3', 'm2', 'r1', 'n1')
+    >>> parse("r2") | parse("m1-n1")  # impedances add, mobilities add
+    parse('r2|(m1-n1)')
+
     Parameters
     ----------
     text : str

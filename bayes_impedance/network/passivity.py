@@ -28,6 +28,7 @@ def doubts_of_passivity(network: Network) -> tuple[str, ...]:
 
     Examples
     --------
+    >>> from bayes_impedance.network.notation import parse
     >>> doubts_of_passivity(parse("m1|delay[d1](n1)"))
     ('delay[d1](...) shifts the phase without bound',)
     """

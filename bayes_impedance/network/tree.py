@@ -36,6 +36,7 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.network.elements import kind_of
 from bayes_impedance.network.parameters import Parameter, Symbol, plain_parameter
 from bayes_impedance.network.rational import TransferFunction, add_fractions, monomial
+from bayes_impedance.network.shown import Shown
 from bayes_impedance.runtime.user_table import shown
 
 PAPER_NETWORK = "skin:(n3|r3)-tissue:(m2|r1|n1|limb:(m1-(n2|r2)))"
@@ -59,8 +60,8 @@ class Place(NamedTuple):
     name: str
 
 
-@dataclass(frozen=True)
-class Network(ABC):
+@dataclass(frozen=True, repr=False)
+class Network(Shown, ABC):
     """A mechanical one-port. Use :class:`Element`, the operators ``|`` and ``-``, or :func:`parse` to make one."""
 
     @property
@@ -248,7 +249,7 @@ class Network(ABC):
         return self.place(place) if isinstance(place, str) else place
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Element(Network):
     """A single mass, compliance or damper: the first letter of its name says which.
 
@@ -297,7 +298,7 @@ class Element(Network):
         return monomial(value_of(self.symbol, values), kind.exponent, kind.power)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class _Group(Network):
     members: tuple[Network, ...]
     _label: str | None = None
@@ -315,7 +316,7 @@ class _Group(Network):
         return type(self)(_flatten(type(self), parts))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Parallel(_Group):
     """Parts with one velocity in common: their impedances add."""
 
@@ -330,7 +331,7 @@ class Parallel(_Group):
         return add_fractions([part.transfer_function(values) for part in self.members])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Series(_Group):
     """Parts with one force in common: their mobilities (1/z) add."""
 

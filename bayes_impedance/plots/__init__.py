@@ -11,13 +11,15 @@ Each picture is a function that draws into the matplotlib Figure or Axes it is g
         figure = bands(new_figure(8, 8), result)
         figure.savefig("bands.png")
 
-:func:`write_pictures` writes all that apply to a run. Those of :mod:`bayes_impedance.plots.paper` show measured curves
-with models from any source and need no run; :func:`save_figure` writes them. matplotlib is imported when the first
-picture is drawn.
+:mod:`.quick` needs no prepared figure: ``plot_bode``, ``plot_nyquist``, ``plot_person`` and ``plot_predictive_check``
+return the axes that they are given or have made. :func:`write_pictures` writes all that apply to a run. Those of
+:mod:`bayes_impedance.plots.paper` show measured curves with models from any source and need no run;
+:func:`save_figure` writes them. matplotlib is imported when the first picture is drawn.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +32,7 @@ from bayes_impedance.plots.joint import corner_central, corner_dispersion
 from bayes_impedance.plots.missing_physics import DIAGNOSIS_PICTURES
 from bayes_impedance.plots.paper import all_curves, bode, error_bars
 from bayes_impedance.plots.parameters import correlation, forest, overview, priors, traces
+from bayes_impedance.plots.quick import plot_bode, plot_nyquist, plot_person, plot_predictive_check
 from bayes_impedance.plots.spectra import bands, coverage, curves, errors, noise
 from bayes_impedance.plots.style import new_figure, style
 from bayes_impedance.results.result import Result
@@ -60,6 +63,10 @@ __all__ = [
     "new_figure",
     "noise",
     "overview",
+    "plot_bode",
+    "plot_nyquist",
+    "plot_person",
+    "plot_predictive_check",
     "priors",
     "save_figure",
     "style",
@@ -165,7 +172,7 @@ _HERE = ("corner_central", "corner_dispersion", "curves", "bands", "noise")
 already imported here."""
 
 
-def write_pictures(result: Result, folder: Path, helper: Executor | None = None) -> dict[str, Path]:
+def write_pictures(result: Result, folder: str | os.PathLike[str], helper: Executor | None = None) -> dict[str, Path]:
     """Write every picture that applies, as PNG and as SVG.
 
     The same result gives the same bytes. A picture appears under its name only when it is complete.
@@ -173,7 +180,7 @@ def write_pictures(result: Result, folder: Path, helper: Executor | None = None)
     Parameters
     ----------
     result : Result
-    folder : Path
+    folder : path
         Made if it does not exist.
     helper : Executor, optional
         Another process, which draws some of them; threads would block each other.
@@ -198,18 +205,18 @@ def prepare() -> None:
     import matplotlib.backends.backend_svg  # noqa: F401
 
 
-def _write(names: Sequence[str], result: Result, folder: Path) -> dict[str, Path]:
+def _write(names: Sequence[str], result: Result, folder: str | os.PathLike[str]) -> dict[str, Path]:
     with style():
         return {p.name: save_figure(p.figure(result), folder, p.name) for p in PICTURES if p.name in names}
 
 
-def write_comparison(comparison: MethodComparison, folder: Path) -> dict[str, Path]:
+def write_comparison(comparison: MethodComparison, folder: str | os.PathLike[str]) -> dict[str, Path]:
     """Write the paper's figures of a comparison of methods, each as PNG and as SVG.
 
     Parameters
     ----------
     comparison : MethodComparison
-    folder : Path
+    folder : path
         Made if it does not exist.
 
     Returns
@@ -222,14 +229,14 @@ def write_comparison(comparison: MethodComparison, folder: Path) -> dict[str, Pa
 
 
 def write_diagnosis_pictures(
-    diagnosis: Diagnosis, folder: Path, formats: Sequence[str] = ("svg", "png")
+    diagnosis: Diagnosis, folder: str | os.PathLike[str], formats: Sequence[str] = ("svg", "png")
 ) -> dict[str, Path]:
     """Write every picture of a diagnosis that applies.
 
     Parameters
     ----------
     diagnosis : Diagnosis
-    folder : Path
+    folder : path
         Made if it does not exist.
     formats : sequence of str
         Of ``png``, ``svg`` and ``pdf``.
@@ -248,14 +255,16 @@ def write_diagnosis_pictures(
     return written
 
 
-def save_figure(figure: Figure, folder: Path, name: str, formats: Sequence[str] = ("svg", "png")) -> Path:
+def save_figure(
+    figure: Figure, folder: str | os.PathLike[str], name: str, formats: Sequence[str] = ("svg", "png")
+) -> Path:
     """Write a figure, as PNG and as SVG by default; the same figure gives the same bytes.
 
     Parameters
     ----------
     figure : Figure
         Drawn inside :func:`style`. Its panels stay where they are now arranged.
-    folder : Path
+    folder : path
         Made if it does not exist.
     name : str
         Of the files, without a suffix.
@@ -277,6 +286,7 @@ def save_figure(figure: Figure, folder: Path, name: str, formats: Sequence[str] 
         raise InputError(
             f"pictures cannot be written as {', '.join(unknown) or 'nothing'}: choose from png, svg and pdf"
         )
+    folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     with style():  # the names of an SVG's parts come from a setting
         _arrange(figure)

@@ -76,6 +76,12 @@ def prior_sds(result: Result) -> np.ndarray:
     return np.full(len(result.elements), LOG_SD) if known is None else np.asarray(known, dtype=float)
 
 
+def prior_dispersion_sds(result: Result) -> np.ndarray:
+    """Scale of the half-normal prior of each element's dispersions, shape (P,); one in results of earlier versions."""
+    known = variable(result, "prior_dispersion_sd")
+    return np.ones(len(result.elements)) if known is None else np.asarray(known, dtype=float)
+
+
 def element_scale(result: Result, element: int) -> Scale:
     """Prefix and unit in which an element's value is easy to read."""
     unit = result.element_unit(result.elements[element])

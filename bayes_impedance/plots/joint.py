@@ -14,6 +14,7 @@ from bayes_impedance.plots.access import (
     element_scale,
     identified,
     needed,
+    prior_dispersion_sds,
     prior_sds,
     samples,
     varying,
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
 
 Density = Callable[[np.ndarray], np.ndarray]
 
-PRIOR_DISPERSION_SD = 1.0
-"""Scales of the default prior (population.prior.Prior). They are fixed, and results do not contain them."""
 _WIDE = 8.0
 """A posterior whose 90 % interval spans more than this factor is shown on a logarithmic scale. By choice: on a linear
 one its lower part cannot be read."""
@@ -93,8 +92,8 @@ def corner_dispersion(figure: Figure, result: Result) -> Figure:
         low, middle, high = np.quantile(x, INTERVAL)
         labels.append(f"geometric sd\nof {result.elements[i]}")
         titles.append(f"{result.elements[i]}: ×{middle:.2f}\n({low:.2f} to {high:.2f})")
-    prior = _of_value(half_normal_density(PRIOR_DISPERSION_SD))
-    return _corner(figure, factors, labels, titles, [prior] * seen.size)
+    priors = [_of_value(half_normal_density(sd)) for sd in prior_dispersion_sds(result)[seen].tolist()]
+    return _corner(figure, factors, labels, titles, priors)
 
 
 def normal_density(mean: float, sd: float) -> Density:

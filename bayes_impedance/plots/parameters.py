@@ -12,6 +12,7 @@ from bayes_impedance.plots.access import (
     element_scale,
     identified,
     needed,
+    prior_dispersion_sds,
     prior_sds,
     samples,
     subjects,
@@ -19,7 +20,7 @@ from bayes_impedance.plots.access import (
     varying,
     who,
 )
-from bayes_impedance.plots.joint import PRIOR_DISPERSION_SD, half_normal_density, normal_density
+from bayes_impedance.plots.joint import half_normal_density, normal_density
 from bayes_impedance.plots.style import BLUE, ENSEMBLES, GREY, INK, LIGHT, ORANGE, RED, log_axis, log_limits
 from bayes_impedance.population.natural_scales import LOG_SD
 from bayes_impedance.results.result import Result
@@ -287,10 +288,10 @@ def priors(figure: Figure, result: Result) -> Figure:
     panels[0].set_yticks(range(len(names)), names)
     panels[0].set_ylim(len(names) - 0.6, -1.0)
     if spread:
-        grid = np.linspace(0, 2.2 * PRIOR_DISPERSION_SD, 200)
-        prior = half_normal_density(PRIOR_DISPERSION_SD)(grid)
+        scales = prior_dispersion_sds(result)
+        grid = np.linspace(0, 2.2 * float(scales.max()), 200)
         for row in range(len(names)):
-            _ridge(panels[1], row, grid, prior, LIGHT, "prior")
+            _ridge(panels[1], row, grid, half_normal_density(float(scales[row]))(grid), LIGHT, "prior")
             if seen[row] and not result.parameters[row].shared:
                 density, edges = np.histogram(samples(result, "dispersion_between_persons")[:, row], bins=25)
                 _ridge(panels[1], row, (edges[1:] + edges[:-1]) / 2, density, BLUE, "posterior")

@@ -41,9 +41,9 @@ from bayes_impedance.population.shared import (
 )
 from bayes_impedance.runtime.sharded import Kept
 
-PRIOR_PERSONS = 2.0
-"""Pseudo-persons with independent elements, added to the covariance: the weight of the prior LKJ(2) of correlations.
-With them the covariance of few persons is not singular."""
+PRIOR_PERSONS, LKJ = 2.0, 2.0
+"""Pseudo-persons with independent elements, added to the covariance: the weight of the prior LKJ(2) of correlations,
+and in proportion to its concentration. With them the covariance of few persons is not singular."""
 SMALLEST_DISPERSION = 0.02
 """Least sd of logarithms between persons. By choice: reweighting cannot widen draws that lie almost in one point, and
 the covariance must stay invertible."""
@@ -239,8 +239,11 @@ class State:
             self.mu[e], self.slopes[e] = self.prior.centre[e] + solution[0], solution[1:]
         # A second pass over the persons: squaring the deviations from the new mean avoids cancellation.
         square = _total(self.fits.ask(spread, columns=[self.means])) + _total(part.uncertainty for part in parts)
-        weak = PRIOR_PERSONS * np.diag(np.clip(variance, SMALLEST_DISPERSION**2, 1.0))
-        covariance = (square + weak) / (self.n_persons + PRIOR_PERSONS)
+        persons = PRIOR_PERSONS * self.prior.concentration / LKJ
+        # The prior's scale of the dispersions limits what few persons and much noise would give.
+        limit = np.maximum(self.prior.dispersion_sds, SMALLEST_DISPERSION) ** 2
+        weak = persons * np.diag(np.clip(variance, SMALLEST_DISPERSION**2, limit))
+        covariance = (square + weak) / (self.n_persons + persons)
         floor = np.maximum(np.diag(covariance), SMALLEST_DISPERSION**2)
         self.covariance = np.diag(floor) if not self.correlated else covariance + np.diag(floor - np.diag(covariance))
 

@@ -17,6 +17,7 @@ If there is a checkpoint folder, first fits, iterations of the point estimate an
 
 from __future__ import annotations
 
+import os
 from concurrent.futures import Executor
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
@@ -38,6 +39,7 @@ from bayes_impedance.population.calibrated import known_of, prior_of, within_rig
 from bayes_impedance.population.dependence import dependent
 from bayes_impedance.population.diagnostics import Diagnostics, assess
 from bayes_impedance.population.em import Estimate, estimate
+from bayes_impedance.population.given_prior import GivenPrior
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.posterior import Posterior
 from bayes_impedance.population.prior import Prior
@@ -45,6 +47,7 @@ from bayes_impedance.population.recording_noise import initial_likelihoods, scal
 from bayes_impedance.population.requirements import CheckedModel, checked_model
 from bayes_impedance.population.sampling import sampled
 from bayes_impedance.population.shared import Pooling
+from bayes_impedance.population.shown_fit import ShownFit
 from bayes_impedance.population.starting_fits import FirstFits, first_fits
 from bayes_impedance.population.whole import Whole
 from bayes_impedance.recordings.files import Recordings
@@ -77,12 +80,15 @@ class FitSettings:
     draws : int
         Draws for each person, a power of two.
     sampler : SamplerSettings
+    prior : GivenPrior, optional
+        What replaces the default prior (:mod:`~bayes_impedance.population.given_prior`).
     """
 
     covariance: str = "full"
     covariates: tuple[str, ...] = ()
     draws: int = 512
     sampler: SamplerSettings = field(default_factory=SamplerSettings)
+    prior: GivenPrior | None = None
 
     def __post_init__(self) -> None:
         if self.covariance not in ("full", "diagonal"):
@@ -95,8 +101,8 @@ QUICK_SETTINGS = FitSettings(draws=256, sampler=QUICK)
 """By choice: fewer draws and shorter chains, faster but with a larger Monte-Carlo error."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class PopulationFit:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class PopulationFit(ShownFit):
     """Posterior of a population.
 
     Attributes
@@ -173,7 +179,7 @@ def fit_population(
     seed: int = 1,
     workers: int = 2,
     progress: Progress = lambda *_: None,
-    checkpoint: Path | None = None,
+    checkpoint: str | os.PathLike[str] | None = None,
     executor: Executor | None = None,
 ) -> PopulationFit:
     """Estimate the elements of a population from its recordings.
@@ -191,7 +197,7 @@ def fit_population(
         Number of threads of this process; the result does not depend on it. They always sample the ensembles.
     progress : callable, optional
         Called with stage, done, total.
-    checkpoint : Path, optional
+    checkpoint : path, optional
         Folder where first fits, point estimate and chains are saved as they are computed; an interrupted fit with the
         same arguments continues from there.
     executor : Executor, optional
@@ -211,6 +217,7 @@ def fit_population(
     """
     from threadpoolctl import threadpool_limits
 
+    checkpoint = None if checkpoint is None else Path(checkpoint)
     settings = settings or FitSettings()
     settings = replace(settings, sampler=replace(settings.sampler, workers=workers))
     model = checked_model(recordings, within_rig(recordings, network), settings.covariates)
@@ -220,7 +227,7 @@ def fit_population(
     whole = Whole(pooling)
     if too_few_for_correlations(len(recordings.subjects), pooling.varying.size):
         settings = replace(settings, covariance="diagonal")
-    prior = prior_of(kernel, recordings)
+    prior = prior_for(kernel, recordings, settings)
     seeds = np.random.SeedSequence(seed).spawn(5)
     if checkpoint is not None:
         same_for_any = replace(settings, sampler=replace(settings.sampler, workers=0))
@@ -374,6 +381,12 @@ def _kept_sets(chains: Chains, numbers_each: int) -> np.ndarray:
     available = chains.coordinates.shape[1]
     most = max(_MOST_NUMBERS // (numbers_each * chains.coordinates.shape[0]), _FEWEST_SETS)
     return np.unique(np.linspace(0, available - 1, min(available, most)).astype(int))
+
+
+def prior_for(kernel: Kernel, recordings: Recordings, settings: FitSettings) -> Prior:
+    """The default prior, with what a calibration and the settings say."""
+    prior = prior_of(kernel, recordings)
+    return prior if settings.prior is None else settings.prior.applied(prior, kernel, recordings.unit)
 
 
 def too_few_for_correlations(n_persons: int, n_elements: int) -> bool:

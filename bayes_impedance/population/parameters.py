@@ -271,16 +271,16 @@ class Coordinates:
 
     def _dispersion(self, u: np.ndarray, bend: np.ndarray | None) -> np.ndarray:
         s = np.abs(u) if bend is None else bend[list(self.free)] * np.sinh(np.abs(u))
-        return np.asarray(self.prior.dispersion_sd * np.maximum(s, _SMALLEST))
+        return np.asarray(self.prior.dispersion_sds[list(self.free)] * np.maximum(s, _SMALLEST))
 
     def _coordinate(self, dispersion: np.ndarray, bend: np.ndarray | None) -> np.ndarray:
-        s = np.asarray(dispersion) / self.prior.dispersion_sd
-        return s if bend is None else np.arcsinh(s / bend[list(self.free)])
+        s = np.asarray(dispersion) / self.prior.dispersion_sds[list(self.free)]
+        return np.asarray(s if bend is None else np.arcsinh(s / bend[list(self.free)]))
 
     def dispersion_slope(self, u: np.ndarray, bend: np.ndarray | None) -> np.ndarray:
         """Derivative of dispersions with respect to their coordinates, (W, n)."""
         own = np.sign(u) if bend is None else bend[list(self.free)] * np.cosh(u) * np.sign(u)
-        return np.asarray(self.prior.dispersion_sd * own)
+        return np.asarray(self.prior.dispersion_sds[list(self.free)] * own)
 
     def dispersion_prior_slope(self, u: np.ndarray, bend: np.ndarray | None) -> np.ndarray:
         """Derivative of the log prior density of dispersions with respect to their coordinates, (W, n)."""

@@ -160,7 +160,7 @@ class Posterior:
 
     @staticmethod
     def _bend(dispersion: np.ndarray, prior: Prior) -> np.ndarray:
-        return np.asarray(_BEND * np.maximum(dispersion, _LEAST_DISPERSION) / prior.dispersion_sd)
+        return np.asarray(_BEND * np.maximum(dispersion, _LEAST_DISPERSION) / prior.dispersion_sds)
 
     def log_probability(self, u: np.ndarray) -> np.ndarray:
         """Log posterior density of coordinates (W, D), up to a constant: shape (W,)."""

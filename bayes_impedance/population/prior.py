@@ -25,7 +25,7 @@ class Prior:
         Prior mean of the population's mean log elements.
     centre_sd : float or ndarray, shape (P,)
         Its standard deviation, in natural logarithms.
-    dispersion_sd : float
+    dispersion_sd : float or ndarray, shape (P,)
         Scale of the half-normal priors of both dispersions.
     concentration : float
         LKJ concentration eta of the correlations.
@@ -40,7 +40,7 @@ class Prior:
 
     centre: np.ndarray
     centre_sd: float | np.ndarray = 3.0
-    dispersion_sd: float = 1.0
+    dispersion_sd: float | np.ndarray = 1.0
     concentration: float = 2.0
     slope_sd: float = 1.0
     correlation: np.ndarray | None = None
@@ -50,15 +50,22 @@ class Prior:
         centre = np.asarray(self.centre)
         if centre.ndim != 1 or centre.dtype.kind not in "fiu" or not np.all(np.isfinite(centre)):
             raise InputError("prior: centre must be a one-dimensional array of finite numbers, one for each element")
-        for name in ("dispersion_sd", "concentration", "slope_sd"):
+        for name in ("concentration", "slope_sd"):
             number_in(getattr(self, name), f"prior: {name}", above=0)
-        for sd in np.atleast_1d(self.centre_sd).tolist():
-            number_in(sd, "prior: centre_sd", above=0)
+        for name in ("centre_sd", "dispersion_sd"):
+            own = getattr(self, name)
+            for sd in own.tolist() if isinstance(own, np.ndarray) else [own]:
+                number_in(sd, f"prior: {name}", above=0)
 
     @property
     def centre_sds(self) -> np.ndarray:
         """Standard deviation of each prior mean, shape (P,)."""
         return np.broadcast_to(np.asarray(self.centre_sd, dtype=float), self.centre.shape)
+
+    @property
+    def dispersion_sds(self) -> np.ndarray:
+        """Scale of the half-normal priors of each parameter's dispersions, shape (P,)."""
+        return np.broadcast_to(np.asarray(self.dispersion_sd, dtype=float), self.centre.shape)
 
     def of(self, columns: np.ndarray) -> Prior:
         """The prior of some of the parameters, whatever the others are."""
@@ -66,6 +73,7 @@ class Prior:
             self,
             centre=self.centre[columns],
             centre_sd=self.centre_sds[columns],
+            dispersion_sd=self.dispersion_sds[columns],
             correlation=None if self.correlation is None else self.correlation[np.ix_(columns, columns)],
             informed=None if self.informed is None else self.informed[columns],
         )

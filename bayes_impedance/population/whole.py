@@ -72,4 +72,9 @@ class Whole:
         """The prior in the units of the parameters' own scales."""
         if np.all(self.unit == 1.0):
             return prior
-        return replace(prior, centre=prior.centre * self.unit, centre_sd=prior.centre_sds * self.unit)
+        return replace(
+            prior,
+            centre=prior.centre * self.unit,
+            centre_sd=prior.centre_sds * self.unit,
+            dispersion_sd=prior.dispersion_sds * self.unit,
+        )

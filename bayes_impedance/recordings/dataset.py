@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bayes_impedance.display import MOST_CURVES, MOST_ROWS, curves, heading, joined, lines, table
 from bayes_impedance.errors import InputError
 from bayes_impedance.recordings.calibration import CommonError
 from bayes_impedance.recordings.csv_table import ComplexArray, FloatArray, has_control_character
@@ -79,6 +80,26 @@ class Subject:
                 )
         if len(set(self.repetitions)) < len(self.repetitions):
             raise ValueError(f"{self.name}: two repetitions have the same name: give each its own")
+
+    def __repr__(self) -> str:
+        count, f = len(self.repetitions), self.frequency_hz
+        repetitions = f"{count} repetition{'s' if count > 1 else ''}"
+        return f"<Subject {self.name}: {repetitions}, {f.size} frequencies from {f[0]:g} to {f[-1]:g} Hz>"
+
+    def _repr_html_(self) -> str:
+        columns = ["", *self.covariates]
+        values = ["covariates", *self.covariates.values()] if self.covariates else []
+        rows = [values] if values else []
+        return joined(
+            heading(repr(self).strip("<>")),
+            *_pictures([(self.frequency_hz, z) for z in self.z], ""),
+            table(columns, rows) if rows else "",
+        )
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The subject's recordings as a long table, as :meth:`Recordings.to_dataframe` gives it, without units."""
+        alone = Recordings(title="", unit="", network=None, source="", licence="", subjects=(self,))
+        return alone.to_dataframe().drop(columns="subject")
 
     @property
     def mean(self) -> ComplexArray:
@@ -155,6 +176,35 @@ class Recordings:
         """Return the number of subjects."""
         return len(self.subjects)
 
+    def __repr__(self) -> str:
+        if not self.subjects:
+            return f"<Recordings {self.title!r}: nobody>"
+        low = min(float(s.frequency_hz[0]) for s in self.subjects)
+        high = max(float(s.frequency_hz[-1]) for s in self.subjects)
+        return (
+            f"<Recordings {self.title!r}: {len(self)} subjects, up to {self.repetitions_max} repetitions, {low:g} to "
+            f"{high:g} Hz, in {self.unit}>"
+        )
+
+    def _repr_html_(self) -> str:
+        shown = self.subjects[:MOST_CURVES]
+        rows = [
+            (s.name, len(s.repetitions), s.frequency_hz.size, *(s.covariates.get(c) for c in self._covariates))
+            for s in self.subjects[:MOST_ROWS]
+        ]
+        more = len(self) - len(rows)
+        return joined(
+            heading(repr(self).strip("<>")),
+            *_pictures([(s.frequency_hz, s.mean) for s in shown], self.unit),
+            lines([f"network: {self.network}"] if self.network else []),
+            table(["subject", "repetitions", "frequencies", *self._covariates], rows),
+            lines([f"and {more} more"] if more else []),
+        )
+
+    @property
+    def _covariates(self) -> list[str]:
+        return list(dict.fromkeys(name for subject in self.subjects for name in subject.covariates))
+
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the subjects."""
@@ -166,6 +216,14 @@ class Recordings:
 
     def to_dataframe(self) -> pd.DataFrame:
         """The recordings as a long table.
+
+        >>> import numpy as np
+        >>> from bayes_impedance import FINGERTIP, simulate_recordings
+        >>> recordings = simulate_recordings(FINGERTIP, 2, 1, np.array([10.0, 100.0]), seed=1).recordings
+        >>> list(recordings.to_dataframe())
+        ['subject', 'repetition', 'frequency_hz', 'z_re', 'z_im']
+        >>> recordings
+        <Recordings 'simulated recordings': 2 subjects, up to 1 repetitions, 10 to 100 Hz, in N s/m>
 
         Returns
         -------
@@ -207,8 +265,7 @@ class Recordings:
         """
         import pandas as pd
 
-        covariates = list(dict.fromkeys(name for subject in self.subjects for name in subject.covariates))
-        columns = {c: [float(s.covariates.get(c, math.nan)) for s in self.subjects] for c in covariates}
+        columns = {c: [float(s.covariates.get(c, math.nan)) for s in self.subjects] for c in self._covariates}
         return pd.DataFrame(columns, index=pd.Index(self.names, name="subject", dtype=object))
 
     @property
@@ -234,3 +291,11 @@ class Recordings:
             if chosen.count(name) > 1:
                 raise InputError(f'subject "{name}" is selected twice; name it once')
         return replace(self, subjects=tuple(known[name] for name in chosen))
+
+
+def _pictures(recorded: list[tuple[FloatArray, ComplexArray]], unit: str) -> tuple[str, str]:
+    """Magnitude and phase of curves, as small pictures."""
+    x = [f.tolist() for f, _ in recorded]
+    magnitude = curves(x, [np.abs(z).tolist() for _, z in recorded], f"|z|{f' in {unit}' if unit else ''} over Hz")
+    phase = [np.angle(z, deg=True).tolist() for _, z in recorded]
+    return magnitude, curves(x, phase, "phase in degrees over Hz", logarithmic=False)

@@ -2,22 +2,24 @@
 
 Input: a result or a diagnosis, with its pictures. Output: a page of HTML without scripts. Open this file first
 (the context of a run's page), then :mod:`.fit_sentences` and :mod:`.fit_tables` (its words and numbers),
-:mod:`.diagnosis_page` with :mod:`.findings` (the page of a diagnosis), and :mod:`.schematic` (the drawn network).
+:mod:`.diagnosis_page` with :mod:`.findings` (the page of a diagnosis). :mod:`bayes_impedance.network.schematic` draws
+the network.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Protocol
 
 from bayes_impedance.network.notation import parse
+from bayes_impedance.network.schematic import schematic
 from bayes_impedance.plots import write_pictures
 from bayes_impedance.plots.access import is_electrical, is_simulated, subjects, who
 from bayes_impedance.population.diagnostics import PARETO_LIMIT
 from bayes_impedance.report import fit_sentences, fit_tables
 from bayes_impedance.report.page_template import embedded_picture, template_environment
-from bayes_impedance.report.schematic import schematic
 from bayes_impedance.results.misfit import MISFIT_SCALE
 from bayes_impedance.results.result import Result
 from bayes_impedance.runtime.atomic_files import write_text
@@ -44,7 +46,7 @@ class FindingLike(Protocol):
 
 def write_report(
     result: Result,
-    folder: Path,
+    folder: str | os.PathLike[str],
     findings: Iterable[FindingLike] = (),
     pictures: Mapping[str, Path] | None = None,
 ) -> Path:
@@ -55,7 +57,7 @@ def write_report(
     Parameters
     ----------
     result : Result
-    folder : Path
+    folder : path
         Made if it does not exist.
     findings : iterable of Finding
         What the check of the recordings found.
@@ -67,6 +69,7 @@ def write_report(
     Path
         Of the page. It appears under its name only when it is complete.
     """
+    folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     if pictures is None:
         pictures = write_pictures(result, folder / "pictures")

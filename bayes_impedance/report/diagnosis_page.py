@@ -8,6 +8,7 @@ the file.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.notation import Network, parse
+from bayes_impedance.network.schematic import schematic
 from bayes_impedance.plots import write_diagnosis_pictures
 from bayes_impedance.plots.missing_physics import people
 from bayes_impedance.report.findings import (
@@ -32,7 +34,6 @@ from bayes_impedance.report.findings import (
     score_text,
 )
 from bayes_impedance.report.page_template import embedded_picture, template_environment
-from bayes_impedance.report.schematic import schematic
 from bayes_impedance.runtime.atomic_files import write_text
 from bayes_impedance.units import Scale, hertz, joined, scale_for, signed, significant
 
@@ -77,13 +78,15 @@ class RankedRow:
     alike: bool
 
 
-def write_diagnosis_report(diagnosis: Diagnosis, folder: Path, pictures: Mapping[str, Path] | None = None) -> Path:
+def write_diagnosis_report(
+    diagnosis: Diagnosis, folder: str | os.PathLike[str], pictures: Mapping[str, Path] | None = None
+) -> Path:
     """Write the page of a diagnosis: one file without scripts that needs neither network nor other files.
 
     Parameters
     ----------
     diagnosis : Diagnosis
-    folder : Path
+    folder : path
         Made if it does not exist.
     pictures : mapping of str to Path, optional
         PNG files as :func:`~bayes_impedance.plots.write_diagnosis_pictures` names them; drawn into
@@ -94,6 +97,7 @@ def write_diagnosis_report(diagnosis: Diagnosis, folder: Path, pictures: Mapping
     Path
         Of the page. It appears under its name only when it is complete.
     """
+    folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     if pictures is None:
         pictures = write_diagnosis_pictures(diagnosis, folder / "pictures")

@@ -6,9 +6,9 @@ The expected log predictive density of person i given all others is estimated fr
 
 .. math:: \mathrm{elpd}_i = \ln\sum_s w_{is}\,p(z_i\,|\,\phi_s), \qquad w_{is}\ \text{smoothed and normalised},
 
-with the absolute log densities of ``log_likelihood/marginal`` (:mod:`bayes_impedance.population.person_densities`). It
-is the person as a whole that is left out, all repetitions and frequencies: the question is what the population says of
-somebody new. The elements of that person are integrated out, and hence are no parameters that could overfit.
+with the absolute log densities of ``log_likelihood/recordings`` (:mod:`bayes_impedance.population.person_densities`).
+It is the person as a whole that is left out, all repetitions and frequencies: the question is what the population says
+of somebody new. The elements of that person are integrated out, and hence are no parameters that could overfit.
 
 **Two networks** are compared person by person. With the differences :math:`d_i` of N people, the difference of the
 sums is :math:`\sum d_i`, and its standard error over people, :math:`\sqrt{N\operatorname{var}(d)}`, is that of the
@@ -32,9 +32,11 @@ from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bayes_impedance.display import MOST_ROWS, heading, joined, table
 from bayes_impedance.errors import InputError
 from bayes_impedance.population.diagnostics import PARETO_LIMIT
 from bayes_impedance.population.fit import FitSettings, fit_population
@@ -43,6 +45,9 @@ from bayes_impedance.population.recording_noise import noise_of
 from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.results.result import DENSITY_ATTRIBUTE, Result
 from bayes_impedance.runtime.progress import Progress
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 FEWEST_PEOPLE = 2
 """Fewest people: with one, no other person is left to predict from. (Standard errors over very few people are shown,
@@ -72,6 +77,22 @@ class LeftOut:
     refitted: np.ndarray
     p_loo: float
 
+    def __repr__(self) -> str:
+        elpd, error = self.total
+        return f"<LeftOut of {len(self.subjects)} subjects: elpd {elpd:.1f}, standard error {error:.1f}>"
+
+    def _repr_html_(self) -> str:
+        rows = list(zip(self.subjects, self.elpd.tolist(), self.pareto_k.tolist(), self.refitted.tolist(), strict=True))
+        shown = table(["subject", "elpd", "Pareto k", "refitted"], rows[:MOST_ROWS])
+        return joined(heading(repr(self).strip("<>")), shown)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row for each subject, whose name is the index; columns elpd, pareto_k, refitted."""
+        import pandas as pd
+
+        columns = {"elpd": self.elpd, "pareto_k": self.pareto_k, "refitted": self.refitted}
+        return pd.DataFrame(columns, index=pd.Index(self.subjects, name="subject", dtype=object))
+
     @property
     def doubtful(self) -> np.ndarray:
         """Whether the weights cannot be believed and there is no refit, shape (N,)."""
@@ -97,7 +118,8 @@ def require_absolute(result: Result) -> None:
     InputError
         If it was written by an earlier version.
     """
-    if result.attributes.get(DENSITY_ATTRIBUTE) != "absolute":
+    absolute = result.attributes.get(DENSITY_ATTRIBUTE) == "absolute"
+    if not absolute or "recordings" not in result.groups["log_likelihood"]:
         raise InputError(
             f"the fit of {result.attributes['network']} is of an earlier version, whose log likelihoods lack a "
             "constant; fit it again"
@@ -120,7 +142,7 @@ def leave_one_out(result: Result) -> LeftOut:
         raise InputError(
             "networks are compared by how well each person is predicted from the others: give two or more people"
         )
-    elpd, k, p_loo = smoothed(result.groups["posterior"], result.groups["log_likelihood"]["marginal"])
+    elpd, k, p_loo = smoothed(result.groups["posterior"], result.groups["log_likelihood"]["recordings"])
     return LeftOut(subjects, elpd, k, np.zeros(elpd.size, dtype=bool), p_loo)
 
 

@@ -13,12 +13,16 @@ import csv
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayes_impedance.display import heading, joined, table
 from bayes_impedance.results.leave_one_out import LeftOut
 from bayes_impedance.results.result import Result
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 UNDECIDED = 3.0
 """Standard errors of a difference within which two networks predict equally well. By choice: few people make a standard
@@ -76,6 +80,20 @@ class NetworkComparison:
         others = [e for e in self.entries if e is not self.best and not e.result.problems]
         behind = [(e, *e.left_out.less(self.best.left_out)) for e in others]
         return tuple(e for e, difference, error in behind if abs(difference) <= UNDECIDED * error)
+
+    def __repr__(self) -> str:
+        return f"<NetworkComparison of {len(self.entries)}: best {self.best.result.attributes['network']}>"
+
+    def _repr_html_(self) -> str:
+        names = ("network", "elpd", "elpd_se", "difference", "difference_se", "doubtful", "reliable")
+        rows = [[row[name] for name in names] for row in self.rows()]
+        return joined(heading(repr(self).strip("<>")), table([name.replace("_", " ") for name in names], rows))
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row for each network, the best first, with the columns of ``networks.csv``."""
+        import pandas as pd
+
+        return pd.DataFrame(self.rows())
 
     def rows(self) -> list[dict[str, Any]]:
         """One row for each network; numbers that are not finite are None."""

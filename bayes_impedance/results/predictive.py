@@ -13,6 +13,7 @@ Three kinds of curve are drawn from the posterior, each including the uncertaint
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,7 +27,11 @@ from bayes_impedance.results.curve_errors import (
     on_grid,
     relative_rms,
 )
+from bayes_impedance.results.shown import predictive_html, predictive_table
 from bayes_impedance.units import INTERVAL
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 PROBABILITIES = (0.05, 0.25, 0.5, 0.75, 0.95)
 """Quantiles of every band: its 50 % and 90 % limits and the median."""
@@ -115,6 +120,25 @@ class Predictive:
     person_delta_magnitude: np.ndarray
     person_delta_phase_deg: np.ndarray
 
+    def __repr__(self) -> str:
+        f, n = self.frequency_hz, len(self.observed)
+        return f"<Predictive of {n} subject{'s' if n > 1 else ''}: {f.size} frequencies from {f[0]:g} to {f[-1]:g} Hz>"
+
+    def _repr_html_(self) -> str:
+        return predictive_html(self)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """The bands over frequency.
+
+        Returns
+        -------
+        DataFrame
+            One row for each frequency in Hz. Columns such as ``recording_magnitude_q05``: of centre, person and
+            recording, of magnitude (in the unit of the impedance) and phase_deg, each quantile of
+            :data:`PROBABILITIES`; then network_magnitude and network_phase_deg.
+        """
+        return predictive_table(self)
+
 
 def predict(fit: PopulationFit, *, n_draws: int = 1000, n_replicates: int = 200, seed: int = 1) -> Predictive:
     """Posterior-predictive bands and errors.
@@ -139,7 +163,7 @@ def predict(fit: PopulationFit, *, n_draws: int = 1000, n_replicates: int = 200,
     # The recordings are those of the same people: the bands then differ by repetitions and noise only.
     people = _people(fit, rows, rng)
     person = Band.of(kernel.impedance(people, frequency))
-    noise = _relative_noise(fit, frequency)
+    noise = relative_noise(fit, frequency)
     recording = Band.of(_recordings(fit, rows, people, frequency, noise, rng))
 
     network = kernel.impedance(np.median(fit.parameters.mu, axis=0), frequency)
@@ -210,7 +234,7 @@ def _recordings(
     return np.asarray(z + sd * (rng.normal(size=z.shape) + 1j * rng.normal(size=z.shape)))
 
 
-def _relative_noise(fit: PopulationFit, frequency: np.ndarray) -> np.ndarray:
+def relative_noise(fit: PopulationFit, frequency: np.ndarray) -> np.ndarray:
     """Noise of each person's mean recording relative to |z|, (N, F)."""
     rows = []
     for subject, noise in zip(fit.recordings.subjects, fit.noise, strict=True):

@@ -8,6 +8,7 @@ mistaken for a result.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,8 +23,12 @@ from bayes_impedance.network.notation import parse
 from bayes_impedance.network.parameters import Parameter, unit_of_parameter, values_of
 from bayes_impedance.person.noise import NoiseModel
 from bayes_impedance.population.fit import PopulationFit
+from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.results.adequacy import Adequacy
+from bayes_impedance.results.arviz_layout import LAYOUT, LAYOUT_ATTRIBUTE, file_dims, for_file, from_file
+from bayes_impedance.results.checked_predictions import MEANINGS, Checks, checked_predictions
 from bayes_impedance.results.predictive import PROBABILITIES, Predictive
+from bayes_impedance.results.shown import one_line, result_html
 from bayes_impedance.results.summary import summary_of
 from bayes_impedance.runtime.atomic_files import write_json
 from bayes_impedance.runtime.input_files import read_json
@@ -36,7 +41,7 @@ RESULT_FILE, SUMMARY_FILE, SECONDS_FILE = "result.nc", "summary.json", "seconds.
 """Times are in a separate file, so that the same seed and data give the same bytes in the others."""
 
 DENSITY_ATTRIBUTE = "log_likelihood"
-"""Attribute that says that ``log_likelihood/marginal`` is absolute. In results of earlier versions, where it is
+"""Attribute that says that ``log_likelihood`` is absolute. In results of earlier versions, where it is
 missing, each subject's values lack a constant that differs between networks."""
 
 _PACKAGES = ("bayes_impedance", "numpy", "scipy", "numba", "emcee", "arviz", "xarray", "pandas")
@@ -51,10 +56,11 @@ class Result:
     summary : dict
         Contents of ``summary.json``.
     groups : dict of dict of ndarray
-        The netCDF groups ``posterior``, ``posterior_predictive``, ``log_likelihood``, ``sample_stats``,
-        ``observed_data``, ``constant_data`` and their variables.
+        The groups ``posterior``, ``posterior_predictive``, ``log_likelihood``, ``sample_stats``, ``prior``,
+        ``prior_predictive``, ``observed_data``, ``constant_data`` and their variables. In the netCDF file some are
+        laid out differently (:mod:`~bayes_impedance.results.arviz_layout`).
     coords : dict
-        Labels of the axes element, element_2, subject, frequency_hz, probability, part.
+        Labels of the axes element, element_2, subject, frequency_hz, predictive_frequency_hz, probability, part.
     attributes : dict
         Network, seed, versions, data digest, title, unit, source.
     """
@@ -63,6 +69,12 @@ class Result:
     groups: dict[str, dict[str, np.ndarray]]
     coords: dict[str, Any]
     attributes: dict[str, Any]
+
+    def __repr__(self) -> str:
+        return one_line(self)
+
+    def _repr_html_(self) -> str:
+        return result_html(self)
 
     @property
     def elements(self) -> list[str]:
@@ -99,11 +111,15 @@ class Result:
 
         return elements_table(self)
 
-    def persons_table(self) -> pd.DataFrame:
+    def to_dataframe(self) -> pd.DataFrame:
+        """The population's elements: :meth:`elements_table`."""
+        return self.elements_table()
+
+    def persons_table(self, intervals: bool = False) -> pd.DataFrame:
         """Each person's elements and fit: :func:`bayes_impedance.results.tables.persons_table`."""
         from bayes_impedance.results.tables import persons_table
 
-        return persons_table(self)
+        return persons_table(self, intervals)
 
 
 DIMS: dict[str, list[str]] = {
@@ -114,9 +130,9 @@ DIMS: dict[str, list[str]] = {
     "correlation": ["element", "element_2"],
     "slope": ["element", "covariate"],
     "person_log_elements": ["subject", "element"],
-    "marginal": ["subject"],
-    "centre_re": ["frequency_hz"],
-    "centre_im": ["frequency_hz"],
+    "recordings": ["subject"],
+    "log_magnitude": ["subject", "predictive_frequency_hz"],
+    "phase_deg": ["subject", "predictive_frequency_hz"],
     "observed_re": ["subject", "frequency_hz"],
     "observed_im": ["subject", "frequency_hz"],
     "band_centre": ["part", "probability", "frequency_hz"],
@@ -142,6 +158,7 @@ DIMS: dict[str, list[str]] = {
     "identified": ["element"],
     "prior_centre": ["element"],
     "prior_centre_sd": ["element"],
+    "prior_dispersion_sd": ["element"],
 }
 """Axes of every variable besides chain and draw; ``part`` is magnitude, then phase in degrees."""
 
@@ -187,13 +204,18 @@ def make_result(
         "reading_warnings": json.dumps(list(recordings.warnings)),
         "selected_subjects": json.dumps(list(selected)),
         DENSITY_ATTRIBUTE: "absolute",
+        "prior": "" if fit.settings.prior is None else fit.settings.prior.text(),
+        "prior_concentration": fit.prior.concentration,
+        "prior_slope_sd": fit.prior.slope_sd,
     }
+    checks = checked_predictions(fit, predictive)
     coords = {
         "element": elements,
         "element_2": elements,
         "subject": list(recordings.names),
         "covariate": list(fit.settings.covariates),
         "frequency_hz": predictive.frequency_hz,
+        "predictive_frequency_hz": checks.frequency_hz,
         "probability": list(PROBABILITIES),
         "replicate_quantile": list(INTERVAL),
         "part": ["magnitude", "phase_deg"],
@@ -203,7 +225,7 @@ def make_result(
     if fit.noise_model is not None:
         coords["noise_frequency_hz"] = fit.noise_model.frequency_hz
         attributes |= {"noise_is_relative": int(fit.noise_model.relative), "noise_floor": fit.noise_model.floor}
-    result = Result({}, _groups(fit, predictive), coords, attributes)
+    result = Result({}, _groups(fit, predictive, checks), coords, attributes)
     result.summary.update(summary_of(fit, predictive, seconds, adequacy or Adequacy(), findings, _versions()))
     if before is not None:
         result.summary["before"] = dict(before)
@@ -211,26 +233,28 @@ def make_result(
     return result
 
 
-def _groups(fit: PopulationFit, predictive: Predictive) -> dict[str, dict[str, np.ndarray]]:
-    p, e = fit.parameters, fit.n_ensembles
+def _sampled(fit: PopulationFit, parameters: PopulationParameters, chains: int) -> dict[str, np.ndarray]:
+    """Population parameters, of the posterior or of the prior, with axes chain and draw."""
     seen = np.where(fit.identified, 1.0, np.nan)
 
     def by_chain(values: np.ndarray) -> np.ndarray:
-        return values.reshape(e, -1, *values.shape[1:])
+        return values.reshape(chains, -1, *values.shape[1:])
 
-    posterior = {
-        "mu": by_chain(p.mu * seen),
-        "central": by_chain(values_of(fit.kernel.parameters, p.mu) * seen),
-        "person_log_elements": fit.person_draws * seen,
-    }
+    p = parameters
+    variables = {"mu": by_chain(p.mu * seen), "central": by_chain(values_of(fit.kernel.parameters, p.mu) * seen)}
     if not fit.one_person:
-        posterior["dispersion_between_persons"] = by_chain(p.between_persons * seen)
-        posterior["correlation"] = by_chain(p.correlation * seen[:, None] * seen)
+        variables["dispersion_between_persons"] = by_chain(p.between_persons * seen)
+        variables["correlation"] = by_chain(p.correlation * seen[:, None] * seen)
         if fit.repeated:
-            posterior["dispersion_between_repetitions"] = by_chain(p.between_repetitions * seen)
+            variables["dispersion_between_repetitions"] = by_chain(p.between_repetitions * seen)
     if fit.settings.covariates:
-        posterior["slope"] = by_chain(p.slopes * seen[:, None])
-    centre = fit.kernel.impedance(by_chain(p.mu), predictive.frequency_hz).astype(np.complex64)  # for pictures
+        variables["slope"] = by_chain(p.slopes * seen[:, None])
+    return variables
+
+
+def _groups(fit: PopulationFit, predictive: Predictive, checks: Checks) -> dict[str, dict[str, np.ndarray]]:
+    posterior = _sampled(fit, fit.parameters, fit.n_ensembles)
+    posterior["person_log_elements"] = fit.person_draws * np.where(fit.identified, 1.0, np.nan)
     noise = [
         np.sqrt(np.mean(n**2, axis=0)) / np.abs(s.mean) for s, n in zip(fit.recordings.subjects, fit.noise, strict=True)
     ]
@@ -239,14 +263,15 @@ def _groups(fit: PopulationFit, predictive: Predictive) -> dict[str, dict[str, n
     model = {} if fit.noise_model is None else {"noise_model_sd": fit.noise_model.sd}
     return {
         "posterior": posterior,
-        "posterior_predictive": {
-            "centre_re": centre.real,
-            "centre_im": centre.imag,
-        },
-        "log_likelihood": {"marginal": fit.person_log_likelihood},
+        "posterior_predictive": checks.posterior_predictive,
+        "prior": _sampled(fit, checks.prior, 1),
+        "prior_predictive": checks.prior_predictive,
+        "log_likelihood": {"recordings": fit.person_log_likelihood},
         "sample_stats": {"lp": fit.log_probability},
-        "observed_data": {"observed_re": predictive.observed.real, "observed_im": predictive.observed.imag},
+        "observed_data": checks.observed,
         "constant_data": {
+            "observed_re": predictive.observed.real,
+            "observed_im": predictive.observed.imag,
             "band_centre": _both(predictive.centre.magnitude, predictive.centre.phase_deg),
             "band_person": _both(predictive.person.magnitude, predictive.person.phase_deg),
             "band_recording": _both(predictive.recording.magnitude, predictive.recording.phase_deg),
@@ -273,6 +298,7 @@ def _groups(fit: PopulationFit, predictive: Predictive) -> dict[str, dict[str, n
             "identified": fit.identified.astype(np.int8),
             "prior_centre": fit.prior.centre,
             "prior_centre_sd": fit.prior.centre_sds.copy(),
+            "prior_dispersion_sd": fit.prior.dispersion_sds.copy(),
         },
     }
 
@@ -285,15 +311,15 @@ def _versions() -> dict[str, str]:
     return {name: version(name) for name in _PACKAGES}
 
 
-def save_result(result: Result, folder: Path) -> None:
+def save_result(result: Result, folder: str | os.PathLike[str]) -> None:
     """Write ``result.nc``, ``summary.json`` and ``seconds.json`` into a folder, each complete or not at all."""
     from bayes_impedance.mcmc.arviz_file import save
 
+    folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    present = {name for group in result.groups.values() for name in group}
-    dims = {name: axes for name, axes in DIMS.items() if name in present}
-    attributes = result.attributes | {"summary": without_seconds(result.summary)}
-    save(folder / RESULT_FILE, result.groups, dims, result.coords, attributes, _meanings(result))
+    groups, coords = for_file(result.groups, result.coords)
+    attributes = result.attributes | {"summary": without_seconds(result.summary), LAYOUT_ATTRIBUTE: LAYOUT}
+    save(folder / RESULT_FILE, groups, file_dims(groups, DIMS), coords, attributes, _meanings(result))
     write_json(folder / SECONDS_FILE, result.summary.get("seconds", {}))
     write_json(folder / SUMMARY_FILE, {name: value for name, value in result.summary.items() if name != "seconds"})
 
@@ -306,16 +332,15 @@ def _meanings(result: Result) -> dict[str, dict[str, str]]:
         f"natural logarithm of the probability density of all complex values of one subject, given the {person}, with "
         "noise scale, elements and deviations between repetitions integrated out as far as they are not given; absolute"
     )
-    return {
-        "marginal": {
-            "long_name": "log density of a subject's recordings",
-            "units": f"ln(density), density in ({unit})^-2 for every complex value",
-            "description": described,
-        }
+    density = {
+        "long_name": "log density of a subject's recordings",
+        "units": f"ln(density), density in ({unit})^-2 for every complex value",
+        "description": described,
     }
+    return MEANINGS | {"log_likelihood/recordings": density}
 
 
-def load_result(folder: Path) -> Result:
+def load_result(folder: str | os.PathLike[str]) -> Result:
     """Read a run back.
 
     Raises
@@ -325,6 +350,7 @@ def load_result(folder: Path) -> Result:
     """
     from bayes_impedance.mcmc.arviz_file import load_groups
 
+    folder = Path(folder)
     file, summary_file = folder / RESULT_FILE, folder / SUMMARY_FILE
     for needed in (file, summary_file):
         if not needed.is_file():
@@ -333,6 +359,8 @@ def load_result(folder: Path) -> Result:
             )
     summary = read_json(summary_file, "fit the recordings again, or take a copy")
     groups, coords, attributes = load_groups(file)
+    if attributes.pop(LAYOUT_ATTRIBUTE, 1) == LAYOUT:
+        groups, coords = from_file(groups, coords)
     if without_seconds(summary) != attributes.get("summary"):
         fits = (
             "are of different fits"

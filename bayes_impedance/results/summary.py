@@ -69,7 +69,7 @@ def summary_of(
     """
     p, d = fit.parameters, fit.diagnostics
     problems = [*adequacy.gross, *d.problems]
-    elements = {}
+    elements: dict[str, dict[str, Any]] = {}
     for i, (name, parameter) in enumerate(zip(fit.kernel.elements, fit.kernel.parameters, strict=True)):
         known = bool(fit.identified[i]) and not problems
         varies = known and not fit.one_person and not parameter.shared
@@ -84,6 +84,11 @@ def summary_of(
             "dispersion_between_persons": _interval(p.between_persons[:, i], varies),
             "dispersion_between_repetitions": _interval(p.between_repetitions[:, i], varies and fit.repeated),
         }
+        if fit.settings.covariates:
+            elements[name]["slopes"] = {
+                covariate: _interval(p.slopes[:, i, q], known and not parameter.shared)
+                for q, covariate in enumerate(fit.settings.covariates)
+            }
     for combination in fit.combinations:
         for name in combination.elements:
             elements[name] = _not_separable(unit_of_parameter(name, fit.recordings.unit), combination.name)
@@ -124,6 +129,8 @@ def summary_of(
         "seed": fit.seed,
         "data_sha256": fit.recordings.sha256,
         "covariance": fit.settings.covariance,
+        "prior": _prior(fit),
+        "covariates": _covariates(fit),
         "elements": elements,
         "correlation": correlation,
         "errors": errors,
@@ -149,6 +156,33 @@ def summary_of(
         "versions": dict(versions),
         "seconds": {k: round(v, 3) for k, v in seconds.items()},
     }
+
+
+def _prior(fit: PopulationFit) -> dict[str, Any]:
+    """The prior of the fit: medians of central values in their units, standard deviations on the estimated scales."""
+    prior, parameters = fit.prior, fit.kernel.parameters
+    return {
+        "given": fit.settings.prior is not None,
+        "elements": {
+            parameter.name: {
+                "centre": float(parameter.value(prior.centre[i])),
+                "scale": float(prior.centre_sds[i]),
+                "dispersion": None if parameter.shared or fit.one_person else float(prior.dispersion_sds[i]),
+            }
+            for i, parameter in enumerate(parameters)
+        },
+        "concentration": prior.concentration,
+        "slope": prior.slope_sd,
+    }
+
+
+def _covariates(fit: PopulationFit) -> dict[str, dict[str, float]]:
+    """Mean and standard deviation of each covariate: slopes are of one standard deviation."""
+    found = {}
+    for name in fit.settings.covariates:
+        values = np.array([s.covariates[name] for s in fit.recordings.subjects], dtype=float)
+        found[name] = {"mean": float(values.mean()), "sd": float(values.std())}
+    return found
 
 
 def _remarks(fit: PopulationFit, predictive: Predictive, gross: bool) -> list[str]:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayes_impedance.network.parameters import values_of
+from bayes_impedance.units import INTERVAL
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -59,8 +60,14 @@ def elements_table(result: Result) -> pd.DataFrame:
     return frame
 
 
-def persons_table(result: Result) -> pd.DataFrame:
+def persons_table(result: Result, intervals: bool = False) -> pd.DataFrame:
     """Each person's elements and how well the network describes the person.
+
+    Parameters
+    ----------
+    result : Result
+    intervals : bool
+        Whether each element is followed by the ends of its 90 % interval (``_q05``, ``_q95``).
 
     Returns
     -------
@@ -72,15 +79,18 @@ def persons_table(result: Result) -> pd.DataFrame:
     import pandas as pd
 
     own = np.asarray(result.groups["posterior"]["person_log_elements"], dtype=float)
-    medians = values_of(result.parameters, np.median(own.reshape(-1, *own.shape[2:]), axis=0))
-    if result.problems:
-        medians[:] = np.nan
+    draws = own.reshape(-1, *own.shape[2:])
+    low, middle, high = (values_of(result.parameters, np.quantile(draws, q, axis=0)) for q in INTERVAL)
+    endings = {"": middle} | ({"_q05": low, "_q95": high} if intervals else {})
+    columns = {
+        e + ending: np.full(len(values), np.nan) if result.problems else values[:, i]
+        for i, e in enumerate(result.elements)
+        for ending, values in endings.items()
+    }
     frame = pd.DataFrame(
-        medians,
-        index=pd.Index([str(s) for s in result.coords["subject"]], name="subject", dtype=object),
-        columns=result.elements,
+        columns, index=pd.Index([str(s) for s in result.coords["subject"]], name="subject", dtype=object)
     )
-    units = {e: result.element_unit(e) for e in result.elements}
+    units = {e + ending: result.element_unit(e) for e in result.elements for ending in endings}
     for name, unit in PERSON_UNITS.items():
         values = result.groups["constant_data"].get(name)
         if values is not None:

@@ -10,7 +10,7 @@ from pages import Page
 from strategies import language, repeatable
 
 from bayes_impedance.network.notation import parse
-from bayes_impedance.report.schematic import schematic
+from bayes_impedance.network.schematic import schematic
 
 
 def box(svg: str, kind: str) -> list[tuple[float, float, float, float]]:

@@ -10,8 +10,8 @@ from diagnoses_by_hand import make_diagnosis, page_of
 from pages import Page
 
 from bayes_impedance.network.notation import PAPER_NETWORK, Place, parse
+from bayes_impedance.network.schematic import schematic
 from bayes_impedance.report.diagnosis_page import added
-from bayes_impedance.report.schematic import schematic
 
 
 def box(svg: str) -> tuple[float, float, float, float]:

@@ -12,9 +12,9 @@ from results_by_hand import NETWORK, VARIANTS, make_result
 from strategies import networks, repeatable
 
 from bayes_impedance.network.notation import parse
+from bayes_impedance.network.schematic import schematic
 from bayes_impedance.quality.checks import Finding
 from bayes_impedance.report import REPORT_FILE, write_report
-from bayes_impedance.report.schematic import schematic
 
 FINDINGS = (
     Finding(

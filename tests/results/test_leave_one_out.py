@@ -48,7 +48,7 @@ def test_arviz_gives_the_same_numbers_for_the_files(folders: dict[str, Path]) ->
     opened = {name: arviz.from_netcdf(folder / "result.nc") for name, folder in folders.items()}
     ours = {name: leave_one_out(load_result(folder)) for name, folder in folders.items()}
     for name, data in opened.items():
-        assert data["log_likelihood"]["marginal"].dims == ("chain", "draw", "subject")
+        assert data["log_likelihood"]["recordings"].dims == ("chain", "draw", "subject")
         found = arviz.loo(data, pointwise=True)
         assert tuple(found.loo_i["subject"].values) == ours[name].subjects
         np.testing.assert_allclose(found.loo_i.values, ours[name].elpd, rtol=1e-12)
@@ -66,7 +66,7 @@ def test_the_variable_says_what_it_is(folders: dict[str, Path]) -> None:
     import h5py
 
     with h5py.File(folders["whole"] / "result.nc") as data:
-        attributes = data["log_likelihood/marginal"].attrs
+        attributes = data["log_likelihood/recordings"].attrs
         assert "natural logarithm" in attributes["description"]
         assert "N s/m" in attributes["units"]
 

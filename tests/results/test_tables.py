@@ -49,3 +49,12 @@ def test_one_person_has_no_dispersion() -> None:
     assert result.elements_table()["between_persons"].isna().all()
     assert isinstance(result.persons_table(), pd.DataFrame)
     assert len(result.persons_table()) == 1
+
+
+def test_intervals_of_persons_stand_beside_their_medians() -> None:
+    table = make_result(subjects=6, unidentified=("n1",)).persons_table(intervals=True)
+    assert list(table)[3:6] == ["r3", "r3_q05", "r3_q95"]
+    assert (table["r3_q05"] < table["r3"]).all()
+    assert (table["r3"] < table["r3_q95"]).all()
+    assert table["n1_q95"].isna().all()
+    assert table.attrs["units"]["r3_q05"] == "N s/m"

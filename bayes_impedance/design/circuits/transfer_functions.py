@@ -16,6 +16,7 @@ python-control is an optional dependency (the extra `design`); only :func:`to_co
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -211,12 +212,12 @@ def to_control(
     return control.StateSpace(a[0], b[0][:, None], c[0][None], [[d[0]]])
 
 
-def read_control(file: Path) -> dict[str, Any]:
+def read_control(file: str | os.PathLike[str]) -> dict[str, Any]:
     """Exported transfer functions as python-control objects.
 
     Parameters
     ----------
-    file : Path
+    file : path
         ``transfer.json``.
 
     Returns
@@ -231,6 +232,7 @@ def read_control(file: Path) -> dict[str, Any]:
         If the file has another format, or python-control is not installed.
     """
     control = _control()
+    file = Path(file)
     try:
         table = json.loads(file.read_text(encoding="utf-8"))
         if "frequency_hz" in table:

@@ -33,6 +33,7 @@ References
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -202,7 +203,7 @@ PHANTOM = Device(
 """A desktop device for one finger. Its `source` states which numbers are published and which are assumed."""
 
 
-def read_device(file: Path) -> Device:
+def read_device(file: str | os.PathLike[str]) -> Device:
     """Read a device from a TOML file.
 
     The file has ``name``, ``period_s``, ``delay_s``, ``source`` and a list ``[[section]]`` of tables with
@@ -214,6 +215,7 @@ def read_device(file: Path) -> Device:
     InputError
         If the file cannot be read, does not describe a device, or has an unknown key.
     """
+    file = Path(file)
     table = UserTable(read_toml(file, "a device"), str(file), _DEVICE_KEYS)
     sections = table["section"]
     if not isinstance(sections, list) or not sections:

@@ -20,7 +20,7 @@ from html import escape
 
 from bayes_impedance.network.notation import Element, Network, Parallel, Place, PowerLaw, Wrapped
 from bayes_impedance.network.parameters import Symbol
-from bayes_impedance.report.schematic_symbols import ELECTRICAL, MECHANICAL, SYMBOL, line, wire
+from bayes_impedance.network.schematic_symbols import ELECTRICAL, MECHANICAL, SYMBOL, line, wire
 from bayes_impedance.units import hertz
 
 _WIDTH, _ABOVE, _BELOW = 112.0, 34.0, 36.0

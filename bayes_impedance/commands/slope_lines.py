@@ -1,0 +1,29 @@
+"""The slopes of covariates as lines for the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+
+def slope_lines(summary: Mapping[str, Any]) -> list[str]:
+    """One line for each element and covariate, with a heading; none if the fit has no covariates.
+
+    Parameters
+    ----------
+    summary : mapping
+        Contents of ``summary.json``.
+    """
+    rows = []
+    for name, element in summary["elements"].items():
+        for covariate, slope in element.get("slopes", {}).items():
+            if slope["median"] is None:
+                continue
+            clear = " clear of zero" if slope["q05"] * slope["q95"] > 0 else ""
+            text = "{:+.2f} ({:+.2f} to {:+.2f})".format(*(slope[key] for key in ("median", "q05", "q95")))
+            rows.append(f"{name:6}{covariate:24}{text:26}{clear}".rstrip())
+    if not rows:
+        return []
+    sds = ", ".join(f"{name} {own['sd']:.3g}" for name, own in summary["covariates"].items())
+    head = f"{'':6}{'covariate':24}change of ln(element) for one standard deviation ({sds})"
+    return ["", head, *rows]

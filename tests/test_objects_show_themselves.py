@@ -1,0 +1,165 @@
+"""Objects say in a line what they are, show a table in a notebook, and become DataFrames."""
+
+from __future__ import annotations
+
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import SHORT, THREE_ELEMENTS
+from diagnoses_by_hand import make_diagnosis
+from results_by_hand import make_result as result_by_hand
+
+from bayes_impedance import display
+from bayes_impedance.design import population_of
+from bayes_impedance.diagnosis.verdict_tables import COLUMNS
+from bayes_impedance.network.notation import PAPER_NETWORK, parse
+from bayes_impedance.population.fit import PopulationFit, fit_population
+from bayes_impedance.population.simulate import simulate_recordings
+from bayes_impedance.recordings.files import read_recordings, write_recordings
+from bayes_impedance.results.leave_one_out import leave_one_out
+from bayes_impedance.results.network_comparison import Entry, NetworkComparison
+from bayes_impedance.results.predictive import predict
+from bayes_impedance.results.result import load_result, make_result, save_result
+
+LONGEST = 300
+"""Characters of a line that says what an object is."""
+
+
+class Balanced(HTMLParser):
+    """Raises if tags do not match."""
+
+    VOID = frozenset({"img", "br"})
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.cells: list[str] = []
+        self.feed(text)
+        assert not self.open
+
+    def handle_starttag(self, tag: str, attrs: Any) -> None:
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_startendtag(self, tag: str, attrs: Any) -> None:
+        pass
+
+    def handle_data(self, data: str) -> None:
+        self.cells.append(data)
+
+
+@pytest.fixture(scope="module")
+def fit() -> PopulationFit:
+    recordings = simulate_recordings(THREE_ELEMENTS, 6, 2, np.geomspace(5, 5000, 12), seed=2).recordings
+    return fit_population(recordings, settings=SHORT, seed=1)
+
+
+def shown(thing: Any) -> str:
+    assert len(repr(thing)) < LONGEST
+    assert "array(" not in repr(thing)
+    html = thing._repr_html_()
+    Balanced(html)
+    return str(html)
+
+
+def test_recordings_and_subjects(fit: PopulationFit) -> None:
+    html = shown(fit.recordings)
+    assert html.count("<polyline") == 12  # magnitude and phase of six people
+    assert "6 subjects" in html
+    for name in fit.recordings.names:
+        assert f">{name}<" in html
+    one = fit.recordings.subjects[0]
+    assert shown(one).count("<polyline") == 4
+    frame = one.to_dataframe()
+    assert len(frame) == one.z.size
+    np.testing.assert_array_equal(frame["z_re"], one.z.real.ravel())
+
+
+def test_names_from_files_are_text_and_not_html(tmp_path: Path) -> None:
+    recordings = result_by_hand()
+    assert "<fingers>" not in display.heading(str(recordings.attributes["title"]))
+    assert "&lt;b&gt;" in display.table(["<b>"], [["<i>"]])
+
+
+@pytest.mark.parametrize("text", [PAPER_NETWORK, "m1", "delay[d1*](m1|p1^a1=0.3)-n1"])
+def test_networks(text: str) -> None:
+    network = parse(text)
+    assert eval(repr(network), {"parse": parse}) == network
+    assert "data:image/svg+xml" in shown(network)
+
+
+def test_fits_results_and_predictions(fit: PopulationFit) -> None:
+    predictive = predict(fit, n_draws=50, n_replicates=20)
+    result = make_result(fit, predictive, {})
+    table = fit.to_dataframe()
+    expected = result.to_dataframe()
+    for column in ("central", "central_q05", "between_persons", "between_repetitions_q95"):
+        np.testing.assert_allclose(table[column], expected[column])
+    for thing in (fit, result):
+        html = shown(thing)
+        assert all(f">{element}<" in html for element in ("m1", "r1", "n1"))
+    assert "polyline" in shown(predictive)
+    bands = predictive.to_dataframe()
+    np.testing.assert_array_equal(bands["recording_magnitude_q95"], predictive.recording.magnitude[4])
+    np.testing.assert_array_equal(bands["centre_phase_deg_q05"], predictive.centre.phase_deg[0])
+    users = population_of(result).draw(30, seed=1)
+    assert "and 20 more" in shown(users)
+
+
+def test_numbers_that_must_not_be_used_are_not_shown() -> None:
+    html = shown(result_by_hand(problems=("the ensembles disagree",)))
+    assert "the ensembles disagree" in html
+    assert "7.9e-4" not in html
+    assert "0.00079" not in html
+
+
+def test_verdicts_and_diagnoses() -> None:
+    diagnosis = make_diagnosis()
+    verdict = diagnosis.verdict
+    table = verdict.to_dataframe()
+    assert list(table)[: len(COLUMNS)] == list(COLUMNS)
+    assert len(table) == sum(max(1, len(entry.parameters)) for entry in verdict.physics)
+    first = verdict.physics[0]
+    (name, parameter), *_ = first.parameters.items()
+    row = table[(table["id"] == first.id) & (table["parameter"] == name)].iloc[0]
+    assert row["median"] == parameter.median
+    assert shown(verdict) == shown(diagnosis)
+    assert len(diagnosis.to_dataframe()) == len(diagnosis.ranking)
+
+
+def test_comparisons(fit: PopulationFit) -> None:
+    result = make_result(fit, predict(fit, n_draws=50, n_replicates=20), {})
+    left_out = leave_one_out(result)
+    assert len(left_out.to_dataframe()) == 6
+    comparison = NetworkComparison.of([Entry("a", "a", result, left_out), Entry("b", "b", result, left_out)])
+    assert list(comparison.to_dataframe()["elpd"]) == [left_out.total[0]] * 2
+    shown(left_out)
+    shown(comparison)
+
+
+def test_paths_may_be_text(fit: PopulationFit, tmp_path: Path) -> None:
+    from bayes_impedance.plots import save_figure
+    from bayes_impedance.plots.style import style
+
+    with style():
+        from matplotlib.figure import Figure
+
+        assert save_figure(Figure(), str(tmp_path / "pictures"), "one", ["png"]).is_file()
+    result = make_result(fit, predict(fit, n_draws=50, n_replicates=20), {})
+    save_result(result, str(tmp_path / "out"))
+    assert load_result(str(tmp_path / "out")).elements == result.elements
+    write_recordings(fit.recordings, str(tmp_path / "data"))
+    assert len(read_recordings(str(tmp_path / "data"))) == 6
+    from bayes_impedance.design.loop.device import read_device
+
+    device = tmp_path / "mine.toml"
+    device.write_text(
+        'period_s = 1e-3\n[[section]]\narrangement = "beside"\nnetwork = "m1"\nvalues = {m1 = 0.1}\n', encoding="utf-8"
+    )
+    assert read_device(str(device)).name == "mine"
