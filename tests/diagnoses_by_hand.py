@@ -189,6 +189,7 @@ def snapshot(label: str, network: str, z: np.ndarray, f: np.ndarray, shift: np.n
         delta_phase_deg=np.full(f.size, 8.0 + size) + rng.normal(0, 0.3, f.size),
         subject_rms_relative=np.exp(rng.normal(np.log(0.02 + 0.01 * size), 0.2, n)),
         coverage90=np.clip(0.9 - 0.1 * size + rng.normal(0, 0.03, (2, f.size)), 0, 1),
+        person_curve=z * (1 + 0.01 * size),
     )
 
 
@@ -272,6 +273,7 @@ def holes(diagnosis: Diagnosis) -> Diagnosis:
         delta_magnitude=empty,
         subject_rms_relative=np.full(nan.shape[0], np.nan),
         coverage90=np.full((2, nan.shape[1]), np.nan),
+        person_curve=np.full(nan.shape, np.nan + 0j),
     )
     port = diagnosis.one_ports[0]
     nan_number = float("nan")

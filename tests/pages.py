@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import re
 from html.parser import HTMLParser
+from typing import Any
+
+from bayes_impedance.report.live_page import LIBRARY, script
 
 
 class Page(HTMLParser):
-    """Tags that are opened and closed in order, text outside of styles, and the attributes that load something."""
+    """Tags opened and closed in order, text outside of styles and scripts, and the attributes that load something."""
 
     def __init__(self, text: str) -> None:
         super().__init__(convert_charrefs=True)
@@ -25,7 +29,7 @@ class Page(HTMLParser):
         if tag not in VOID:
             self.open.append(tag)
         for name, value in attrs:
-            if name in ("src", "href", "xlink:href", "action", "data"):
+            if name in ("src", "href", "xlink:href", "action", "data") and not (value or "").startswith("#"):
                 self.sources.append(value or "")
             if name == "data-element":
                 self.drawn.append(value or "")
@@ -40,12 +44,26 @@ class Page(HTMLParser):
         assert self.open.pop() == tag
 
     def handle_data(self, data: str) -> None:
-        if "style" not in self.open:
+        if not {"style", "script"} & set(self.open):
             self.text.append(data)
 
     @property
     def words(self) -> str:
         return re.sub(r"\s+", " ", " ".join(self.text))
+
+
+def without_library(text: str) -> str:
+    """A page without the plotting library, which knows addresses that it does not visit."""
+    library = script(LIBRARY)
+    assert text.count(library) == 1
+    return text.replace(library, "")
+
+
+def data_of(text: str) -> Any:
+    """What a page holds for its charts."""
+    found = re.search(r'<script type="application/json" id="page-data">(.*?)</script>', text, re.DOTALL)
+    assert found is not None
+    return json.loads(found.group(1))
 
 
 VOID = {"meta", "img", "br", "link", "input", "hr"}

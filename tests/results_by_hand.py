@@ -109,6 +109,8 @@ def make_result(
             "noise_relative": np.abs(0.01 + 0.002 * rng.normal(size=(n, points))),
             "noise_scale": noise_scale,
             "person_relative_rms": 0.02 + 0.002 * rng.random(n),
+            "person_curve_re": (0.99 * z).real,
+            "person_curve_im": (0.99 * z).imag,
             "pareto_k": 0.3 * rng.random(n) - 0.1,
             "effective_draws": np.full(n, 200.0),
             "repetitions": np.full(n, repetitions),

@@ -37,6 +37,8 @@ class Snapshot:
         Complex relative error of each person's fitted network.
     coverage90 : ndarray, shape (2, F)
         Share of people inside the 90 % bands of magnitude and of phase.
+    person_curve : ndarray, complex, shape (N, F)
+        Impedance of each person's fitted model, averaged over the repetitions; NaN outside of a person's range.
     """
 
     label: str
@@ -50,6 +52,7 @@ class Snapshot:
     delta_phase_deg: np.ndarray
     subject_rms_relative: np.ndarray
     coverage90: np.ndarray
+    person_curve: np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True)

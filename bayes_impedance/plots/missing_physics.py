@@ -212,7 +212,7 @@ def one_ports(diagnosis: Diagnosis) -> Figure | None:
             axes.fill_between(port.frequency_hz, low, high, color=INNER, alpha=0.8, lw=0)
             axes.plot(port.frequency_hz, values, color=BLUE, lw=1.4)
             frequency_axis(axes, f, label=i == len(shown) - 1)
-        row[0].set_ylim(*_inner_limits(port.ratio, port.sd))
+        row[0].set_ylim(*inner_limits(port.ratio, port.sd))
         # Without a mismatch there is no share of it to explain.
         known = diagnosis.verdict.mismatch and np.isfinite(port.share)
         share = f": explains {100 * port.share:.0f} %" if known else ""
@@ -346,7 +346,7 @@ def _edges(f: np.ndarray) -> np.ndarray:
     return np.concatenate([[f[0] ** 2 / inner[0]], inner, [f[-1] ** 2 / inner[-1]]])
 
 
-def _mismatch_bands(diagnosis: Diagnosis, f: np.ndarray) -> list[tuple[float, float]]:
+def mismatch_bands(diagnosis: Diagnosis, f: np.ndarray) -> list[tuple[float, float]]:
     """Frequency bands of the mismatch, clipped to the grid."""
     found = diagnosis.verdict.where.bands_hz
     inside = [(max(low, float(f[0])), min(high, float(f[-1]))) for low, high in found]
@@ -354,18 +354,18 @@ def _mismatch_bands(diagnosis: Diagnosis, f: np.ndarray) -> list[tuple[float, fl
 
 
 def _shade_bands(axes: Axes, diagnosis: Diagnosis, f: np.ndarray) -> None:
-    for i, (low, high) in enumerate(_mismatch_bands(diagnosis, f)):
+    for i, (low, high) in enumerate(mismatch_bands(diagnosis, f)):
         axes.axvspan(low, high, color=_BAND, alpha=0.5, lw=0, label=None if i else "mismatch")
 
 
 def _mark_bands_above(axes: Axes, diagnosis: Diagnosis, f: np.ndarray) -> None:
     """Mark the bands by bars above the map: shading would hide it."""
-    for low, high in _mismatch_bands(diagnosis, f):
+    for low, high in mismatch_bands(diagnosis, f):
         (bar,) = axes.plot([low, high], [1.025, 1.025], color=ORANGE, lw=3.5, transform=axes.get_xaxis_transform())
         bar.set(clip_on=False, solid_capstyle="butt")
 
 
-def _inner_limits(ratio: np.ndarray, sd: np.ndarray) -> tuple[float, float]:
+def inner_limits(ratio: np.ndarray, sd: np.ndarray) -> tuple[float, float]:
     """Limits of an axis around a ratio and its ribbon, without the frequencies at which the ribbon is much wider."""
     parts = np.stack([ratio.real, ratio.imag])
     known = np.isfinite(parts).all(axis=0) & np.isfinite(sd)

@@ -1,9 +1,10 @@
 """Reports: one self-contained page of a run, ``report.html``, and one of a diagnosis, ``diagnosis.html``.
 
-Input: a result or a diagnosis, with its pictures. Output: a page of HTML without scripts. Open this file first
-(the context of a run's page), then :mod:`.fit_sentences` and :mod:`.fit_tables` (its words and numbers),
-:mod:`.diagnosis_page` with :mod:`.findings` (the page of a diagnosis). :mod:`bayes_impedance.network.schematic` draws
-the network.
+Input: a result or a diagnosis, with its pictures. Output: a page of HTML that needs neither network nor other files.
+Open this file first (the context of a run's page), then :mod:`.fit_sentences` and :mod:`.fit_tables` (its words and
+numbers), :mod:`.diagnosis_page` with :mod:`.findings` (the page of a diagnosis). :mod:`bayes_impedance.network.schematic`
+draws the network; :mod:`.live_data` and :mod:`.live_page` make the charts answer; :mod:`.alternatives` says what pictures
+show.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from bayes_impedance.network.schematic import schematic
 from bayes_impedance.plots import write_pictures
 from bayes_impedance.plots.access import is_electrical, is_simulated, subjects, who
 from bayes_impedance.population.diagnostics import PARETO_LIMIT
-from bayes_impedance.report import fit_sentences, fit_tables
+from bayes_impedance.report import alternatives, fit_sentences, fit_tables, live_data
 from bayes_impedance.report.page_template import embedded_picture, template_environment
 from bayes_impedance.results.misfit import MISFIT_SCALE
 from bayes_impedance.results.result import Result
@@ -52,7 +53,7 @@ def write_report(
 ) -> Path:
     """Write the page of a run.
 
-    It is one file without scripts that needs neither network nor other files.
+    It is one file that needs neither network nor other files. Without scripts it shows pictures in place of charts.
 
     Parameters
     ----------
@@ -118,8 +119,10 @@ def _context(result: Result, findings: list[FindingLike], pictures: Mapping[str,
         "misfit_scale": f"{MISFIT_SCALE:g}",
         "pareto_limit": f"{PARETO_LIMIT:g}",
         "outliers": fit_tables.outlier_rows(result),
+        "alternatives": alternatives.of_fit(result),
         "checks": fit_tables.checks(result),
         "provenance": fit_tables.provenance_rows(result),
         "command": fit_tables.command(result),
         "pictures": shown,
+        **live_data.of_fit(result),
     }

@@ -19,6 +19,7 @@ from bayes_impedance.network.notation import Network, parse
 from bayes_impedance.network.schematic import schematic
 from bayes_impedance.plots import write_diagnosis_pictures
 from bayes_impedance.plots.missing_physics import people
+from bayes_impedance.report import alternatives, live_data
 from bayes_impedance.report.findings import (
     ABSENT,
     KINDS,
@@ -81,7 +82,9 @@ class RankedRow:
 def write_diagnosis_report(
     diagnosis: Diagnosis, folder: str | os.PathLike[str], pictures: Mapping[str, Path] | None = None
 ) -> Path:
-    """Write the page of a diagnosis: one file without scripts that needs neither network nor other files.
+    """Write the page of a diagnosis: one file that needs neither network nor other files.
+
+    Without scripts it shows pictures in place of charts.
 
     Parameters
     ----------
@@ -142,6 +145,8 @@ def _context(diagnosis: Diagnosis, pictures: Mapping[str, Path]) -> dict[str, ob
         "elements_not_identified": verdict.elements_not_identified,
         "provenance": provenance(diagnosis),
         "pictures": {name: embedded_picture(file) for name, file in pictures.items()},
+        "alternatives": alternatives.of_diagnosis(diagnosis),
+        **live_data.of_diagnosis(diagnosis),
     }
 
 

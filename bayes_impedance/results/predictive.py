@@ -103,6 +103,8 @@ class Predictive:
         Root-mean-square complex relative error of the network with each person's posterior median elements.
     person_delta_magnitude, person_delta_phase_deg : ndarray, shape (N,)
         Mean absolute errors of the same network.
+    person_curve : ndarray, complex, shape (N, F)
+        Impedance of the same network, averaged over the person's repetitions as the recordings are.
     """
 
     frequency_hz: np.ndarray
@@ -119,6 +121,7 @@ class Predictive:
     person_relative_rms: np.ndarray
     person_delta_magnitude: np.ndarray
     person_delta_phase_deg: np.ndarray
+    person_curve: np.ndarray
 
     def __repr__(self) -> str:
         f, n = self.frequency_hz, len(self.observed)
@@ -193,6 +196,7 @@ def predict(fit: PopulationFit, *, n_draws: int = 1000, n_replicates: int = 200,
         person_relative_rms=own[0],
         person_delta_magnitude=own[1],
         person_delta_phase_deg=own[2],
+        person_curve=_own_curves(fit, frequency),
     )
 
 
@@ -282,8 +286,7 @@ def _replicate(
 
 def _own_networks(fit: PopulationFit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Errors of each person's posterior median network on the person's grid: relative rms, magnitude, phase; (N,)."""
-    flat = fit.person_draws.reshape(-1, *fit.person_draws.shape[2:])
-    middle = np.median(flat, axis=0)
+    middle = _own_elements(fit)
     result = []
     for i, subject in enumerate(fit.recordings.subjects):
         # Repetitions are compared one by one: their mean is not the impedance of any single network.
@@ -293,3 +296,17 @@ def _own_networks(fit: PopulationFit) -> tuple[np.ndarray, np.ndarray, np.ndarra
         result.append((rms, errors.magnitude.mean(), errors.phase_deg.mean()))
     columns = np.array(result).T
     return columns[0], columns[1], columns[2]
+
+
+def _own_curves(fit: PopulationFit, frequency: np.ndarray) -> np.ndarray:
+    """Impedance of each person's posterior median network, mean over the person's repetitions, complex, (N, F)."""
+    middle = _own_elements(fit)
+    rows = [
+        fit.kernel.impedance(own + d, frequency).mean(axis=0) for own, d in zip(middle, fit.deviations, strict=True)
+    ]
+    return np.array(rows)
+
+
+def _own_elements(fit: PopulationFit) -> np.ndarray:
+    """Posterior median of each person's elements, as logarithms, (N, P)."""
+    return np.asarray(np.median(fit.person_draws.reshape(-1, *fit.person_draws.shape[2:]), axis=0))

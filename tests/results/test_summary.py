@@ -113,6 +113,7 @@ def predictive_of(fit: PopulationFit) -> Predictive:
         person_relative_rms=np.linspace(0.01, 0.03, n),
         person_delta_magnitude=np.full(n, 0.2),
         person_delta_phase_deg=np.full(n, 0.5),
+        person_curve=np.ones((n, f), dtype=complex),
     )
 
 

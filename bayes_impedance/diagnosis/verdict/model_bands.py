@@ -81,7 +81,17 @@ def snapshot(
         delta_phase_deg=errors.phase_deg,
         subject_rms_relative=own_errors(recordings, residuals),
         coverage90=np.array(inside),
+        person_curve=_own_curves(residuals, frequency),
     )
+
+
+def _own_curves(residuals: Sequence[PersonResiduals], frequency_hz: np.ndarray) -> np.ndarray:
+    """Each person's fitted model on a common grid, mean over the repetitions, complex, (N, F); NaN outside."""
+    result, x = np.full((len(residuals), frequency_hz.size), np.nan + 0j), np.log(frequency_hz)
+    for row, person in zip(result, residuals, strict=True):
+        own, mean = np.log(person.frequency_hz), person.model.mean(axis=0)
+        row[:] = np.interp(x, own, mean.real, np.nan, np.nan) + 1j * np.interp(x, own, mean.imag, np.nan, np.nan)
+    return result
 
 
 def own_errors(recordings: Recordings, residuals: Sequence[PersonResiduals]) -> np.ndarray:

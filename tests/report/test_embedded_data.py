@@ -1,0 +1,124 @@
+"""What a page holds for its charts: quoted, rounded, thinned, the same for the same result, and small."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from diagnoses_by_hand import make_diagnosis
+from pages import Page, data_of
+from results_by_hand import VARIANTS, make_result
+
+from bayes_impedance.plots.charts import kept_frequencies, kept_people, rounded
+from bayes_impedance.report import write_report
+from bayes_impedance.report.diagnosis_page import write_diagnosis_report
+from bayes_impedance.report.live_page import GLUE, LIBRARY, contents, embedded_data, script, security_policy
+
+ASSETS = Path(script.__wrapped__.__code__.co_filename).parent / "assets"
+NAMES = ("</script><script>alert(1)</script>", "<!--", "]]>", "a'b\"c&d", "\u2028\u2029", "\ud800", "%{y}", "x" * 300)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_data_cannot_end_the_element_that_holds_them(name: str) -> None:
+    text = str(embedded_data({name: [name, 1.5, None]}))
+    assert not set("<>&'\u2028\u2029") & set(text)
+    assert json.loads(text) == {name: [name, 1.5, None]}
+
+
+def test_a_number_that_json_does_not_know_is_refused() -> None:
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        embedded_data([float("nan")])
+
+
+def test_names_of_people_are_data_and_text(tmp_path: Path) -> None:
+    diagnosis = make_diagnosis(subjects=3, size=8)
+    diagnosis = replace(diagnosis, title=NAMES[0], subjects=NAMES[:3])
+    text = write_diagnosis_report(diagnosis, tmp_path, pictures={}).read_text(encoding="utf-8")
+    assert data_of(text)["people"] == list(NAMES[:3])
+    assert Page(text).tags.count("script") == 3
+    assert "<script>alert" not in text
+
+
+def test_the_library_is_the_one_that_is_named_and_only_known_scripts_run() -> None:
+    said = (ASSETS / "README.md").read_text(encoding="utf-8")
+    digest = hashlib.sha256((ASSETS / "plotly-cartesian.min.js").read_bytes()).hexdigest()
+    assert digest in said
+    assert "MIT" in (ASSETS / "LICENSE.plotly").read_text(encoding="utf-8")
+    version = re.search(r"v(\d+\.\d+\.\d+)", script(LIBRARY)[:200])
+    assert version is not None
+    assert f"plotly.js {version.group(1)}" in said
+    policy = security_policy()
+    assert policy.count("'sha256-") == 2
+    assert "default-src 'none'" in policy
+    assert not re.search(r"script-src[^;]*unsafe", policy)
+    assert "eval(" not in script(GLUE)
+    assert "innerHTML" not in script(GLUE)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_data_of_a_run(variant: str, tmp_path: Path) -> None:
+    result = make_result(**VARIANTS[variant])
+    text = write_report(result, tmp_path / "a", pictures={}).read_text(encoding="utf-8")
+    again = write_report(result, tmp_path / "b", pictures={}).read_text(encoding="utf-8")
+    assert text == again
+    data, n = data_of(text), len(result.coords["subject"])
+    assert data["people"] == list(result.coords["subject"])
+    assert len(data["persons"]) == n
+    names = {chart["name"] for chart in data["charts"]}
+    if result.problems:
+        assert names == {"curves", "noise", "person"}
+        assert data["elements"] is None
+        assert all(len(person["facts"]) == 1 and person["elements"] == [] for person in data["persons"])
+    else:
+        assert {"curves", "noise", "person", "bands", "errors"} <= names
+        magnitude = np.abs(
+            result.groups["observed_data"]["observed_re"] + 1j * result.groups["observed_data"]["observed_im"]
+        )
+        first = np.array([np.nan if v is None else v for v in data["curves"]["magnitude"][0]])
+        ratio = first / magnitude[0]
+        assert np.nanmax(ratio) / np.nanmin(ratio) < 1.002  # one unit for all, four digits
+        fitted = np.array(data["curves"]["fit_magnitude"])
+        assert np.nanmax(np.abs(np.where(np.isnan(first), np.nan, fitted[0] / first - 0.99))) < 0.001
+    ids = [id for id, _ in contents(text)]
+    assert len(ids) == len(set(ids)) >= 6
+    assert all(f'href="#{id}"' in text for id in ids)
+    assert len(text) < 2_500_000
+
+
+def test_an_unknown_element_has_no_row_and_no_mark(tmp_path: Path) -> None:
+    data = data_of(write_report(make_result(unidentified=("n3",)), tmp_path, pictures={}).read_text(encoding="utf-8"))
+    assert "n3" not in data["elements"]["names"]
+    assert len(data["elements"]["names"]) == 7
+    assert all([row[0] for row in person["elements"]] == data["elements"]["names"] for person in data["persons"])
+    row = data["persons"][0]["elements"][0]
+    assert re.fullmatch(r"\d+\.\d sd (above|below)", row[4])
+
+
+def test_every_picture_says_what_is_seen(tmp_path: Path) -> None:
+    for text in (
+        write_report(make_result(), tmp_path).read_text(encoding="utf-8"),
+        write_diagnosis_report(make_diagnosis(subjects=4, size=12), tmp_path).read_text(encoding="utf-8"),
+    ):
+        said = re.findall(r'<img[^>]* alt="([^"]*)"', text) + re.findall(r'aria-label="Chart\. ([^"]*)"', text)
+        assert len(said) > 8
+        for words in said:
+            assert len(words) > 60
+            assert not re.search(r"\b(nan|None|inf)\b", words)
+        assert sum(bool(re.search(r"\d", words)) for words in said) >= 0.7 * len(said)
+
+
+def test_numbers_are_short_and_frequencies_few() -> None:
+    assert rounded(np.array([1.0, 123456.7, 1.23456e-5, np.nan, np.inf])) == [1, 123500, 1.235e-05, None, None]
+    assert kept_frequencies(5, 30, 6).tolist() == list(range(30))
+    kept = kept_frequencies(1000, 401, 6)
+    assert (kept[0], kept[-1]) == (0, 400)
+    assert 35 <= kept.size <= 50
+    people = kept_people(50_000, 6, first=(49_999, 7))
+    assert {7, 49_999} <= set(people)
+    assert len(people) <= 1000
+    assert people == sorted(set(people))
