@@ -140,7 +140,7 @@ class Posterior:
         self.covariance[:, held] = 0
         self.covariance[held, held] = 1.0
         self.coordinates = Coordinates(
-            prior=prior.of(self.pooling.varying) if self.pooling.names else prior,
+            prior=(own := prior.of(self.pooling.varying) if self.pooling.names else prior),
             correlated=correlated,
             repetitions=bool(self.repetitions.max() > 1),
             n_covariates=covariates.shape[1],
@@ -150,8 +150,8 @@ class Posterior:
             shared_prior=prior.of(self.pooling.shared) if self.pooling.names else None,
             shared_free=tuple(np.flatnonzero(point.shared_determined)),
             held_shared=point.shared,
-            bend_persons=self._bend(np.sqrt(np.diag(self.covariance)), prior),
-            bend_repetitions=self._bend(point.between_repetitions, prior),
+            bend_persons=self._bend(np.sqrt(np.diag(self.covariance)), own),
+            bend_repetitions=self._bend(point.between_repetitions, own),
         )
         if not (self.coordinates.free or self.coordinates.shared_free):
             raise InputError(

@@ -33,6 +33,8 @@ MOST_NUMBERS = 1_000_000
 frequencies."""
 PRIOR_DRAWS = 500
 """Sets of population parameters from the prior. By choice: quantiles of 5 % have a relative error of 20 %."""
+_AT_ONCE = 2_000_000
+"""Most elements of people that are drawn at once, 16 MB in double precision. By choice: memory."""
 _BITS = 12
 """Binary digits that are kept of a number: a relative error of 1e-4, below the noise of any recording. Files are then
 half as large."""
@@ -107,9 +109,16 @@ def checked_predictions(fit: PopulationFit, predictive: Predictive) -> Checks:
     missing = ~np.isfinite(seen)
 
     def predicted(parameters: PopulationParameters, chains: int, seed: np.random.SeedSequence) -> dict[str, np.ndarray]:
-        z = _recorded_again(fit, parameters, frequency, noise, np.random.default_rng(seed))
-        z[:, missing] = np.nan
-        return {name: _rounded(values).reshape(chains, -1, *values.shape[1:]) for name, values in _variables(z).items()}
+        rng, rows = np.random.default_rng(seed), len(parameters.mu)
+        step = max(1, _AT_ONCE // (len(seen) * len(fit.kernel.elements)))
+        parts: dict[str, list[np.ndarray]] = {}
+        for first in range(0, rows, step):
+            z = _recorded_again(fit, parameters[first : first + step], frequency, noise, rng)
+            z[:, missing] = np.nan
+            for name, values in _variables(z).items():
+                parts.setdefault(name, []).append(_rounded(values))
+        whole = {name: np.concatenate(part) for name, part in parts.items()}
+        return {name: values.reshape(chains, -1, *values.shape[1:]) for name, values in whole.items()}
 
     return Checks(
         frequency,

@@ -156,3 +156,19 @@ def test_predictions_are_those_of_new_people(data: Any) -> None:
     np.testing.assert_allclose(level, predicted.mean(axis=-1), atol=0.002)
     wide = np.asarray(data["prior_predictive"]["log_magnitude"])
     assert np.nanstd(wide) > 3 * flat.std()
+
+
+def test_large_populations_keep_fewer_frequencies_and_are_drawn_in_parts(
+    fit: PopulationFit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from bayes_impedance.results import checked_predictions as checked
+
+    sets = len(fit.parameters.mu)
+    monkeypatch.setattr(checked, "MOST_NUMBERS", 3 * sets * 9)
+    monkeypatch.setattr(checked, "_AT_ONCE", 9 * 3 * 100)
+    found = checked.checked_predictions(fit, predict(fit, n_draws=20, n_replicates=4))
+    assert found.frequency_hz.size == 3
+    assert found.posterior_predictive["log_magnitude"].shape == (2, sets // 2, 9, 3)
+    assert np.all(np.isfinite(found.posterior_predictive["recordings"]))
+    first, last = found.posterior_predictive["log_magnitude"].reshape(sets, -1)[[0, -1]]
+    assert not np.any(first == last)
