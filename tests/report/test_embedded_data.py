@@ -21,6 +21,7 @@ from bayes_impedance.plots.missing_physics import DIAGNOSIS_PICTURES
 from bayes_impedance.report import write_report
 from bayes_impedance.report.diagnosis_page import write_diagnosis_report
 from bayes_impedance.report.live_page import GLUE, LIBRARY, contents, embedded_data, script, security_policy
+from bayes_impedance.results.model_before import with_model_before
 
 ASSETS = Path(script.__wrapped__.__code__.co_filename).parent / "assets"
 NAMES = ("</script><script>alert(1)</script>", "<!--", "]]>", "a'b\"c&d", "\u2028\u2029", "\ud800", "%{y}", "x" * 300)
@@ -91,6 +92,26 @@ def test_data_of_a_run(variant: str, tmp_path: Path) -> None:
     assert len(ids) == len(set(ids)) >= 6
     assert all(f'href="#{id}"' in text for id in ids)
     assert len(text) < 2_500_000
+
+
+def test_a_network_to_which_something_was_added_can_be_compared_with_the_one_before(tmp_path: Path) -> None:
+    result = make_result()
+    z = result.groups["observed_data"]["observed_re"] + 1j * result.groups["observed_data"]["observed_im"]
+    band = result.groups["constant_data"]["band_recording"]
+    both = with_model_before(result, 2 * band[0, [0, 2, 4]], band[1, [0, 2, 4]], 0.5 * z)
+    text = write_report(both, tmp_path, pictures={}).read_text(encoding="utf-8")
+    data = data_of(text)
+    assert data["models"] == ["before", "after"]
+    assert '<input type="radio" name="model" value="after" checked>' in text
+    ratio = np.array(data["curves"]["fit_magnitude_before"]) / np.array(data["curves"]["fit_magnitude"])
+    assert np.abs(ratio - 0.5 / 0.99).max() < 0.001
+    assert np.abs(np.array(data["curves"]["residual_along_before"]) - 100).max() < 0.1
+    charts = {chart["name"]: chart for chart in data["charts"]}
+    for panel in (*charts["bands"]["panels"], *charts["person"]["panels"]):
+        shown = [item["when"] for item in (*panel.get("own", []), *panel["lines"])]
+        assert {"before", "after"} <= set(shown)
+    assert with_model_before(result, band[0, :3], band[1, :3], z[:, 1:]) is result
+    assert data_of(write_report(result, tmp_path, pictures={}).read_text("utf-8"))["models"] == ["fit"]
 
 
 def test_an_unknown_element_has_no_row_and_no_mark(tmp_path: Path) -> None:

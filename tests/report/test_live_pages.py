@@ -104,8 +104,8 @@ def test_no_serious_fault_for_people_with_disabilities(name: str, browser: Brows
     if found is None or found.origin is None:
         pytest.skip("axe-core is not installed")
     rules = (Path(found.origin).parent / "axe.min.js").read_text(encoding="utf-8")
-    for dark in (False, True):
-        shown(browser, pages[name], dark=dark)
+    for width, dark in ((1300, False), (PHONE, True)):
+        shown(browser, pages[name], width, dark=dark)
         browser.run(rules + ";0")
         told = browser.run("axe.run(document, {resultTypes: ['violations']}).then((r) => r.violations)")
         serious = [
