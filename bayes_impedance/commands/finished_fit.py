@@ -58,6 +58,7 @@ def write_extended(
 ) -> Result:
     """The population of the network with what was found as an ordinary result: files, pictures and report."""
     from bayes_impedance.diagnosis.verdict_file import before_of
+    from bayes_impedance.results.model_before import with_model_before
     from bayes_impedance.results.result import save_result
 
     fit = diagnosis.fit
@@ -66,6 +67,8 @@ def write_extended(
     pages = page_files()
     with output_folder(out, [*FIT_FILES, *pages], options.overwrite):
         result = examined_result(fit, options, Clock(), executor, progress, ())
+        before = diagnosis.before
+        result = with_model_before(result, before.magnitude, before.phase_deg, before.person_curve)
         remove(out, (*pages, *FIT_FILES))
         save_result(result, out)
         write_pages(result, out, (), progress)

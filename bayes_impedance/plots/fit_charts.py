@@ -20,6 +20,11 @@ def magnitude_scale(result: Result) -> Scale:
     return scale_for(float(np.nanmedian(observed(result)[0])), result.attributes["unit"])
 
 
+def has_before(result: Result) -> bool:
+    """Whether the result holds what the network described before a diagnosis added something to it."""
+    return variable(result, "before_band_recording") is not None
+
+
 def people_curves(result: Result) -> dict[str, np.ndarray]:
     """Curves of each person, (N, F) each: recording, fitted network and noise, in the units of the charts.
 
@@ -34,6 +39,9 @@ def people_curves(result: Result) -> dict[str, np.ndarray]:
         fitted = real + 1j * needed(result, "person_curve_im")
         measured = needed(result, "observed_re") + 1j * needed(result, "observed_im")
         curves |= fit_and_residual(fitted, measured, factor)
+        if has_before(result):
+            earlier = needed(result, "before_person_curve_re") + 1j * needed(result, "before_person_curve_im")
+            curves |= fit_and_residual(earlier, measured, factor, "_before")
         # Of a mean over repetitions, in each of two directions.
         curves["noise_limit"] = NINETY_SD * relative / np.sqrt(needed(result, "repetitions"))[:, None]
     return curves
@@ -106,7 +114,8 @@ def bands(result: Result) -> Chart:
     """Predicted bands of a new recording with the measured ones, and the population's centre."""
     scale, several = magnitude_scale(result), len(subjects(result)) > 1
     recording, centre = needed(result, "band_recording"), needed(result, "band_centre")
-    middle = scale.factor * centre[0, 2]
+    middle, earlier = scale.factor * centre[0, 2], variable(result, "before_band_recording")
+    when = "" if earlier is None else "after"
     kind = "new recordings" if several else "repeated recordings"
     panels = []
     for label, part, by, values in (
@@ -116,16 +125,26 @@ def bands(result: Result) -> Chart:
     ):
         band, own = recording[part] / by, centre[part] / by
         divided = {"": middle} if label == "|z| / centre" else {}
+        before_bands: tuple[Ribbon, ...] = ()
+        before_lines: tuple[Line, ...] = ()
+        if earlier is not None:
+            low, median, high = earlier[part] / by
+            before_bands = (Ribbon(name=f"90 % of {kind}", low=low, high=high, colour="outer", when="before"),)
+            before_lines = (Line(name="median of the network before", y=median, colour="red", when="before"),)
         panels.append(
             Panel(
                 label=label,
                 logarithmic=part == 0,
                 ribbons=(
-                    Ribbon(name=f"90 % of {kind}", low=band[0], high=band[4], colour="outer"),
-                    Ribbon(name=f"50 % of {kind}", low=band[1], high=band[3], colour="inner"),
-                    Ribbon(name="90 % interval of the centre", low=own[0], high=own[4], colour="warm"),
+                    Ribbon(name=f"90 % of {kind}", low=band[0], high=band[4], colour="outer", when=when),
+                    Ribbon(name=f"50 % of {kind}", low=band[1], high=band[3], colour="inner", when=when),
+                    Ribbon(name="90 % interval of the centre", low=own[0], high=own[4], colour="warm", when=when),
+                    *before_bands,
                 ),
-                lines=(Line(name="population centre" if several else "network", y=own[2], colour="red"),),
+                lines=(
+                    Line(name="population centre" if several else "network", y=own[2], colour="red", when=when),
+                    *before_lines,
+                ),
                 people=People(values=values, name=_each(result), over=divided),
             )
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,6 +38,8 @@ def of_fit(result: Result) -> Chart:
     """The recording of a person with the fitted network, the population's band and the residual."""
     scale = fit_charts.magnitude_scale(result)
     shown = variable(result, "person_curve_re") is not None and not result.problems
+    # The page holds what the network describes now without a suffix, and what it described before with one.
+    suffixes = (("", "after"), ("_before", "before")) if fit_charts.has_before(result) else (("", ""),)
     panels = []
     for label, part, factor, values in (
         (scale.label("|z|"), 0, scale.factor, "magnitude"),
@@ -46,7 +49,7 @@ def of_fit(result: Result) -> Chart:
         lines: list[Line] = []
         ribbons: list[Ribbon] = []
         if shown:
-            own.append(Own(values=f"fit_{values}", name="fitted network", colour="chosen"))
+            own += [Own(values=f"fit_{values}{s}", name="fitted network", colour="chosen", when=w) for s, w in suffixes]
         if shown and len(subjects(result)) > 1:
             band = factor * needed(result, "band_recording")[part]
             centre = factor * needed(result, "band_centre")[part, 2]
@@ -57,7 +60,7 @@ def of_fit(result: Result) -> Chart:
         )
     if shown:
         noise = Own(values="noise_limit", name="90 % by noise alone", colour="grey", mirrored=True)
-        panels.append(_residual(("",), noise))
+        panels.append(_residual(suffixes, noise))
     return Chart(name=NAME, panels=tuple(panels))
 
 
@@ -74,18 +77,17 @@ def of_diagnosis(diagnosis: Diagnosis) -> Chart:
         own = [Own(values=values, name="recording", colour="ink", points=True)]
         own += [Own(values=f"fit_{values}_{n}", name="fitted network", colour="chosen", when=n) for n in names]
         panels.append(Panel(label=label, logarithmic=values == "magnitude", ribbons=tuple(ribbons), own=tuple(own)))
-    return Chart(name=NAME, panels=(*panels, _residual(names)))
+    return Chart(name=NAME, panels=(*panels, _residual([(f"_{name}", name) for name in names])))
 
 
-def _residual(names: tuple[str, ...], *more: Own) -> Panel:
+def _residual(suffixes: Sequence[tuple[str, str]], *more: Own) -> Panel:
     own = list(more)
-    for name in names:
+    for suffix, when in suffixes:
         for values, said, colour in (
             ("residual_along", "residual of the magnitude", "blue"),
             ("residual_across", "residual of the phase (1 % is 0.57°)", "orange"),
         ):
-            values = f"{values}_{name}" if name else values
-            own.append(Own(values=values, name=said, colour=colour, when=name))
+            own.append(Own(values=values + suffix, name=said, colour=colour, when=when))
     return Panel(label="residual (% of |z|)", own=tuple(own))
 
 

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from bayes_impedance.diagnosis.verdict.sentence import body_of, gain_in_words
 from bayes_impedance.plots.missing_physics import people
 from bayes_impedance.units import hertz, scale_for, signed, significant, with_interval
 
@@ -14,7 +15,6 @@ if TYPE_CHECKING:
     from bayes_impedance.diagnosis.verdict_types import Alias, EvidenceOfEffect, Parameter, Physics, Verdict
 
 ABSENT = "–"
-SIDES = {"rig": "the rig", "body": "the body"}
 POOLING = {
     "shared": "the same for everybody",
     "varying": "a different size for each",
@@ -92,7 +92,7 @@ def facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     names, found = affected(verdict), []
     if where.bands_hz:
         found.append(("Frequencies", ", ".join(f"{hertz(a)} to {hertz(b)}" for a, b in where.bands_hz)))
-    side = SIDES[where.side] if where.side else None
+    side = _side(where.side, diagnosis) if where.side else None
     for title, text in (
         ("Part of z", where.part),
         ("Place", where.place),
@@ -107,7 +107,7 @@ def facts(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     elif where.subjects == "all":
         found.append(("Shown by", f"all {people(diagnosis)}" if len(diagnosis.subjects) > 1 else "the one measured"))
     if gain is not None and gain.elpd_gain is not None:
-        found.append(("Held-out gain", _plus_minus(gain.elpd_gain, gain.elpd_gain_se)))
+        found.append(("Held-out gain", _gain_text(gain.elpd_gain, gain.elpd_gain_se)))
     return found
 
 
@@ -126,7 +126,7 @@ def effects(diagnosis: Diagnosis) -> list[EffectCard]:
 
 
 def _effect(entry: Physics, number: int, diagnosis: Diagnosis) -> EffectCard:
-    side = "not decided" if entry.side is None else SIDES[entry.side]
+    side = "not decided" if entry.side is None else _side(entry.side, diagnosis)
     return EffectCard(
         number=number,
         id=entry.id,
@@ -145,7 +145,7 @@ def _effect(entry: Physics, number: int, diagnosis: Diagnosis) -> EffectCard:
 
 def why_side(entry: Physics, diagnosis: Diagnosis) -> str:
     """Reason why an effect is attributed to the rig or to the body, from its spread between people."""
-    who, one = people(diagnosis), people(diagnosis, 1)
+    who, one, body = people(diagnosis), people(diagnosis, 1), body_of(diagnosis.unit)
     if len(diagnosis.subjects) == 1:
         return (
             f"One {one} was measured, so the recordings cannot show whether the effect varies between {who}: the "
@@ -156,10 +156,10 @@ def why_side(entry: Physics, diagnosis: Diagnosis) -> str:
         return f"Its dispersion between {who} was not estimated."
     says = {
         "rig": "An effect of the rig is the same for everybody; a dispersion near zero supports the rig",
-        "body": "An effect of the rig is the same for everybody; a dispersion above zero supports the body",
+        "body": f"An effect of the rig is the same for everybody; a dispersion above zero supports the {body}",
     }.get(
         entry.side or "",
-        "An effect of the rig is the same for everybody, one of the body is not; the dispersion does not decide",
+        f"An effect of the rig is the same for everybody, one of the {body} is not; the dispersion does not decide",
     )
     return f"{says}. Relative dispersion of the {spread[0]} between {who}: {spread[1]}."
 
@@ -196,9 +196,24 @@ def _evidence(entry: EvidenceOfEffect) -> list[tuple[str, str, str]]:
         (
             "held-out gain",
             _plus_minus(entry.elpd_gain, entry.elpd_gain_se),
-            "in log predictive density, ± standard error",
+            f"nats of log predictive density, ± standard error: {_predicts(entry)}",
         ),
     ]
+
+
+def _predicts(entry: EvidenceOfEffect) -> str:
+    if entry.elpd_gain is None or not math.isfinite(entry.elpd_gain):
+        return "not computed"
+    return f"recordings that were held out are predicted {gain_in_words(entry.elpd_gain, entry.elpd_gain_se)}"
+
+
+def _gain_text(gain: float, error: float | None) -> str:
+    """A gain with its standard error, beside what it means."""
+    return f"{_plus_minus(gain, error)} nats: predicted {gain_in_words(gain, error)}"
+
+
+def _side(side: str, diagnosis: Diagnosis) -> str:
+    return f"the {body_of(diagnosis.unit)}" if side == "body" else f"the {side}"
 
 
 def _alias(entry: Alias) -> AliasRow:

@@ -59,8 +59,9 @@ def of_fit(result: Result) -> dict[str, Any]:
         for entry, rows in zip(persons, _element_rows(result, spread, people), strict=True):
             entry["elements"] = rows
     charts = [*fit_charts.fit_charts(result), person_charts.of_fit(result)]
+    models = ["before", "after"] if fit_charts.has_before(result) and not result.problems else ["fit"]
     return _context(
-        frequency(result), [names[i] for i in people], people, curves, charts, persons, ["fit"], elements, notable[0]
+        frequency(result), [names[i] for i in people], people, curves, charts, persons, models, elements, notable[0]
     )
 
 

@@ -298,7 +298,7 @@
       }
     }
   });
-  document.querySelectorAll(".scroll, pre").forEach((part) => fit.observe(part));
+  document.querySelectorAll(".scroll, pre, figure").forEach((part) => fit.observe(part));
 
   choose(state.person, true);
   const watch = new IntersectionObserver((entries) => {

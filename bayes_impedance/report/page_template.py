@@ -35,5 +35,5 @@ def embedded_picture(file: Path) -> str:
     with Image.open(file) as picture:
         reduced = picture.convert("RGB").quantize(_COLOURS, dither=Image.Dither.NONE)
     text = io.BytesIO()
-    reduced.save(text, "PNG", optimize=True)
+    reduced.save(text, "PNG")
     return "data:image/png;base64," + base64.b64encode(text.getvalue()).decode("ascii")

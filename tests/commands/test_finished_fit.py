@@ -18,7 +18,7 @@ from bayes_impedance.commands.jobs import FitOptions
 from bayes_impedance.commands.result_folders import FIT_FILES, PICTURE_FOLDER
 from bayes_impedance.diagnosis import examine as examining
 from bayes_impedance.quality.checks import Finding
-from bayes_impedance.results import predictive
+from bayes_impedance.results import model_before, predictive
 from bayes_impedance.results import result as results
 from bayes_impedance.runtime.clock import Clock
 
@@ -55,6 +55,7 @@ def steps(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, Any]]:
     step(examining, "examine", "adequacy")
     step(predictive, "predict", "predictive")
     step(results, "make_result", "result")
+    step(model_before, "with_model_before", "result with both")
     step(results, "save_result", None)
     step(plots, "write_pictures", {"errors": Path("errors.png")})
     step(report, "write_report", None)
@@ -103,10 +104,14 @@ def test_the_extended_network_is_an_ordinary_result_that_knows_what_was_before(
         "examine",
         "predict",
         "make_result",
+        "with_model_before",
         "save_result",
         "write_pictures",
         "write_report",
     ]
+    assert steps[3][1][0][0] == "result"
+    assert steps[3][1][0][3] is diagnosis.before.person_curve
+    assert steps[4][1][0][0] == steps[6][1][0][0] == "result with both"
     before = steps[2][1][0][-1]
     assert before["network"] == "m1|r1"
     assert before["delta_phase_deg"] == 8.7

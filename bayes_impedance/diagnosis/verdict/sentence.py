@@ -1,19 +1,28 @@
-"""The verdict as one sentence."""
+"""The verdict as a headline: at most two findings, in at most two sentences."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
 
+from bayes_impedance.diagnosis.verdict.electrical_words import UNIT
 from bayes_impedance.diagnosis.verdict_types import Physics, Verdict
 from bayes_impedance.units import number_with_unit as number
 
-_WITHOUT_ARTICLE = frozenset({"corners", "damping", "feedback", "hum", "loss", "stiffness", "tissue", "waves"})
+_WITHOUT_ARTICLE = frozenset(
+    {"corners", "damping", "feedback", "hum", "loss", "resistance", "stiffness", "tissue", "waves"}
+)
 """Head nouns of names in the catalogue that take no article: uncountable nouns and plurals."""
 
 
+_FINDINGS = 2
+"""Most effects, and most rivals, that a headline names: what one reading takes in. The others are counted."""
+_CLEAR = 3.0
+"""Standard errors from which a gain is called clear. By choice, as wherever gains are compared."""
+
+
 def sentence(verdict: Verdict, people: int) -> str:
-    """The verdict summarised in one sentence.
+    """The verdict summarised in one or two sentences.
 
     Parameters
     ----------
@@ -38,20 +47,32 @@ def sentence(verdict: Verdict, people: int) -> str:
         )
     bands = verdict.where.bands_hz
     band = f", seen mostly {_span(bands)}" if bands else ""
-    text = f"The network leaves out {_listed([_clause(entry) for entry in verdict.physics])}{band}"
-    gain = None if verdict.improvement is None else verdict.improvement.elpd_gain
+    clauses = [_clause(entry, verdict.unit) for entry in verdict.physics[:_FINDINGS]]
+    more = len(verdict.physics) - len(clauses)
+    text = f"The network leaves out {_listed([*clauses, *([f'{more} more'] if more else [])])}{band}"
+    better = verdict.improvement
+    gain, error = (None, None) if better is None else (better.elpd_gain, better.elpd_gain_se)
     if gain is not None and gain > 0:
         added = "it" if len(verdict.physics) == 1 else "them"
-        text += f"; with {added}, the log predictive density of held-out recordings rises by {gain:.0f}"
+        text += f"; with {added}, held-out recordings are predicted {gain_in_words(gain, error)} (gain {gain:.0f} nats)"
     undecided = [entry for entry in verdict.physics if any(not alias.separated for alias in entry.aliases)]
     if undecided:
         rivals = [alias for entry in undecided for alias in entry.aliases if not alias.separated]
         names = list(dict.fromkeys(f"{_with_article(alias.name)} at {_place(alias.place)}" for alias in rivals))
         one = "it" if len(verdict.physics) == 1 else _listed([entry.name for entry in undecided], "or")
-        text += f". These recordings cannot distinguish {one} from {_listed(names[:3], 'or')}"
+        text += f". These recordings cannot distinguish {one} from {_listed(names[:_FINDINGS], 'or')}"
     if verdict.shortcomings:
-        text += f". Even so, {_clause_of(verdict.shortcomings[0])[:-1]}"
+        text += f"{'; even' if undecided else '. Even'} so, {_clause_of(verdict.shortcomings[0])[:-1]}"
     return text + "."
+
+
+def gain_in_words(gain: float, error: float | None) -> str:
+    """How a gain in log predictive density compares with its standard error."""
+    if error is None or not error > 0:
+        return "better" if gain > 0 else "no better"
+    if gain <= 0:
+        return "no better"
+    return "clearly better" if gain >= _CLEAR * error else "better, though not surely"
 
 
 def _clause_of(sentence: str) -> str:
@@ -59,7 +80,7 @@ def _clause_of(sentence: str) -> str:
     return sentence[0].lower() + sentence[1:].rstrip(".") + "."
 
 
-def _clause(entry: Physics) -> str:
+def _clause(entry: Physics, unit: str) -> str:
     if entry.connection == "instead":
         return f"that the network lacks elements: {entry.network} describes the recordings"
     if entry.kind == "unknown":
@@ -68,7 +89,7 @@ def _clause(entry: Physics) -> str:
     for name, row in list(entry.parameters.items())[:1]:
         size = f" ({name.replace('_', ' ')} {number(row.median, row.unit)}, 90 % interval "
         size += f"{number(row.q05, row.unit)} to {number(row.q95, row.unit)})"
-    side = {"rig": ", an effect of the rig", "body": ", an effect of the body"}.get(entry.side or "", "")
+    side = {"rig": ", an effect of the rig", "body": f", an effect of the {body_of(unit)}"}.get(entry.side or "", "")
     others = {alias.id.split(".")[0] for alias in entry.aliases if not alias.separated}
     if not entry.side_decided or others - {entry.side}:
         side = ""  # dispersion is undecided, or an inseparable rival belongs to the other side
@@ -77,6 +98,11 @@ def _clause(entry: Physics) -> str:
     word = "in" if entry.kind == "subgroup" else "at"
     at = "" if entry.place == "port" and entry.side == "rig" else f" {word} {_place(entry.place)}"
     return f"{_with_article(entry.name)}{at}{size}{side}"
+
+
+def body_of(unit: str) -> str:
+    """Word for what is measured, beside the rig: a cell has no body."""
+    return "cell" if unit == UNIT else "body"
 
 
 def _with_article(name: str) -> str:

@@ -25,6 +25,7 @@ from bayes_impedance.diagnosis.selection.identifiability import felt
 from bayes_impedance.diagnosis.selection.stepwise import Found
 from bayes_impedance.diagnosis.selection.unnamed import Realised
 from bayes_impedance.diagnosis.types import Snapshot
+from bayes_impedance.diagnosis.verdict.electrical_words import electrical
 from bayes_impedance.diagnosis.verdict.entries import effect_entry, hum_entry, joint_of, structure_entry, unknown_entry
 from bayes_impedance.diagnosis.verdict.ranking import detection_limits
 from bayes_impedance.diagnosis.verdict.sentence import sentence
@@ -243,6 +244,7 @@ def make_verdict(
         shortcomings=(*gross, *partial),
         extended_network=None if extended is None else str(extended.network),
     )
+    verdict = electrical(verdict)
     return replace(verdict, summary=sentence(verdict, len(recordings.subjects)))
 
 
