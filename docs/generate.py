@@ -95,7 +95,7 @@ def _entry(room: str, name: str, value: Any) -> list[str]:
 
 
 def signature(effect: Effect, frequency_hz: np.ndarray) -> tuple[str, np.ndarray]:
-    """Place at which an effect is shown, and the relative change of z at the port, scaled to at most :data:`_LARGEST`."""
+    """Place at which an effect is shown, and the relative change of z at the port, at most :data:`_LARGEST`."""
     network = parse(FINGERTIP.network)
     recordings = simulate_recordings(FINGERTIP, 2, 1, frequency_hz, seed=1).recordings
     scales = scales_of(recordings)
@@ -135,10 +135,11 @@ def draw_signature(effect: Effect, file: Path) -> str:
 def catalogue(folder: Path) -> str:
     """Every effect: story, formula, signature."""
     blocks = [
-        "# Catalogue of effects\n\nWhat `diagnose` looks for. Each picture shows what the effect does to the impedance of "
-        "the median virtual fingertip at its port, as far as 10 % of it: the place is the first at which the effect may "
-        "act, and its other parameters are in the middle of what is scanned. What the elements would absorb is not taken "
-        "out of it. Effects of the rig are usually the same for everybody, those of the body differ between people.\n\n"
+        "# Catalogue of effects\n\nWhat `diagnose` looks for. Each picture shows what the effect does to the impedance "
+        "of the median virtual fingertip at its port, as far as 10 % of it: the place is the first at which the effect "
+        "may act, and its other parameters are in the middle of what is scanned. What the elements would absorb is not "
+        "taken out of it. Effects of the rig are usually the same for everybody, those of the body differ between "
+        "people.\n\n"
         "One more effect takes a few lines: {doc}`/how_to/diagnose`."
     ]
     for effect in registered():
@@ -194,13 +195,18 @@ def schemas() -> str:
         f"```json\n{text.rstrip()}\n```\n\n"
         "## `summary.json`\n\nWritten by `fit` and `run`. `central` is the population's median in the element's unit, "
         "dispersions are standard deviations of its natural logarithm, `q05` and `q95` end the 90 % interval. What "
-        "recordings do not determine is `null`. The keys of the shipped population's file, with the first entry of each "
-        f"list or table:\n\n```json\n{json.dumps(_shortened(summary), indent=2)}\n```\n"
+        "recordings do not determine is `null`. The keys of the shipped population's file, with the first entry of "
+        f"each list or table:\n\n```json\n{json.dumps(_shortened(summary), indent=2)}\n```\n"
     )
 
 
 def _type(entry: dict[str, Any]) -> str:
-    kind = entry.get("type") or entry.get("$ref", "").rsplit("/", 1)[-1] or ("one of several" if entry else "")
+    if "const" in entry:
+        return f"`{json.dumps(entry['const'])}`"
+    for several in ("anyOf", "oneOf"):
+        if several in entry:
+            return " or ".join(_type(one) for one in entry[several])
+    kind = entry.get("type") or entry.get("$ref", "").rsplit("/", 1)[-1] or "any"
     return " or ".join(kind) if isinstance(kind, list) else str(kind)
 
 
