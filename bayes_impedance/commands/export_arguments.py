@@ -27,7 +27,7 @@ def export_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--what",
         action="append",
-        choices=("users", "transfer", "spice", "stability"),
+        choices=("users", "transfer", "spice", "mat", "modelica", "stability"),
         help="files to write; repeatable (default: all)",
     )
     parser.add_argument(
