@@ -27,7 +27,6 @@ def run(*command: str | Path, cwd: Path) -> str:
 @pytest.mark.slow
 @pytest.mark.ci
 def test_the_wheel_holds_what_it_promises_and_draws_users(tmp_path: Path) -> None:
-    """It is built from the source distribution, so that this is complete, too."""
     if shutil.which("git") is None or not (ROOT / ".git").exists():
         pytest.skip("not a working copy of git: what the wheel leaves out is decided by .gitignore")
     pip = (sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet")
