@@ -10,7 +10,7 @@ OUT ?= out/demo
 PYTHON ?= $(shell for p in python3 python3.11 python3.12 python3.13 python; do \
   if $$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then echo $$p; break; fi; done)
 
-.PHONY: demo test test-ci test-all bench lint format clean help
+.PHONY: demo test test-ci test-all bench lint docs format clean help
 .DEFAULT_GOAL := help
 
 help:
@@ -19,6 +19,7 @@ help:
 	@echo "make test-ci   run the slow statistical checks that CI runs after them"
 	@echo "make test-all  run every slow check too (about an hour)"
 	@echo "make bench     speed against peers, in one run (about an hour; leave the machine alone)"
+	@echo "make docs      build the documentation, its notebooks executed; out/docs/index.html"
 	@echo "make lint      ruff, mypy and the import contracts"
 	@echo "make clean     remove what these commands made"
 
@@ -50,6 +51,10 @@ $(VENV)/.bench: $(BIN)/python pyproject.toml
 	$(call install,.[test$(comma)oracle$(comma)bench])
 	@touch $(VENV)/.run
 
+$(VENV)/.docs: $(BIN)/python pyproject.toml
+	$(call install,.[docs$(comma)intake$(comma)design])
+	@touch $(VENV)/.run
+
 comma := ,
 
 demo: $(VENV)/.run
@@ -73,6 +78,10 @@ lint: $(VENV)/.lint
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache --config pyproject.toml
+
+docs: $(VENV)/.docs
+	$(BIN)/python -m sphinx -W --keep-going -b html docs out/docs
+	@echo "open it: file://$(abspath out/docs)/index.html"
 
 format: $(VENV)/.lint
 	$(BIN)/ruff check --fix .

@@ -81,9 +81,9 @@ class VectorFit:
     model : PoleResidue
         The impedance in the data's unit; poles in rad/s, by ascending size, a fixed one being exactly 0.
     relative_rms : float
-        Root mean square over frequency of |model - z| / |z|.
+        Root mean square over frequency of ``|model - z| / |z|``.
     weighted_rms : float
-        The same of |model - z| / noise_sd; about the square root of two if the model fits to within the noise.
+        The same of ``|model - z| / noise_sd``; about the square root of two if the model fits to within the noise.
     iterations : int
         Relocations from the initial poles whose result was kept.
     converged : bool

@@ -3,29 +3,22 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
+from bayes_impedance.commands.export_arguments import export_arguments
+from bayes_impedance.commands.help_texts import add_examples
 from bayes_impedance.commands.import_arguments import import_arguments
+from bayes_impedance.commands.number_arguments import LARGEST_SEED, MOST_WORKERS, number, whole
+from bayes_impedance.commands.shipped_names import dataset_path
 from bayes_impedance.commands.terminal import tell
 from bayes_impedance.errors import InputError
-from bayes_impedance.runtime.user_table import number_in, shown
 from bayes_impedance.units import HIGHEST_HZ, LOWEST_HZ
 
-LARGEST_SEED = 2**63 - 1
-"""Largest signed 64-bit integer, the type in which results keep the seed."""
-MOST_WORKERS = 1024
-"""Most worker processes. By choice: each takes some hundred megabytes, and few machines have more processors."""
 MOST_PEOPLE, MOST_REPETITIONS, MOST_POINTS = 1_000_000, 10_000, 1_000_000
 """Limits on each number of a simulation. By choice: far above any study; their product has a separate limit."""
-MOST_USERS, MOST_GAINS = 1_000_000, 1000
-"""Most virtual users of an export, and most gains on each axis of its map. By choice: stability is computed for every
-pair of gains and every user."""
 LARGEST_NOISE = 100.0
 """Largest relative noise. By choice: at a hundred times the impedance, recordings hold practically no information."""
-LARGEST_DAMPING = 1e6
-"""Largest virtual damping in N s/m. By choice: far above what devices can render."""
 
 
 def parser_of_commands() -> argparse.ArgumentParser:
@@ -91,7 +84,8 @@ def parser_of_commands() -> argparse.ArgumentParser:
     _overwrite(report)
 
     export = commands.add_parser("export", help="design inputs from a finished fit: users, transfer, SPICE, stability")
-    _export_arguments(export)
+    export_arguments(export)
+    _overwrite(export)
 
     simulate = commands.add_parser("simulate", help="virtual recordings with known truth")
     simulate.add_argument("-o", "--out", type=Path, required=True, help="folder for the new dataset")
@@ -101,20 +95,20 @@ def parser_of_commands() -> argparse.ArgumentParser:
         help="summary.json of a fit, or truth.json (default: the population of virtual fingertips)",
     )
     simulate.add_argument(
-        "--subjects", type=_whole(MOST_PEOPLE), metavar="N", help="number of subjects (default: 71; of signals 8)"
+        "--subjects", type=whole(MOST_PEOPLE), metavar="N", help="number of subjects (default: 71; of signals 8)"
     )
     simulate.add_argument(
-        "--repetitions", type=_whole(MOST_REPETITIONS), default=3, metavar="J", help="for each subject (default: 3)"
+        "--repetitions", type=whole(MOST_REPETITIONS), default=3, metavar="J", help="for each subject (default: 3)"
     )
     simulate.add_argument(
         "--points",
-        type=_whole(MOST_POINTS, at_least=3),
+        type=whole(MOST_POINTS, at_least=3),
         metavar="F",
         help="number of frequencies (default: 401; of signals 30)",
     )
     simulate.add_argument(
         "--band",
-        type=_number(at_least=LOWEST_HZ, at_most=HIGHEST_HZ),
+        type=number(at_least=LOWEST_HZ, at_most=HIGHEST_HZ),
         nargs=2,
         default=(5.0, 5000.0),
         metavar=("LOW", "HIGH"),
@@ -122,10 +116,10 @@ def parser_of_commands() -> argparse.ArgumentParser:
     )
     simulate.add_argument(
         "--noise",
-        type=_number(at_least=0, at_most=LARGEST_NOISE),
+        type=number(at_least=0, at_most=LARGEST_NOISE),
         help="relative standard deviation of the noise of Re z and of Im z (default: 0.01)",
     )
-    simulate.add_argument("--seed", type=_whole(LARGEST_SEED, at_least=0), default=1, help="random seed (default: 1)")
+    simulate.add_argument("--seed", type=whole(LARGEST_SEED, at_least=0), default=1, help="random seed (default: 1)")
     simulate.add_argument(
         "--signals",
         action="store_true",
@@ -133,6 +127,7 @@ def parser_of_commands() -> argparse.ArgumentParser:
         "known masses, for 'import'",
     )
     _overwrite(simulate)
+    add_examples(commands.choices)
     return parser
 
 
@@ -144,7 +139,12 @@ def option_names(command: str) -> dict[str, str]:
 
 
 def _dataset(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("dataset", type=Path, metavar="DATASET", help="folder with recordings.csv, or one CSV file")
+    parser.add_argument(
+        "dataset",
+        type=dataset_path,
+        metavar="DATASET",
+        help="folder with recordings.csv, one CSV file, or the name of shipped recordings: fingertip_71, appendix_a",
+    )
 
 
 def _with(parser: argparse.ArgumentParser) -> None:
@@ -181,7 +181,7 @@ def _fit_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--seed",
-        type=_whole(LARGEST_SEED, at_least=0),
+        type=whole(LARGEST_SEED, at_least=0),
         default=1,
         help="random seed (default: 1); the same seed gives the same result",
     )
@@ -223,7 +223,7 @@ def _diagnose_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--seed",
-        type=_whole(LARGEST_SEED, at_least=0),
+        type=whole(LARGEST_SEED, at_least=0),
         default=1,
         help="random seed (default: 1); the same seed gives the same verdict",
     )
@@ -251,7 +251,7 @@ def _worker_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments for parallel computation over persons, which do not change the result."""
     parser.add_argument(
         "--workers",
-        type=_whole(MOST_WORKERS),
+        type=whole(MOST_WORKERS),
         metavar="N",
         help="number of local processes that fit people (default: two threads of this process)",
     )
@@ -260,112 +260,6 @@ def _worker_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="ADDRESS",
         help="address of a Dask scheduler whose workers fit people (needs the extra 'dask')",
     )
-
-
-def _export_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("result", type=Path, metavar="RESULT", help="folder that 'run' or 'fit' has written")
-    parser.add_argument("-o", "--out", type=Path, default=Path("design"), help="folder for the files (default: design)")
-    parser.add_argument(
-        "--what",
-        action="append",
-        choices=("users", "transfer", "spice", "people", "stability"),
-        help="files to write; repeatable (default: all but people, the values of those who were recorded)",
-    )
-    parser.add_argument(
-        "--users", type=_whole(MOST_USERS), default=1000, metavar="N", help="number of virtual users (default: 1000)"
-    )
-    parser.add_argument(
-        "--spanning",
-        type=_whole(MOST_USERS),
-        default=8,
-        metavar="N",
-        help="number of users chosen to span the 95 %% region (default: 8)",
-    )
-    parser.add_argument(
-        "--one-touch",
-        action="store_true",
-        help="draw users as in one touch, with the dispersion between repetitions; default: the mean of many touches",
-    )
-    parser.add_argument(
-        "--assume",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="value of an element that the recordings do not determine; repeatable",
-    )
-    parser.add_argument(
-        "--device", type=Path, metavar="TOML", help="device that the users hold (default: a PHANTOM 1.0)"
-    )
-    parser.add_argument(
-        "--damping",
-        type=_number(at_least=0, at_most=LARGEST_DAMPING),
-        default=0.0,
-        metavar="B",
-        help="damping of the virtual wall in N s/m (default: 0)",
-    )
-    parser.add_argument(
-        "--share",
-        type=_number(above=0, below=1),
-        default=0.99,
-        help="share of users for whom the loop must be stable (default: 0.99)",
-    )
-    parser.add_argument(
-        "--grid",
-        type=_whole(MOST_GAINS, at_least=2),
-        default=40,
-        metavar="N",
-        help="gains on each axis of the stability map (default: 40)",
-    )
-    parser.add_argument(
-        "--unreliable",
-        action="store_true",
-        help="export a fit although it is not reliable; every file carries the warning",
-    )
-    parser.add_argument("--no-pictures", dest="pictures", action="store_false", help="write tables only")
-    parser.add_argument(
-        "--seed",
-        type=_whole(LARGEST_SEED, at_least=0),
-        default=1,
-        help="random seed (default: 1); the same seed gives the same users",
-    )
-    parser.add_argument(
-        "--workers",
-        type=_whole(MOST_WORKERS),
-        default=2,
-        metavar="N",
-        help="threads that compute the stability map (default: 2)",
-    )
-    _overwrite(parser)
-
-
-def _whole(at_most: int, at_least: int = 1) -> Callable[[str], int]:
-    """Reader of a whole number within a range."""
-
-    def read(text: str) -> int:
-        # Every allowed number has at most twenty digits; Python refuses to convert thousands of digits.
-        digits = text.strip().removeprefix("+")
-        value = int(digits) if digits.isascii() and digits.isdigit() and len(digits) <= 20 else -1
-        if not at_least <= value <= at_most:
-            raise argparse.ArgumentTypeError(f"{shown(text)} is not a whole number from {at_least} to {at_most}")
-        return value
-
-    return read
-
-
-def _number(**bounds: float) -> Callable[[str], float]:
-    """Reader of a finite number within a range."""
-
-    def read(text: str) -> float:
-        try:
-            value: object = float(text)
-        except ValueError:
-            value = text
-        try:
-            return number_in(value, "it", **bounds)
-        except InputError as error:
-            raise argparse.ArgumentTypeError(str(error)) from None
-
-    return read
 
 
 class _Parser(argparse.ArgumentParser):

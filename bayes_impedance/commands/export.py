@@ -25,6 +25,8 @@ FILES = {
     "transfer": ("transfer.json", "transfer.txt"),
     "spice": ("users.lib", "monte_carlo.lib", "sweep.cir"),
     "people": ("people.csv",),
+    "mat": ("users.mat",),
+    "modelica": ("Users.mo",),
     "stability": ("stability.json", "stability.csv", "limits.csv", "transparency.csv"),
 }
 PICTURES = {"users": ("users",), "stability": ("stability", "worst_user", "transparency")}
@@ -143,6 +145,8 @@ def _written(
     from bayes_impedance.design.answer import design_answer
     from bayes_impedance.design.files import (
         warned,
+        write_mat,
+        write_modelica,
         write_spice,
         write_stability,
         write_tables,
@@ -156,10 +160,11 @@ def _written(
         people, said = _people(fit, out), [*fit.problems, *fit.summary["adequacy"]["misfit"]]
         return [warned(people, said) if said else people], [], None
     population = population_of(fit, options.assume, options.unreliable)
-    if "stability" in options.what and population.unit != "N s/m":
+    mechanical = [name for name in ("stability", "modelica") if name in options.what]
+    if mechanical and population.unit != "N s/m":
         raise InputError(
-            f"{result}: the impedance is in {population.unit}, but a device needs one in N s/m; leave stability out of "
-            "--what"
+            f"{result}: the impedance is in {population.unit}, but a device needs one in N s/m; leave "
+            f"{' and '.join(mechanical)} out of --what"
         )
     frequency = np.asarray(fit.coords["frequency_hz"], dtype=float)
     band = float(frequency[0]), float(frequency[-1])
@@ -179,6 +184,10 @@ def _written(
         files += write_transfer(out, users, chosen.users, made)
     if "spice" in what:
         files += write_spice(out, population, users, chosen.users, band, made)
+    if "mat" in what:
+        files += write_mat(out, users, chosen.users, grid, made)
+    if "modelica" in what:
+        files += write_modelica(out, users, chosen.users, made)
     if "stability" in what:
         answer = design_answer(
             population,
@@ -220,13 +229,16 @@ def _possible(everybody: Users, what: Sequence[str]) -> tuple[Equivalent | None,
     from bayes_impedance.design.circuits.equivalent import NotRealisableError, equivalent, in_loop
 
     made, left, notes = None, set(what), list[str]()
-    if left & {"transfer", "spice", "stability"}:
+    as_elements = {"transfer", "spice", "mat", "modelica"}
+    if left & {*as_elements, "stability"}:
         try:
             made = equivalent(everybody)
-            notes.append(made.note if left & {"transfer", "spice"} else "")
+            notes.append(made.note if left & as_elements else "")
         except NotRealisableError as error:
-            left -= {"spice", "stability"}
-            notes.append(f"{error}: impedances are exported as tables over frequency, but neither SPICE nor stability")
+            left -= {"spice", "modelica", "stability"}
+            notes.append(
+                f"{error}: impedances are exported as tables over frequency, but neither SPICE, Modelica nor stability"
+            )
     if "stability" in left:
         try:
             loops = in_loop(everybody)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayes_impedance.design.answer import DesignAnswer
-from bayes_impedance.design.circuits import spice
+from bayes_impedance.design.circuits import matlab, modelica, spice
 from bayes_impedance.design.circuits.equivalent import Equivalent, equivalent
 from bayes_impedance.design.circuits.passivity_check import passive_coefficients, passive_states, positive_elements
 from bayes_impedance.design.circuits.transfer_functions import described, parameters_of, tabulated, written
@@ -18,7 +18,7 @@ from bayes_impedance.design.representatives import Representatives
 from bayes_impedance.design.users import PERCENTILES, UserPopulation, Users, free_parameters, percentile_curves
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.passivity import known_passive
-from bayes_impedance.runtime.atomic_files import write_json, write_text
+from bayes_impedance.runtime.atomic_files import write_bytes, write_json, write_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -168,6 +168,20 @@ def write_spice(
     ]
 
 
+def write_mat(
+    folder: Path, users: Users, chosen: Users, frequency_hz: np.ndarray, made: Equivalent | None
+) -> list[Path]:
+    """``users.mat`` of all users, those that are chosen first; without state spaces if `made` is None."""
+    content = matlab.variables(chosen + users, frequency_hz, made)
+    return [write_bytes(folder / "users.mat", matlab.mat_bytes(content))]
+
+
+def write_modelica(folder: Path, users: Users, chosen: Users, made: Equivalent | None = None) -> list[Path]:
+    """``Users.mo``, a Modelica package with a model of every user, those that are chosen first."""
+    made = equivalent(chosen + users) if made is None else made
+    return [write_text(folder / "Users.mo", modelica.package(made.users))]
+
+
 def write_stability(folder: Path, answer: DesignAnswer) -> list[Path]:
     """``stability.json``, ``stability.csv`` (the map), ``limits.csv`` (each user) and ``transparency.csv``."""
     import pandas as pd
@@ -207,7 +221,7 @@ def write_stability(folder: Path, answer: DesignAnswer) -> list[Path]:
     return files
 
 
-_COMMENT = {".lib": "* ", ".cir": "* ", ".csv": "# "}
+_COMMENT = {".lib": "* ", ".cir": "* ", ".csv": "# ", ".mo": "// "}
 """Prefix of a comment line in these files; other text files have no comments."""
 
 
@@ -226,6 +240,8 @@ def warned(file: Path, warnings: Sequence[str]) -> Path:
     Path
         The file.
     """
+    if file.suffix == ".mat":
+        return write_bytes(file, matlab.with_warnings(file.read_bytes(), list(warnings)))
     text = file.read_text(encoding="utf-8")
     if file.suffix == ".json":
         return write_json(file, {"warnings": list(warnings)} | json.loads(text), indent=1)

@@ -16,7 +16,10 @@ from bayes_impedance.commands.arguments import parser_of_commands
 PACKAGE = Path(bayes_impedance.__file__).parent
 REPOSITORY = PACKAGE.parent
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*[a-z]")
-DOCUMENTS = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").glob("*.md"))]
+DOCUMENTS = [
+    REPOSITORY / "README.md",
+    *(f for f in sorted((REPOSITORY / "docs").rglob("*.md")) if not {"generated", "jupyter_execute"} & set(f.parts)),
+]
 
 
 def options() -> dict[str, set[str]]:

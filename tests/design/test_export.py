@@ -52,7 +52,15 @@ def table(file: Path) -> tuple[list[str], list[list[str]]]:
 def test_export_leaves_everything_and_nothing_else(exported: Path) -> None:
     pictures = {f"{n}.{e}" for n in ("users", "stability", "worst_user", "transparency") for e in ("png", "svg")}
     tables = {"users.csv", "users.json", "curves.csv", "transfer.json", "transfer.txt", "users.lib", "monte_carlo.lib"}
-    tables |= {"sweep.cir", "stability.json", "stability.csv", "limits.csv", "transparency.csv"}
+    tables |= {
+        "sweep.cir",
+        "users.mat",
+        "Users.mo",
+        "stability.json",
+        "stability.csv",
+        "limits.csv",
+        "transparency.csv",
+    }
     assert {p.name for p in exported.iterdir() if p.name[0] != "."} == pictures | tables
 
 

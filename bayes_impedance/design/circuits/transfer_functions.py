@@ -41,6 +41,14 @@ FORMS = ("transfer", "zeros_poles", "state_space")
 """Forms that :func:`to_control` can make."""
 
 
+def signal_names(unit: str, *, mobility: bool) -> tuple[str, str]:
+    """Names of input and output of a mobility or an impedance, with units."""
+    force, velocity = ("force_n", "velocity_m_per_s") if unit == "N s/m" else ("across", "through")
+    if unit == "ohm":
+        force, velocity = "voltage_v", "current_a"
+    return (force, velocity) if mobility else (velocity, force)
+
+
 def transfer_function(network: Network, values: Mapping[str, float], *, mobility: bool = False) -> TransferFunction:
     """Coefficients as in appendix A, leading one of the denominator 1.
 
@@ -176,7 +184,12 @@ def parameters_of(users: Users, row: int) -> str:
 
 
 def to_control(
-    network: Network, values: Mapping[str, float], form: str = "state_space", *, mobility: bool = True
+    network: Network,
+    values: Mapping[str, float],
+    form: str = "state_space",
+    *,
+    mobility: bool = True,
+    unit: str = "N s/m",
 ) -> Any:
     """One user as a python-control object.
 
@@ -189,6 +202,8 @@ def to_control(
         ``transfer``, ``zeros_poles`` (a TransferFunction, made from zeros and poles) or ``state_space``.
     mobility : bool
         v/F or F/v.
+    unit : str
+        Of the impedance: it names the signals, such as ``force_n`` and ``velocity_m_per_s``.
 
     Raises
     ------
@@ -198,18 +213,19 @@ def to_control(
     control = _control()
     if form not in FORMS:
         raise InputError(f"form is '{form}': choose {', '.join(FORMS)}")
+    named = dict(zip(("inputs", "outputs"), signal_names(unit, mobility=mobility), strict=True))
     if form == "transfer":
         function = transfer_function(network, values, mobility=mobility)
-        return control.TransferFunction(function.numerator, function.denominator)
+        return control.TransferFunction(function.numerator, function.denominator, **named)
     impedance = realise(network, values)
     if form == "zeros_poles":
         zeros, poles, gain = (x[0] for x in zeros_and_poles(impedance))
-        return control.zpk(poles, zeros, 1 / gain) if mobility else control.zpk(zeros, poles, gain)
+        return control.zpk(*((poles, zeros, 1 / gain) if mobility else (zeros, poles, gain)), **named)
     wanted = impedance.reciprocal() if mobility else impedance
     if wanted.high > 0:
         raise InputError("this function grows without bound with s and has no state space: ask for its reciprocal")
     a, b, c, d = matrices(wanted)
-    return control.StateSpace(a[0], b[0][:, None], c[0][None], [[d[0]]])
+    return control.StateSpace(a[0], b[0][:, None], c[0][None], [[d[0]]], **named)
 
 
 def read_control(file: str | os.PathLike[str]) -> dict[str, Any]:
@@ -223,8 +239,8 @@ def read_control(file: str | os.PathLike[str]) -> dict[str, Any]:
     Returns
     -------
     dict of str to StateSpace
-        By the users' names; the file states whether they are of the mobility or of the impedance. Users without a
-        finite state space are FrequencyResponseData of the impedance, omega in rad/s.
+        By the users' names; names of input and output say whether they are of the mobility or of the impedance. Users
+        without a finite state space are FrequencyResponseData of the impedance, omega in rad/s.
 
     Raises
     ------
@@ -239,16 +255,25 @@ def read_control(file: str | os.PathLike[str]) -> dict[str, Any]:
             omega = 2 * np.pi * np.array(table["frequency_hz"], dtype=float)
             return {
                 str(entry["name"]): control.FrequencyResponseData(
-                    np.array(entry["re"]) + 1j * np.array(entry["im"]), omega
+                    np.array(entry["re"]) + 1j * np.array(entry["im"]), omega, **_named(table, str(entry["name"]))
                 )
                 for entry in table["users"]
             }
         return {
-            str(entry["name"]): control.StateSpace(*(entry["state_space"][key] for key in "ABCD"))
+            str(entry["name"]): control.StateSpace(
+                *(entry["state_space"][key] for key in "ABCD"), **_named(table, str(entry["name"]))
+            )
             for entry in table["users"]
         }
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{file}: contains no transfer functions ({error}); give an exported transfer.json") from None
+
+
+def _named(table: Mapping[str, Any], user: str) -> dict[str, str]:
+    """Names of a system and its signals."""
+    mobility = str(table.get("state_space_of", "")).startswith("mobility")
+    given, answer = signal_names(str(table["unit"]), mobility=mobility)
+    return {"name": user, "inputs": given, "outputs": answer}
 
 
 def _control() -> Any:

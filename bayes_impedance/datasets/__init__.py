@@ -1,0 +1,24 @@
+"""What comes with the package: virtual recordings, the population that was estimated of them, and published curves.
+
+Input: nothing. Output: recordings, a finished fit and its population. Open :mod:`.shipped` first.
+"""
+
+from bayes_impedance.datasets.shipped import (
+    SHIPPED,
+    fingertip_folder,
+    fingertip_population,
+    fingertip_recordings,
+    fingertip_result,
+    folder_of,
+    published_curves,
+)
+
+__all__ = [
+    "SHIPPED",
+    "fingertip_folder",
+    "fingertip_population",
+    "fingertip_recordings",
+    "fingertip_result",
+    "folder_of",
+    "published_curves",
+]
