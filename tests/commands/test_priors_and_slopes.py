@@ -105,3 +105,17 @@ def test_a_diagnosis_tests_the_named_covariates_only(
     command = ["diagnose", str(dataset), "-o", str(tmp_path / "new"), "--network", "m1|r1|n1", "--covariate", "weight"]
     assert main(command) == 2
     assert '"weight" is not in the dataset' in capsys.readouterr().err
+
+
+def test_each_network_of_a_comparison_has_the_prior_of_its_own_elements(dataset: Path, tmp_path: Path) -> None:
+    prior = tmp_path / "prior.toml"
+    prior.write_text("dispersion = 0.7\n[elements.n1]\nscale = 0.5\n", encoding="utf-8")
+    out = tmp_path / "out"
+    command = ["compare", str(dataset), "-o", str(out), "--networks", "m1|r1|n1", "r1|n1*", "--priors", str(prior)]
+    assert main([*command, "--covariance", "diagonal"]) in (0, 1)
+    for folder, scale in (("1", 0.5), ("2", 0.5)):
+        told = json.loads((out / folder / "summary.json").read_text(encoding="utf-8"))["prior"]
+        assert told["given"]
+        assert told["elements"]["n1"]["scale"] == scale
+        assert told["elements"]["r1"] == {**told["elements"]["r1"], "scale": 3.0, "dispersion": 0.7}
+    assert told["elements"]["n1"]["dispersion"] is None
