@@ -13,7 +13,7 @@ import bayes_impedance
 
 PACKAGE = Path(bayes_impedance.__file__).parent
 ROOT = PACKAGE.parent
-FOLDERS = ("bayes_impedance", "analyses", "benchmarks", "tests")
+FOLDERS = ("bayes_impedance", "analyses", "benchmarks", "docs", "tests")
 LONGEST = 400
 """Lines of a file: what one reading takes in; the packages that this one learns from stay below it."""
 

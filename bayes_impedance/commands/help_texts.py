@@ -1,6 +1,7 @@
 """Examples and expected durations below the help of every command.
 
-Durations are those of the shipped recordings on two cores, rounded up; ``benchmarks/README.md`` has the measurements.
+Durations are of two idle cores. Those of ``run`` and ``diagnose`` are measured in ``benchmarks/README.md`` and rounded
+up; the others are rough, for knowing whether to wait or to come back.
 """
 
 from __future__ import annotations
