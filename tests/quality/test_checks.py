@@ -191,6 +191,17 @@ def test_delay_of_the_rig_is_one_finding() -> None:
     assert "indicate a fault of the rig" in finding.message
 
 
+def test_small_delay_of_the_rig_is_found_by_the_phase() -> None:
+    data = simulate(1)
+    tau = 2.5e-5
+    late = [
+        replace(subject, z=subject.z * np.exp(-2j * np.pi * subject.frequency_hz * tau)) for subject in data.subjects
+    ]
+    finding = only(replace(data, subjects=tuple(late)), "lag")
+    assert finding.subject is None
+    assert "the force were recorded" in finding.message
+
+
 # Notes, and small data
 
 
