@@ -379,13 +379,14 @@ def _check_size(recordings: Recordings) -> Iterator[Finding]:
             "add subjects to estimate it",
         )
     if recordings.repetitions_max == 1:
+        known = all(subject.noise_sd is not None for subject in recordings.subjects)
+        rough = "" if known else " and the noise is estimated from the roughness of the curves only"
         yield Finding(
             id="one_repetition",
             severity="note",
             subject=None,
             repetition=None,
             frequency_hz=None,
-            message="each subject was measured once, so that the dispersion between repetitions cannot be estimated "
-            "and the noise is estimated from the roughness of the curves only; repeat the measurements to estimate "
-            "both",
+            message="each subject was measured once, so that the dispersion between repetitions cannot be estimated"
+            f"{rough}; repeat the measurements to estimate {'it' if known else 'both'}",
         )
