@@ -42,7 +42,7 @@ def import_dataset(options: argparse.Namespace, progress: Progress) -> Imported:
     require_sources(options.sources)
     settings = settings_of(options)
     imported = import_recordings(options.sources, settings, progress)
-    require_quantity(imported.recordings, None)
+    require_quantity(replace(imported.recordings, title=str(options.sources[0])), None)
     beside = imported.beside()
     if options.subjects is not None:
         content, told = covariates_of_subjects(options.subjects, imported.recordings.names, settings.table)

@@ -119,8 +119,8 @@ def require_impedance(recordings: Recordings, network: Network | str | None = No
     raise InputError(
         f"{recordings.title}: the network {tree} describes these recordings to {error:.1%} if they are {name} "
         f"({QUANTITIES[name][0]}), but as impedance only to {as_impedance:.1%}, whatever lag or filter of a channel is "
-        f"assumed: import them with --form '{name}', or, if they are impedances (force per velocity), write "
-        'quantity = "impedance" in dataset.toml'
+        f"assumed: import them with --form '{name}', or, if they are impedances (force per velocity), "
+        'with --form impedance, or write quantity = "impedance" in dataset.toml'
     )
 
 

@@ -82,6 +82,13 @@ def test_commands_refuse_accelerance(command: str, tmp_path: Path, capsys: pytes
     assert not out.exists()
 
 
+def test_an_import_of_what_is_said_to_be_impedance_is_believed(tmp_path: Path) -> None:
+    write_recordings(people(lambda z: S / z), tmp_path / "in")
+    words = [str(tmp_path / "in" / "recordings.csv"), "--network", NETWORK, "--form", "impedance"]
+    assert main(["import", *words, "-o", str(tmp_path / "out")]) == 0
+    assert main(["check", str(tmp_path / "out")]) == 0
+
+
 def test_without_a_network_it_is_not_decided(tmp_path: Path) -> None:
     write_recordings(people(lambda z: S / z), tmp_path)
     text = (tmp_path / "dataset.toml").read_text(encoding="utf-8")
