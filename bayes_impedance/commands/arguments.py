@@ -45,6 +45,7 @@ def parser_of_commands() -> argparse.ArgumentParser:
 
     check = commands.add_parser("check", help="what a dataset contains and what looks wrong in it")
     _dataset(check)
+    check.add_argument("--network", help="notation, to tell accelerance and the like (default: the dataset's)")
 
     fit = commands.add_parser("fit", help="fit only: result.nc and summary.json")
     _dataset(fit)

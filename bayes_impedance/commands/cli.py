@@ -212,7 +212,7 @@ def _export(options: argparse.Namespace) -> int:
 def _check(options: argparse.Namespace) -> int:
     from bayes_impedance.commands.jobs import check_dataset
 
-    description, _, findings = check_dataset(options.dataset)
+    description, _, findings = check_dataset(options.dataset, options.network)
     for key, value in description.items():
         shown = " to ".join(f"{v:.4g}" for v in dict.fromkeys(value)) if _is_range(value) else value
         label = key.replace("_hz", ", Hz").replace("_", " ")

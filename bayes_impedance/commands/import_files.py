@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayes_impedance.commands.import_arguments import require_sources
+from bayes_impedance.commands.jobs import require_quantity
 from bayes_impedance.errors import InputError
 from bayes_impedance.runtime.output_folder import output_folder
 
@@ -41,6 +42,7 @@ def import_dataset(options: argparse.Namespace, progress: Progress) -> Imported:
     require_sources(options.sources)
     settings = settings_of(options)
     imported = import_recordings(options.sources, settings, progress)
+    require_quantity(replace(imported.recordings, title=str(options.sources[0])), None)
     beside = imported.beside()
     if options.subjects is not None:
         content, told = covariates_of_subjects(options.subjects, imported.recordings.names, settings.table)

@@ -258,6 +258,7 @@ def diagnose_dataset(
     network = network or (claimed.network if claimed is not None else None)
     for given in (recordings, *(() if claimed is None else (claimed,))):
         checked_model(given, network, options.covariates)
+        require_quantity(given, network)
     names = [VERDICT_FILE, DIAGNOSIS_FILE, *pictures(DIAGNOSIS_PICTURES)]
     checkpoint = out / DIAGNOSIS_CHECKPOINT_FOLDER
     require_own(checkpoint)
@@ -292,13 +293,45 @@ def diagnose_dataset(
     return diagnosis
 
 
-def check_dataset(dataset: Path) -> tuple[dict[str, Any], tuple[str, ...], tuple[Finding, ...]]:
-    """Contents of a dataset, changes made when it was read, and its anomalies."""
+def check_dataset(
+    dataset: Path, network: str | None = None
+) -> tuple[dict[str, Any], tuple[str, ...], tuple[Finding, ...]]:
+    """Contents of a dataset, changes made when it was read, and its anomalies.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or its network or the given one describes it as another quantity than impedance.
+    """
     from bayes_impedance.quality.checks import check_recordings, describe
     from bayes_impedance.recordings.files import read_recordings
 
     recordings = read_recordings(dataset).in_memory()
+    require_quantity(recordings, network)
     return describe(recordings), recordings.warnings, check_recordings(recordings)
+
+
+def require_quantity(recordings: Recordings, network: str | None) -> None:
+    """Refuse another quantity than impedance; not decided without a network, or with one that cannot be read.
+
+    Raises
+    ------
+    InputError
+        If the network describes the recordings as another quantity, and not as impedance.
+    """
+    from bayes_impedance.network.notation import parse
+    from bayes_impedance.recordings.plausibility import negative_without_cause
+
+    if not negative_without_cause(recordings):
+        return  # what follows takes seconds to import
+    from bayes_impedance.population.other_quantity import require_impedance
+
+    if network is None:
+        try:
+            parse(recordings.network or "")
+        except InputError:  # it is a finding of `check`, and a fit refuses it
+            return
+    require_impedance(recordings, network)
 
 
 def _read(dataset: Path, options: FitOptions) -> tuple[Recordings, Clock]:
@@ -306,7 +339,9 @@ def _read(dataset: Path, options: FitOptions) -> tuple[Recordings, Clock]:
 
     clock = Clock()
     with clock.measure("read"):
-        return selected(read_recordings(dataset), options), clock
+        recordings = selected(read_recordings(dataset), options)
+        require_quantity(recordings, options.network)
+        return recordings, clock
 
 
 def _fit(

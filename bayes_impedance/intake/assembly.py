@@ -7,29 +7,42 @@ with a remark, and if less than half remain the files are refused.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from bayes_impedance.errors import InputError
 from bayes_impedance.intake.spectrum import FloatArray, Spectrum
+from bayes_impedance.recordings import frequency_scale
 from bayes_impedance.recordings.dataset import Subject
 from bayes_impedance.recordings.driving_point import sentence, verdict_of
-from bayes_impedance.recordings.plausibility import is_conjugate
+from bayes_impedance.recordings.metadata import DRIVING_POINT, HERTZ
+from bayes_impedance.recordings.plausibility import is_conjugate, is_turned
 from bayes_impedance.recordings.repetitions import MINIMUM_COMMON, MINIMUM_POINTS
 from bayes_impedance.runtime.user_table import shown
 from bayes_impedance.units import HIGHEST_HZ, LARGEST_IMPEDANCE, LOWEST_HZ, SMALLEST_IMPEDANCE
 
+SIGN = "sign"
+"""What runs with known loads have found: a wrong sign of the recordings is then an error of these runs."""
 
-def assemble(spectra: Sequence[Spectrum], believed: bool = False) -> tuple[list[Subject], list[Spectrum], list[str]]:
+
+def assemble(
+    spectra: Sequence[Spectrum], believed: Collection[str] = ()
+) -> tuple[list[Subject], list[Spectrum], list[str]]:
     """Subjects in the order of their first file, their recordings, and what was changed, in sentences.
+
+    Parameters
+    ----------
+    spectra : sequence of Spectrum
+    believed : collection of str
+        What is known of the recordings and is not doubted: ``driving point``, ``Hz``, ``sign``.
 
     Raises
     ------
     InputError
         If units differ, a name is impossible or there twice, repetitions share too few frequencies, or most are complex
-        conjugates or transfer functions (unless it is said that they are of a driving point, and that is `believed`).
+        conjugates, of the wrong sign, transfer functions, or at frequencies in another unit.
     """
     if not spectra:
         raise InputError("there is no recording in the files; name others")
@@ -65,7 +78,9 @@ def assemble(spectra: Sequence[Spectrum], believed: bool = False) -> tuple[list[
             )
         except ValueError as error:
             raise InputError(f"{own[0].source}: {error}") from None
-    places = [] if believed else [verdict_of(one.frequency_hz, one.mean) for one in subjects]
+    if HERTZ not in believed:
+        _require_hertz(spectra[0], subjects)
+    places = [] if DRIVING_POINT in believed else [verdict_of(one.frequency_hz, one.mean) for one in subjects]
     if places.count("transfer") > 0.5 * len(subjects):
         raise InputError(
             f"{spectra[0].source}: {sentence(surely=True)}; import those of the force's own place, or give "
@@ -79,7 +94,25 @@ def assemble(spectra: Sequence[Spectrum], believed: bool = False) -> tuple[list[
             "these seem to be complex conjugates, from the convention exp(-jwt) or an analyser that subtracts phases "
             "the other way; give --conjugated if you have not, or leave it out"
         )
+    if SIGN not in believed and sum(map(is_turned, subjects)) > 0.5 * len(subjects):
+        raise InputError(
+            f"{spectra[0].source}: Re z is negative at nearly all frequencies, and the phase is turned by 180 degrees "
+            "against that of the magnitude: force or motion is counted the other way; give --negated if you have not, "
+            "or leave it out"
+        )
     return subjects, kept, notes
+
+
+def _require_hertz(first: Spectrum, subjects: Sequence[Subject]) -> None:
+    """Refuse frequencies that seem to be in another unit, if all of them do."""
+    bands = [(s.frequency_hz.size, float(s.frequency_hz[0]), float(s.frequency_hz[-1])) for s in subjects]
+    found = {frequency_scale.seems(*band, first.unit) for band in bands}
+    other = next(iter(found)) if len(found) == 1 else None
+    if other is not None:
+        raise InputError(
+            f"{first.source}: {frequency_scale.sentence(other, *bands[0][1:])}; give --frequency-unit {other}, or "
+            f"--frequency-unit {HERTZ} if they are in Hz"
+        )
 
 
 def _repetitions(own: Sequence[Spectrum]) -> list[Spectrum]:

@@ -223,7 +223,13 @@ def _read_name(variable: Variable) -> tuple[bool, str, str]:
     negated = name.startswith(("-", "−", "\u2013"))
     name = name[1:].strip() if negated else name
     unit = ""
-    for pattern in (r"(.+?)\s*[\(\[]([^()\[\]]+)[\)\]]", r"([^/]+)/\s*(.+)", r"(.+?),\s*(.+)", r"(.+)_([A-Za-z°]+)"):
+    for pattern in (
+        r"(.+?)\s*[\(\[]([^()\[\]]+)[\)\]]",
+        r"(.+?)\s*\[([^\[\]]+)\]",  # with parentheses inside, as "[(m/s^2)/N]"
+        r"([^/]+)/\s*(.+)",
+        r"(.+?),\s*(.+)",
+        r"(.+)_([A-Za-z°]+)",
+    ):
         match = re.fullmatch(pattern, name)
         # "Re(Z)" has no unit, nor has "a/F" alone: what follows must be one.
         if match and is_unit(_known_case(match[2])):

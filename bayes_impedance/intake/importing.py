@@ -11,18 +11,21 @@ from pathlib import Path
 
 import numpy as np
 
-from bayes_impedance.intake.assembly import assemble
+from bayes_impedance.intake.assembly import SIGN, assemble
 from bayes_impedance.intake.calibrating import Calibrated, CalibrationSettings, calibrated
 from bayes_impedance.intake.calibration_files import CALIBRATION_FILE, RIG_FILE, calibration_files, csv_bytes
+from bayes_impedance.intake.moderated_noise import moderated
 from bayes_impedance.intake.reading import Progress, ReadingSettings, read_spectra
 from bayes_impedance.intake.spectrum import Spectrum
 from bayes_impedance.recordings.dataset import Recordings
-from bayes_impedance.recordings.metadata import DRIVING_POINT
+from bayes_impedance.recordings.metadata import DRIVING_POINT, HERTZ, IMPEDANCE
 
 COHERENCE_FILE, REPETITIONS_FILE = "coherence.csv", "repetitions.csv"
 CALIBRATION_SD_FILE = "calibration_sd.csv"
 BESIDE = (COHERENCE_FILE, REPETITIONS_FILE, CALIBRATION_SD_FILE, CALIBRATION_FILE, RIG_FILE)
 """Every file that may stand beside the recordings."""
+_NEGATIVE = 0.001
+"""Share of points with Re z < 0 from which it is told. By choice: less is noise around zero, and is told as 0.0 %."""
 _CHUNK = 2**20
 """Bytes of a source that are hashed at a time. By choice: the largest that does not matter for memory."""
 
@@ -124,10 +127,16 @@ def import_recordings(
     spectra, notes, files = read_spectra(places, settings, progress, without=runs)
     calibration = calibrated(spectra, settings.calibration, settings)
     notes += calibration.notes
-    subjects, kept, told = assemble(calibration.spectra, settings.driving_point)
+    said = settings.spectra
+    believed = {DRIVING_POINT} if settings.driving_point else set()
+    believed |= {HERTZ} if said.frequency_unit is not None else set()
+    believed |= {SIGN} if settings.calibration.known_loads else set()
+    quieter, told = moderated(calibration.spectra)
+    notes += told
+    subjects, kept, told = assemble(quieter, believed)
     notes += told
     negative = sum(int(np.sum(one.z.real < 0)) for one in kept) / sum(one.z.size for one in kept)
-    if negative > 0:
+    if negative >= _NEGATIVE:
         notes.append(f"Re z is below zero at {negative:.1%} of the points; 'bayes-impedance check' looks for the cause")
     recordings = Recordings(
         title=settings.title or "imported recordings",
@@ -139,6 +148,8 @@ def import_recordings(
         warnings=tuple(_merged(notes)),
         calibration=calibration.left,
         place=DRIVING_POINT if settings.driving_point else None,
+        quantity=IMPEDANCE if said.form == IMPEDANCE else None,
+        frequency_unit=HERTZ if HERTZ in believed else None,
     )
     return Imported(
         recordings=recordings,

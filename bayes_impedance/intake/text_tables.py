@@ -31,6 +31,8 @@ _BEGINNING = 1000
 """Lines in which the table must begin. By choice: headers of instruments have a hundred."""
 _SAMPLED = 2**16
 """Characters by which a binary file is told from text."""
+_FEWEST_ROWS = 10
+"""Rows from which the length of the last cell says that a file ends in the middle of a number. By choice."""
 _LOOKED_AT = 30
 """Lines by which the separator is judged."""
 Splitter = Callable[[str], list[str]]
@@ -111,6 +113,8 @@ def read_text_table(data: bytes, file: str, how: TableFormat | None = None) -> C
     first = _second_filled(lines, file) if how.of_words else _first_row(lines, split, file)
     width = len(split(lines[first]))
     columns, rows = _columns(lines, first, width, split, SEPARATORS[name], file)
+    if not text.endswith(("\n", "\r")):
+        notes += _cut_short(columns[-1], f"{file}, row {rows[-1]}")
     decimal = how.decimal or _decimal(columns, file)
     header, units = _header(lines[:first], width, split)
     kept = [i for i in range(width) if header is None or header[i] or any(columns[i])]
@@ -236,6 +240,19 @@ def _columns(
         records.append(cells)
         rows.append(i + 1)
     return list(zip(*records, strict=True)), np.array(rows)
+
+
+def _cut_short(cells: Sequence[str], where: str) -> tuple[str, ...]:
+    """A remark if a file seems to end in the middle of a number, or an error if it surely does."""
+    *others, last = map(len, cells)
+    if len(others) < _FEWEST_ROWS or last >= min(others):
+        return ()
+    said = (
+        f"{where}: the file ends with {shown(cells[-1])}, without an end of the line, and all numbers above are longer"
+    )
+    if last <= min(others) / 2:
+        raise InputError(f"{said}: it is cut short; copy it again, or delete the row")
+    return (f"{said}: it may be cut short",)
 
 
 def _decimal(columns: Sequence[Sequence[str]], file: str) -> str:

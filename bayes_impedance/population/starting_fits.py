@@ -165,7 +165,7 @@ def first_fits(
         return list(_watched(rows, stage, len(persons), progress))
 
     search = partial(_searched, kernel, prior)
-    found = everybody("searching", search, [_thinned(subjects[i], n_elements) for i in searched], random_starts)
+    found = everybody("searching", search, [thinned(subjects[i], n_elements) for i in searched], random_starts)
     candidates = np.vstack([own for (own,) in found])
     tried = everybody("first fits", partial(_try_all, kernel, candidates, prior.centre, precision), subjects)
     ends, objectives, alternatives = (np.array(column) for column in zip(*tried, strict=True))
@@ -199,7 +199,7 @@ def _try_all(
     Few points with provisional noise do not tell valleys apart that differ near one resonance, so the ends of these
     searches go on with all points, and are compared there.
     """
-    few, whole = _thinned(subject, centre.size), _typical(subject, centre.size, slice(None))
+    few, whole = thinned(subject, centre.size), typical(subject, centre.size, slice(None))
     ends, objectives = modes_from(kernel, few, candidates, centre, precision, 40)
     promising = np.where(objectives < objectives.min() + _REGRET, objectives, np.inf)
     kept = np.array(_distinct(ends, promising, _COMPARED, _SAME))
@@ -215,7 +215,7 @@ def _try_all(
 def _provisional(
     kernel: Kernel, centre: np.ndarray, precision: np.ndarray, subject: Subject, start: np.ndarray
 ) -> tuple[np.ndarray]:
-    likelihood = _typical(subject, centre.size, slice(None))
+    likelihood = typical(subject, centre.size, slice(None))
     return (modes_from(kernel, likelihood, start[None], centre, precision)[0][0],)
 
 
@@ -279,7 +279,7 @@ def _common_solutions(ends: np.ndarray, regret: np.ndarray) -> np.ndarray:
     return np.array([gathered for _, gathered in sorted(kept, key=lambda pair: pair[0])])
 
 
-def _typical(subject: Subject, n_elements: int, points: slice | np.ndarray) -> Likelihood:
+def typical(subject: Subject, n_elements: int, points: slice | np.ndarray) -> Likelihood:
     """The recording that is nearest to the person's others, with provisional noise.
 
     The mean of recordings whose resonances differ is not that of any elements.
@@ -290,8 +290,9 @@ def _typical(subject: Subject, n_elements: int, points: slice | np.ndarray) -> L
     return Likelihood.make(subject.frequency_hz[points], z, PROVISIONAL_NOISE * np.abs(z), np.zeros((1, n_elements)))
 
 
-def _thinned(subject: Subject, n_elements: int) -> Likelihood:
-    return _typical(subject, n_elements, thinned_points(subject.frequency_hz.size))
+def thinned(subject: Subject, n_elements: int) -> Likelihood:
+    """The same at few frequencies, for a search from many starts."""
+    return typical(subject, n_elements, thinned_points(subject.frequency_hz.size))
 
 
 def thinned_points(n: int) -> np.ndarray:

@@ -17,6 +17,7 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.network.notation import parse
 from bayes_impedance.quality import point_anomalies
 from bayes_impedance.quality.curve_anomalies import duplicates, odd_subjects, repetition_spreads, suspect_units
+from bayes_impedance.quality.late_channel import late_channel
 from bayes_impedance.quality.marks import Mark, marks
 from bayes_impedance.quality.negative_real_part import Explanation, explain, sentence
 from bayes_impedance.quality.place import doubts_of_place
@@ -37,7 +38,7 @@ class Finding:
     ----------
     id : str
         Kind: reading, network, mark, not_passive, jump, outlier, duplicate_subject, odd_subject, repetition_spread,
-        transfer, phase_in_radians, magnitude_in_db, one_subject, one_repetition.
+        transfer, lag, phase_in_radians, magnitude_in_db, one_subject, one_repetition.
     severity : {"note", "warning"}
         A note says what cannot be estimated; a warning says what may be wrong.
     subject, repetition : str or None
@@ -99,7 +100,7 @@ def check_recordings(recordings: Recordings) -> tuple[Finding, ...]:
         *_check_duplicates(recordings),
         *_check_odd_subjects(recordings),
         *(finding for finding in _check_repetition_spread(recordings) if finding.subject not in jumped),
-        *_check_place(recordings),
+        *_check_place(recordings, any(finding.id == "not_passive" for finding in curves)),
         *_check_units(recordings),
         *_check_size(recordings),
     ]
@@ -143,12 +144,15 @@ def describe(recordings: Recordings) -> dict[str, object]:
     }
 
 
+def _of_all(kind: str, message: str, subject: str | None = None) -> Finding:
+    """A warning of whole curves, of everybody unless a subject is given."""
+    return Finding(id=kind, severity="warning", subject=subject, repetition=None, frequency_hz=None, message=message)
+
+
 def _check_reading(recordings: Recordings) -> Iterator[Finding]:
     """What was changed, dropped or not used when the files were read."""
     for warning in recordings.warnings:
-        yield Finding(
-            id="reading", severity="warning", subject=None, repetition=None, frequency_hz=None, message=warning
-        )
+        yield _of_all("reading", warning)
 
 
 def _check_network(recordings: Recordings) -> Iterator[Finding]:
@@ -157,9 +161,7 @@ def _check_network(recordings: Recordings) -> Iterator[Finding]:
         parse(recordings.network or "m1")
     except InputError as error:
         message = f"dataset.toml: the network cannot be used ({error}); correct it"
-        yield Finding(
-            id="network", severity="warning", subject=None, repetition=None, frequency_hz=None, message=message
-        )
+        yield _of_all("network", message)
 
 
 def _mark_finding(mark: Mark) -> Finding:
@@ -334,44 +336,33 @@ def _check_repetition_spread(recordings: Recordings) -> Iterator[Finding]:
         )
 
 
-def _check_place(recordings: Recordings) -> Iterator[Finding]:
-    if (found := doubts_of_place(recordings)) is not None:
-        yield Finding(
-            id="transfer", severity="warning", subject=found[0], repetition=None, frequency_hz=None, message=found[1]
-        )
+def _check_place(recordings: Recordings, explained: bool) -> Iterator[Finding]:
+    """Force and motion of two places, or of two times, unless negative real parts are `explained` by that."""
+    late = None if explained else late_channel(recordings)
+    for kind, found in (("transfer", doubts_of_place(recordings)), ("lag", late)):
+        if found is not None:
+            yield _of_all(kind, found[1], found[0])
 
 
 def _check_units(recordings: Recordings) -> Iterator[Finding]:
     suspects = suspect_units(recordings.subjects, recordings.polar)
     if "phase_conjugated" in suspects:
-        yield Finding(
-            id="phase_conjugated",
-            severity="warning",
-            subject=None,
-            repetition=None,
-            frequency_hz=None,
-            message="the phase agrees with the slope of the magnitude only if its sign is reversed; these seem to be "
+        yield _of_all(
+            "phase_conjugated",
+            "the phase agrees with the slope of the magnitude only if its sign is reversed; these seem to be "
             "complex conjugates, from the convention exp(-jwt) or from an analyser that subtracts phases the other "
             "way: change the sign of the imaginary part or of the phase",
         )
     if "phase_in_radians" in suspects:
-        yield Finding(
-            id="phase_in_radians",
-            severity="warning",
-            subject=None,
-            repetition=None,
-            frequency_hz=None,
-            message="the phases lie within 3.2 deg although such magnitudes have much larger ones; "
+        yield _of_all(
+            "phase_in_radians",
+            "the phases lie within 3.2 deg although such magnitudes have much larger ones; "
             "if the column phase_deg is in radians, multiply it by 180/pi",
         )
     if "magnitude_in_db" in suspects:
-        yield Finding(
-            id="magnitude_in_db",
-            severity="warning",
-            subject=None,
-            repetition=None,
-            frequency_hz=None,
-            message="the slope of the magnitude agrees with the phase only if the magnitude is in dB; "
+        yield _of_all(
+            "magnitude_in_db",
+            "the slope of the magnitude agrees with the phase only if the magnitude is in dB; "
             "if it is, convert the column to 10^(dB/20)",
         )
 
@@ -388,13 +379,14 @@ def _check_size(recordings: Recordings) -> Iterator[Finding]:
             "add subjects to estimate it",
         )
     if recordings.repetitions_max == 1:
+        known = all(subject.noise_sd is not None for subject in recordings.subjects)
+        rough = "" if known else " and the noise is estimated from the roughness of the curves only"
         yield Finding(
             id="one_repetition",
             severity="note",
             subject=None,
             repetition=None,
             frequency_hz=None,
-            message="each subject was measured once, so that the dispersion between repetitions cannot be estimated "
-            "and the noise is estimated from the roughness of the curves only; repeat the measurements to estimate "
-            "both",
+            message="each subject was measured once, so that the dispersion between repetitions cannot be estimated"
+            f"{rough}; repeat the measurements to estimate {'it' if known else 'both'}",
         )

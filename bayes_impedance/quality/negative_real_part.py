@@ -103,7 +103,8 @@ def sentence(whose: str, where: str, depth: str, explanations: Sequence[Explanat
         f"elastic load; {_DIAGNOSE} says which",
         "quantity": "phase and magnitude belong together, so that the sign is right, and they are those of a passive "
         "load if divided or multiplied by jw: check that the motion is a velocity, and not an acceleration or a "
-        f"displacement, and that this is no accelerance; if it is a velocity behind a filter, {_DIAGNOSE} finds that",
+        "displacement, and that this is no accelerance (if it is, 'import' takes --form accelerance; 'check' decides "
+        f"it with --network); if it is a velocity behind a filter, {_DIAGNOSE} finds that",
         "": "check the delay between the channels, the mass correction and the sign there",
     }[cause]
     return (

@@ -6,6 +6,7 @@ among the covariates of the persons (:mod:`.categories`).
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -31,6 +32,13 @@ OF_THE_ESTIMATE = frozenset(
     | {f"{kind}_distortion_of_{signal}" for kind in ("odd", "even") for signal in ("force", "motion")}
 )
 """Columns in which an import of signals says how it estimated the impedance: they are no circumstances of it."""
+
+_AMPLITUDE = re.compile(r"(?:^|_)(drive|excitation|amplitude|shaker)(?:_|$)")
+
+
+def is_amplitude(name: str) -> bool:
+    """Whether a circumstance says, by its name, how far or how hard the load was moved (``drive_level_v``)."""
+    return _AMPLITUDE.search(name.lower()) is not None
 
 
 @dataclass(frozen=True)

@@ -147,6 +147,8 @@ class Recordings:
         What a calibration has left uncertain, the same in all recordings.
     place : str or None
         ``driving point`` if that is declared: recordings that look like transfer functions are then believed.
+    quantity, frequency_unit : str or None
+        ``impedance`` and ``Hz`` if they are declared: recordings that look like others are then believed.
 
     Raises
     ------
@@ -166,6 +168,8 @@ class Recordings:
     convention: str | None = None
     calibration: CommonError | None = None
     place: str | None = None
+    quantity: str | None = None
+    frequency_unit: str | None = None
 
     def __post_init__(self) -> None:
         """Check that the subjects' names are unique."""

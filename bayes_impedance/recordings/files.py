@@ -112,6 +112,8 @@ def read_recordings(path: str | os.PathLike[str]) -> Recordings:
         convention=metadata.convention,
         calibration=metadata.calibration,
         place=metadata.place,
+        quantity=metadata.quantity,
+        frequency_unit=metadata.frequency_unit,
     )
 
 
@@ -329,6 +331,8 @@ def _metadata_toml(recordings: Recordings) -> str:
         "sign": SIGNS[0],
         "convention": CONVENTIONS[0] if recordings.convention else "",
         "place": recordings.place,
+        "quantity": recordings.quantity,
+        "frequency_unit": recordings.frequency_unit,
         "network": recordings.network,
         "source": recordings.source,
         "licence": recordings.licence,

@@ -19,7 +19,21 @@ SIGNS = ("passive positive", "passive negative")
 CONVENTIONS = ("exp(+jwt)", "exp(-jwt)")
 DRIVING_POINT = "driving point"
 """The only place of which recordings are evaluated; who declares it is believed."""
-_KEYS = ("title", "unit", "sign", "convention", "network", "source", "licence", "place", TABLE)
+IMPEDANCE, HERTZ = "impedance", "Hz"
+"""The only quantity and unit of frequency that are evaluated; who declares them is believed."""
+_KEYS = (
+    "title",
+    "unit",
+    "sign",
+    "convention",
+    "network",
+    "source",
+    "licence",
+    "place",
+    "quantity",
+    "frequency_unit",
+    TABLE,
+)
 RECIPE = "import"
 """Key of the table that records how the dataset was made from other files; it is not evaluated."""
 
@@ -89,6 +103,8 @@ class Metadata:
         What a calibration has left uncertain in all recordings.
     place : str or None
         :data:`DRIVING_POINT` if that is declared.
+    quantity, frequency_unit : str or None
+        :data:`IMPEDANCE` and :data:`HERTZ` if they are declared.
     """
 
     title: str
@@ -102,6 +118,8 @@ class Metadata:
     warnings: tuple[str, ...] = ()
     calibration: CommonError | None = None
     place: str | None = None
+    quantity: str | None = None
+    frequency_unit: str | None = None
 
 
 def parse_metadata(data: bytes, file: str, default_title: str) -> Metadata:
@@ -134,6 +152,11 @@ def parse_metadata(data: bytes, file: str, default_title: str) -> Metadata:
     # Other programs' keys may be present: unknown keys give a warning, not an error.
     table = UserTable(parse_toml(text, file), where, _KEYS, tolerant=True)
     warnings = [table.about_unknown(key) for key in table.unknown if key != RECIPE]
+    if RECIPE in table and not _makes_again(table[RECIPE]):
+        warnings.append(
+            f"{where(RECIPE)}: the table [import] has no arguments, so that --again cannot make the dataset once more; "
+            "delete it, or restore it from the dataset that 'import' has written"
+        )
     title, source, licence, network, declared, given_sign, given_convention = (
         table.text(key, default)
         for key, default in (
@@ -173,7 +196,14 @@ def parse_metadata(data: bytes, file: str, default_title: str) -> Metadata:
         warnings=tuple(warnings),
         calibration=common_error_of(table[TABLE], where) if TABLE in table else None,
         place=table.choice("place", (DRIVING_POINT,)) if "place" in table else None,
+        quantity=table.choice("quantity", (IMPEDANCE,)) if "quantity" in table else None,
+        frequency_unit=table.choice("frequency_unit", (HERTZ,)) if "frequency_unit" in table else None,
     )
+
+
+def _makes_again(recipe: object) -> bool:
+    """Whether a table [import] has the arguments of the import."""
+    return isinstance(recipe, dict) and bool(recipe.get("arguments"))
 
 
 def parse_unit(unit: str, where: str) -> tuple[str, float]:

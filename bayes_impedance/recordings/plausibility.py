@@ -10,9 +10,10 @@ from __future__ import annotations
 import numpy as np
 
 from bayes_impedance.errors import InputError
-from bayes_impedance.recordings.dataset import Subject
+from bayes_impedance.recordings import frequency_scale
+from bayes_impedance.recordings.dataset import Recordings, Subject
 from bayes_impedance.recordings.driving_point import sentence, verdict_of
-from bayes_impedance.recordings.metadata import CONVENTIONS, DRIVING_POINT, SIGNS, Metadata
+from bayes_impedance.recordings.metadata import CONVENTIONS, DRIVING_POINT, HERTZ, SIGNS, Metadata
 from bayes_impedance.recordings.phase_relation import excess_phase
 
 WRONG_SIGN = 0.6
@@ -22,20 +23,29 @@ NEARLY_ALL = 0.95
 """The same for curves of few points or a narrow band, and those of which the phase does not say whether they are
 turned. By choice: a wrong sign turns all points, up to those around zero; a lag, those of an inertial load."""
 
+CLEARLY, SHARE = 0.1, 0.05
+"""Re z below this share of -abs z is clearly negative (6 degrees), and the share of such points of a person above which
+another quantity is looked for. By choice: an impedance of a passive load has none, and needs no explanation."""
+_SOME = 3
+"""Persons that are asked. By choice: one quantity is everybody's."""
+
 
 class Plausibility:
     """Counts of points that contradict the declared sign or convention, over all subjects of a dataset."""
 
     def __init__(self) -> None:
         self.points = self.wrong = self.turned = self.conjugated = self.transfer = 0
+        self.bands: set[tuple[int, float, float]] = set()
 
     def add(self, subject: Subject) -> None:
         """Count the points of one subject."""
         wrong, size = int(np.sum(subject.z.real < 0)), subject.z.size
         self.points, self.wrong = self.points + size, self.wrong + wrong
-        self.turned += size if _is_turned(subject, wrong / size) else 0
+        self.turned += size if is_turned(subject) else 0
         self.conjugated += size if is_conjugate(subject) else 0
         self.transfer += size if wrong > 0 and is_transfer(subject) else 0
+        f = subject.frequency_hz
+        self.bands.add((f.size, float(f[0]), float(f[-1])))
 
     def require(self, metadata: Metadata, file: str, first_row: int, metadata_file: str) -> None:
         """Refuse a dataset that contradicts its metadata.
@@ -43,7 +53,8 @@ class Plausibility:
         A sign is refused if more than `WRONG_SIGN` of the points have negative real parts and most are turned. A
         convention is refused if most recordings are complex conjugates and none is declared: too large a mass or
         stiffness that was subtracted can do the same, and who declares the convention is believed. Transfer functions
-        are refused if most recordings are clearly none of a driving point, unless that is declared.
+        are refused if most recordings are clearly none of a driving point, unless that is declared; frequencies, if
+        all bands seem to be in one other unit than Hz, unless Hz are declared.
 
         Parameters
         ----------
@@ -56,6 +67,8 @@ class Plausibility:
         ------
         InputError
         """
+        if metadata.frequency_unit is None:
+            _require_hertz(self.bands, metadata.unit, file, metadata_file)
         if metadata.place is None and self.transfer > 0.5 * self.points:
             raise InputError(
                 f"{file}: {sentence(surely=True)}; record force and motion at one place, or, if they are of one, write "
@@ -81,6 +94,18 @@ class Plausibility:
             )
 
 
+def _require_hertz(bands: set[tuple[int, float, float]], unit: str, file: str, metadata_file: str) -> None:
+    found = {frequency_scale.seems(*band, unit) for band in bands}
+    other = next(iter(found), None)
+    if len(found) > 1 or other is None:
+        return
+    _, low, high = min(bands)
+    raise InputError(
+        f"{file}: {frequency_scale.sentence(other, low, high)}; import the file with --frequency-unit {other}, or, if "
+        f'they are in Hz, write frequency_unit = "{HERTZ}" in {metadata_file}, beside a file named recordings.csv'
+    )
+
+
 def is_transfer(subject: Subject) -> bool:
     """Whether a subject's curve is of no driving point."""
     return verdict_of(subject.frequency_hz, subject.mean) == "transfer"
@@ -92,8 +117,24 @@ def is_conjugate(subject: Subject) -> bool:
     return found is not None and found.cause == "conjugation"
 
 
-def _is_turned(subject: Subject, wrong: float) -> bool:
-    """Whether the impedance of a subject has the wrong sign, of whose points a fraction `wrong` has Re z < 0."""
+def some_subjects(recordings: Recordings) -> list[Subject]:
+    """The first, middle and last subject, or fewer."""
+    n = len(recordings)
+    return (
+        [recordings.subjects[i] for i in sorted({round(k * (n - 1) / (_SOME - 1)) for k in range(_SOME)})] if n else []
+    )
+
+
+def negative_without_cause(recordings: Recordings) -> bool:
+    """Whether Re z is clearly negative at enough points of some subjects that it may be another quantity."""
+    means = [subject.mean for subject in some_subjects(recordings)]
+    shares = [float(np.mean(z.real < -CLEARLY * np.abs(z))) for z in means]
+    return bool(shares) and float(np.median(shares)) > SHARE
+
+
+def is_turned(subject: Subject) -> bool:
+    """Whether the impedance of a subject has the wrong sign."""
+    wrong = float(np.mean(subject.z.real < 0))
     if wrong <= WRONG_SIGN:
         return False
     found = excess_phase(subject.frequency_hz, subject.mean)

@@ -28,5 +28,11 @@ def test_what_was_left_aside_is_told_once(tmp_path: Path, capsys: pytest.Capture
 
 
 def test_the_recipe_of_an_import_is_no_unknown_key(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["check", str(dataset(tmp_path, toml='[import]\nfrom = "x"\n'))]) == 0
-    assert "not used" not in capsys.readouterr().out
+    assert main(["check", str(dataset(tmp_path, toml='[import]\narguments = ["a.csv"]\n'))]) == 0
+    assert "[import]" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("table", ["[import]\n", '[import]\nfrom = "x"\n', "import = 3\n"])
+def test_a_recipe_that_makes_nothing_is_told(table: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(dataset(tmp_path, toml=table))]) == 0
+    assert "the table [import] has no arguments" in capsys.readouterr().out

@@ -82,7 +82,8 @@ def test_realisations_are_put_together(tmp_path: Path) -> None:
     assert subject.z.shape == (1, 48)
     noted = (tmp_path / "imported" / "repetitions.csv").read_text(encoding="utf-8").splitlines()
     facts = dict(zip(noted[0].split(","), noted[1].split(","), strict=True))
-    assert (facts["realisations"], facts["noise_degrees_of_freedom"]) == ("4.0", "6")
+    assert facts["realisations"] == "4.0"
+    assert 6 <= float(facts["noise_degrees_of_freedom"]) < 54  # its own, and what neighbours add
     assert float(facts["scatter_of_realisations_over_noise"]) > 3
 
 
@@ -181,4 +182,6 @@ def test_the_same_from_python(periodic: Path, tmp_path: Path) -> None:
     found = import_recordings([periodic], ImportSettings(title="mine"))
     assert found.recordings.title == "mine"
     np.testing.assert_array_equal(found.recordings.subjects[0].z, subject.z)
-    assert found.spectra[0].degrees_of_freedom == 10
+    degrees = found.spectra[0].degrees_of_freedom
+    assert degrees is not None
+    assert 10 < degrees < 90  # its own, and what eight neighbours add

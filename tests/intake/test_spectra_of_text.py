@@ -240,3 +240,32 @@ def test_complex_conjugates_are_refused(
     assert "complex conjugates" in said
     assert "--conjugated" in said
     assert not (tmp_path / "out").exists()
+
+
+def test_a_wrong_sign_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file, out = tmp_path / "a.csv", tmp_path / "out"
+    file.write_text(table({"f [Hz]": F, "Re [N s/m]": -Z.real, "Im [N s/m]": -Z.imag}), encoding="utf-8")
+    assert main(["import", str(file), "-o", str(out)]) == 2
+    assert "give --negated" in capsys.readouterr().err
+    assert not out.exists()
+    np.testing.assert_allclose(imported(tmp_path, file, "--negated").z[0], Z)
+
+
+@pytest.mark.parametrize(("last", "status"), [("12", 2), ("-12.345678", 0)])
+def test_a_file_that_ends_in_the_middle_of_a_number(
+    last: str, status: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, out = tmp_path / "a.csv", tmp_path / "out"
+    rows = [f"{f:.6f},{z.real:.12f},{z.imag:+.12f}" for f, z in zip(F.tolist(), Z.tolist(), strict=True)]
+    rows[-1] = rows[-1].rpartition(",")[0] + f",{last}"
+    file.write_text("f [Hz],Re [N s/m],Im [N s/m]\n" + "\n".join(rows), encoding="utf-8")
+    assert main(["import", str(file), "-o", str(out)]) == status
+    said = "".join(capsys.readouterr())
+    assert ("it is cut short" in said, "it may be cut short" in said) == (status == 2, status == 0)
+
+
+def test_parentheses_inside_of_the_brackets_of_a_unit(tmp_path: Path) -> None:
+    h = S / Z
+    columns = {"f [Hz]": F, "Magnitude [(m/s^2)/N]": np.abs(h), "Phase [deg]": np.angle(h, deg=True)}
+    (tmp_path / "a.csv").write_text(table(columns), encoding="utf-8")
+    np.testing.assert_allclose(imported(tmp_path, tmp_path / "a.csv").z[0], Z, rtol=1e-9)

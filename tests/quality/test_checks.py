@@ -191,13 +191,28 @@ def test_delay_of_the_rig_is_one_finding() -> None:
     assert "indicate a fault of the rig" in finding.message
 
 
+def test_small_delay_of_the_rig_is_found_by_the_phase() -> None:
+    data = simulate(1)
+    tau = 2.5e-5
+    late = [
+        replace(subject, z=subject.z * np.exp(-2j * np.pi * subject.frequency_hz * tau)) for subject in data.subjects
+    ]
+    finding = only(replace(data, subjects=tuple(late)), "lag")
+    assert finding.subject is None
+    assert "the force were recorded" in finding.message
+
+
 # Notes, and small data
 
 
 def test_notes_on_what_cannot_be_estimated() -> None:
     one_each = check_recordings(simulate(1, repetitions=1))
     assert [(finding.id, finding.severity) for finding in one_each] == [("one_repetition", "note")]
-    assert "repeat the measurement" in one_each[0].message
+    assert "the noise is estimated from the roughness of the curves only; repeat" in one_each[0].message
+    data = simulate(1, repetitions=1)
+    known = [replace(subject, noise_sd=0.01 * np.abs(subject.z)) for subject in data.subjects]
+    (note,) = check_recordings(replace(data, subjects=tuple(known)))
+    assert "roughness" not in note.message
     one = check_recordings(simulate(1, subjects=1))
     assert [(finding.id, finding.severity, finding.subject) for finding in one] == [("one_subject", "note", "S00")]
     assert "add subjects" in one[0].message

@@ -37,6 +37,7 @@ from bayes_impedance.diagnosis.verdict_types import (
     Physics,
     Subjects,
 )
+from bayes_impedance.recordings.circumstances import is_amplitude
 from bayes_impedance.units import number_with_unit as number
 
 _PROPOSALS = 4
@@ -285,6 +286,7 @@ def _trend_entry(found: ElementTrends) -> Physics:
     name = entry.name if covariate is None else f"{first.element} follows {covariate}"
     if covariate is not None and found.within:
         name += " from repetition to repetition"
+        name += ": it depends on the amplitude" if is_amplitude(covariate) else ""
     return replace(entry, name=name, covariate=covariate, elements=tuple(row.element for row in found.trends))
 
 

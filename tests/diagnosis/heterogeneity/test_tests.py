@@ -130,6 +130,8 @@ def test_an_element_that_follows_what_was_noted_of_each_repetition_is_an_entry()
     entry = structure_entry(structure, experiment.model.network.elements, [f"P{i}" for i in range(N)])
     assert entry.name == "r1 follows contact_force_n from repetition to repetition"
     assert entry.covariate == "contact_force_n"
+    driven = replace(structure, covariate="drive_level_v")
+    assert "depends on the amplitude" in structure_entry(driven, experiment.model.network.elements, ["P0"]).name
 
 
 def test_means_of_what_was_noted_are_covariates_of_the_persons() -> None:

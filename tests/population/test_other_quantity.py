@@ -1,0 +1,97 @@
+"""Recordings of another quantity are refused with the quantity's name; an impedance behind a lag or a filter is not."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bayes_impedance.commands.cli import main
+from bayes_impedance.errors import InputError
+from bayes_impedance.network import Kernel, parse
+from bayes_impedance.population.other_quantity import require_impedance
+from bayes_impedance.recordings import Recordings, Subject, read_recordings, write_recordings
+
+NETWORK = "m1|r1|n1"
+FREQUENCY = np.geomspace(5.0, 500.0, 60)
+S = 2j * np.pi * FREQUENCY
+CORNER = 2 * np.pi * 60.0
+
+Change = Callable[[np.ndarray], np.ndarray]
+
+
+def people(change: Change = lambda z: z, **said: str) -> Recordings:
+    """Six people with two repetitions, 1 % of noise, and other values than impedance."""
+    rng, kernel = np.random.default_rng(3), Kernel(parse(NETWORK))
+    values = {"m1": 2e-3, "r1": 0.3, "n1": 1e-3}
+    centre = np.log([values[name] for name in kernel.elements])
+    subjects = []
+    for i in range(6):
+        z = kernel.impedance(centre + 0.2 * rng.normal(size=centre.size), FREQUENCY)
+        noise = 0.01 * np.abs(z) * (rng.normal(size=(2, 60)) + 1j * rng.normal(size=(2, 60)))
+        subjects.append(Subject(name=f"P{i}", frequency_hz=FREQUENCY, z=change(z + noise), repetitions=("1", "2")))
+    return Recordings(
+        title="test", unit="N s/m", network=NETWORK, source="", licence="", subjects=tuple(subjects), **said
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("accelerance", lambda z: S / z),
+        ("receptance", lambda z: 1 / (S * z)),
+        ("dynamic stiffness", lambda z: z * S),
+        ("apparent mass", lambda z: z / S),
+    ],
+)
+def test_another_quantity_is_named(name: str, change: Change) -> None:
+    with pytest.raises(InputError, match=f"if they are {name} .*--form '{name}'"):
+        require_impedance(people(change))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda z: z,
+        lambda z: z * np.exp(-2e-3 * S),
+        lambda z: z * S / (S + CORNER),
+        lambda z: z * (S + CORNER) / S,
+        lambda z: z / (1 + S / CORNER),
+        lambda z: z * (1 + S / CORNER),
+    ],
+)
+def test_an_impedance_behind_a_lag_or_filter_is_none(change: Change) -> None:
+    require_impedance(people(change))
+
+
+def test_who_declares_an_impedance_is_believed(tmp_path: Path) -> None:
+    write_recordings(people(lambda z: S / z, quantity="impedance"), tmp_path)
+    recordings = read_recordings(tmp_path)
+    assert recordings.quantity == "impedance"
+    require_impedance(recordings)
+
+
+@pytest.mark.parametrize("command", ["check", "fit", "diagnose", "import"])
+def test_commands_refuse_accelerance(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    dataset, out = tmp_path / "dataset", tmp_path / "out"
+    write_recordings(people(lambda z: S / z), dataset)
+    options = [] if command == "check" else ["-o", str(out)]
+    source = [str(dataset / "recordings.csv"), "--network", NETWORK] if command == "import" else [str(dataset)]
+    assert main([command, *source, *options]) == 2
+    assert "--form 'accelerance'" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_an_import_of_what_is_said_to_be_impedance_is_believed(tmp_path: Path) -> None:
+    write_recordings(people(lambda z: S / z), tmp_path / "in")
+    words = [str(tmp_path / "in" / "recordings.csv"), "--network", NETWORK, "--form", "impedance"]
+    assert main(["import", *words, "-o", str(tmp_path / "out")]) == 0
+    assert main(["check", str(tmp_path / "out")]) == 0
+
+
+def test_without_a_network_it_is_not_decided(tmp_path: Path) -> None:
+    write_recordings(people(lambda z: S / z), tmp_path)
+    text = (tmp_path / "dataset.toml").read_text(encoding="utf-8")
+    (tmp_path / "dataset.toml").write_text(text.replace(f'network = "{NETWORK}"', ""), encoding="utf-8")
+    assert main(["check", str(tmp_path)]) == 0
+    assert main(["check", str(tmp_path), "--network", NETWORK]) == 2

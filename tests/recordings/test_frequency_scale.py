@@ -1,0 +1,62 @@
+"""Frequencies in rad/s or kHz that are read as Hz are refused, unless Hz are declared."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from known_impedance import FREQUENCY, impedance, imported, table
+
+from bayes_impedance.commands.cli import main
+from bayes_impedance.recordings import Recordings, Subject, write_recordings
+from bayes_impedance.recordings.frequency_scale import seems
+
+RADIANS = 2 * np.pi * FREQUENCY
+
+
+def dataset(folder: Path, frequency_hz: np.ndarray, unit: str = "N s/m", **said: str) -> Path:
+    one = Subject(name="A", frequency_hz=frequency_hz, z=impedance()[None], repetitions=("1",))
+    whole = {"title": "t", "network": None, "source": "", "licence": "", **said}
+    return write_recordings(Recordings(unit=unit, subjects=(one,), **whole), folder)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("frequency", "unit"), [(RADIANS, "rad/s"), (np.round(RADIANS, 2), "rad/s"), (FREQUENCY / 1e3, "kHz")]
+)
+def test_another_unit_is_named(
+    frequency: np.ndarray, unit: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = dataset(tmp_path / "in", frequency)
+    assert main(["check", str(folder)]) == 2
+    assert f"--frequency-unit {unit}" in capsys.readouterr().err
+    file, out = str(folder / "recordings.csv"), str(tmp_path / "out")
+    assert main(["import", file, "-o", out]) == 2
+    assert f"these seem to be in {unit}; give --frequency-unit {unit}" in capsys.readouterr().err
+    assert not Path(out).exists()
+    np.testing.assert_allclose(imported(tmp_path, file, "--frequency-unit", unit).frequency_hz, FREQUENCY, rtol=2e-4)
+
+
+def test_who_declares_hertz_is_believed(tmp_path: Path) -> None:
+    assert main(["check", str(dataset(tmp_path / "in", RADIANS, frequency_unit="Hz"))]) == 0
+    one = imported(tmp_path, tmp_path / "in" / "recordings.csv", "--frequency-unit", "Hz")
+    np.testing.assert_allclose(one.frequency_hz, RADIANS)
+
+
+def test_batteries_are_slow(tmp_path: Path) -> None:
+    assert main(["check", str(dataset(tmp_path, FREQUENCY / 1e3, "ohm"))]) == 0
+
+
+def test_bands_that_nobody_chose_are_rarely_rounded() -> None:
+    rng = np.random.default_rng(1)
+    ends = np.exp(rng.uniform(0, 10, size=(20_000, 2)))
+    assert sum(seems(100, *sorted(pair), "N s/m") == "rad/s" for pair in ends.tolist()) < 20
+
+
+@pytest.mark.parametrize("step", [1.0, 0.25, 1.953125])
+def test_lines_of_a_spectrum_are_hertz(step: float) -> None:
+    assert seems(200, 5 * step, 204 * step, "N s/m") is None
+
+
+def test_the_unit_in_a_name_is_used(tmp_path: Path) -> None:
+    columns = {"omega [rad/s]": RADIANS, "Re [N s/m]": impedance().real, "Im [N s/m]": impedance().imag}
+    (tmp_path / "a.csv").write_text(table(columns), encoding="utf-8")
+    np.testing.assert_allclose(imported(tmp_path, tmp_path / "a.csv").frequency_hz, FREQUENCY)
