@@ -79,7 +79,7 @@ def assemble(
         except ValueError as error:
             raise InputError(f"{own[0].source}: {error}") from None
     if HERTZ not in believed:
-        _require_hertz(spectra[0], subjects)
+        notes += _required_hertz(spectra[0], subjects)
     places = [] if DRIVING_POINT in believed else [verdict_of(one.frequency_hz, one.mean) for one in subjects]
     if places.count("transfer") > 0.5 * len(subjects):
         raise InputError(
@@ -103,16 +103,20 @@ def assemble(
     return subjects, kept, notes
 
 
-def _require_hertz(first: Spectrum, subjects: Sequence[Subject]) -> None:
-    """Refuse frequencies that seem to be in another unit, if all of them do."""
+def _required_hertz(first: Spectrum, subjects: Sequence[Subject]) -> list[str]:
+    """Refuse frequencies that seem to be in another unit, if all of them do; the remark if they only may be."""
     bands = [(s.frequency_hz.size, float(s.frequency_hz[0]), float(s.frequency_hz[-1])) for s in subjects]
     found = {frequency_scale.seems(*band, first.unit) for band in bands}
     other = next(iter(found)) if len(found) == 1 else None
-    if other is not None:
-        raise InputError(
-            f"{first.source}: {frequency_scale.sentence(other, *bands[0][1:])}; give --frequency-unit {other}, or "
-            f"--frequency-unit {HERTZ} if they are in Hz"
-        )
+    if other is None:
+        return []
+    told = (
+        f"{frequency_scale.sentence(other, *bands[0][1:])}; give --frequency-unit {other}, or --frequency-unit {HERTZ} "
+        "if they are in Hz"
+    )
+    if other in frequency_scale.SURELY:
+        raise InputError(f"{first.source}: {told}")
+    return [told]
 
 
 def _repetitions(own: Sequence[Spectrum]) -> list[Spectrum]:

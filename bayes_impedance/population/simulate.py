@@ -24,6 +24,7 @@ import numpy as np
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import PAPER_NETWORK, parse
+from bayes_impedance.network.parameters import SIGNED
 from bayes_impedance.recordings.files import Recordings, Subject
 from bayes_impedance.runtime.user_table import UserTable, hint, number_in, shown, text_in
 from bayes_impedance.units import HIGHEST_HZ, LARGEST_ELEMENT, LARGEST_IMPEDANCE, LOWEST_HZ, SMALLEST_IMPEDANCE
@@ -58,9 +59,10 @@ class VirtualPopulation:
     network : str
         Notation.
     central : mapping of str to float
-        Population median of each element in the element's unit, at a contact force of 1 N.
+        Population median of each parameter in its unit, at a contact force of 1 N.
     between_persons, between_repetitions : mapping of str to float
-        Standard deviations of the natural logarithms, without the effect of the contact force.
+        Standard deviations of the natural logarithms (of an exponent: of its logit), without the effect of the contact
+        force. What is the same for everybody has none.
     correlation : mapping of (str, str) to float
         Between persons; pairs that are not named are zero.
     force_exponent : mapping of str to float
@@ -112,7 +114,8 @@ class Simulation:
     ----------
     recordings : Recordings
     log_elements : ndarray, shape (N, P)
-        Each person's true log elements, without the deviations of the repetitions.
+        Each person's true parameters on the scale on which they are estimated, logarithms of elements
+        (:mod:`bayes_impedance.network.parameters`), without the deviations of the repetitions.
     truth : dict
         Central values, dispersions (contact force included) and correlations, ready for JSON.
     """
@@ -146,7 +149,8 @@ def simulate_recordings(
     Raises
     ------
     InputError
-        If a central value is missing or not positive, or the number of subjects or repetitions is zero.
+        If a central value is missing or impossible, something that is the same for everybody has a dispersion, or the
+        number of subjects or repetitions is zero.
     """
     _require_usable(population)
     if n_subjects < 1 or n_repetitions < 1:
@@ -160,14 +164,14 @@ def simulate_recordings(
     if not ascending or not LOWEST_HZ <= frequency_hz[0] <= frequency_hz[-1] <= HIGHEST_HZ:
         raise InputError(f"the frequencies must ascend between {LOWEST_HZ:g} and {HIGHEST_HZ:g} Hz; give another band")
     kernel = Kernel(parse(population.network))
-    central = population.vector(population.central)
+    central = np.array([float(p.u(population.central[p.name])) for p in kernel.parameters])
     rng = np.random.default_rng(seed)
     tau, rho = population.vector(population.between_persons), population.vector(population.between_repetitions)
     exponent = population.vector(population.force_exponent)
     factor = np.linalg.cholesky(population.correlation_matrix())
     p, f = len(kernel.elements), frequency_hz.size
 
-    person = np.log(central) + tau * (rng.normal(size=(n_subjects, p)) @ factor.T)
+    person = central + tau * (rng.normal(size=(n_subjects, p)) @ factor.T)
     person_force = rng.uniform(-_PERSON_FORCE, _PERSON_FORCE, n_subjects)
     repetition_force = rng.uniform(-_REPETITION_FORCE, _REPETITION_FORCE, (n_subjects, n_repetitions))
     force = 1 + person_force[:, None] + repetition_force
@@ -214,9 +218,10 @@ def simulate_recordings(
 
 def _require_usable(population: VirtualPopulation) -> None:
     """Refuse a population from which no persons can be drawn; the message names the element."""
-    elements = parse(text_in(population.network, "a population's network")).elements
+    network = parse(text_in(population.network, "a population's network"))
+    elements, parameters = network.elements, {p.name: p for p in network.parameters}
     for what, values, bounds in (
-        ("central value", population.central, {"at_least": 1 / LARGEST_ELEMENT, "at_most": LARGEST_ELEMENT}),
+        ("central value", population.central, {}),
         ("dispersion between persons", population.between_persons, _DISPERSION),
         ("dispersion between repetitions", population.between_repetitions, _DISPERSION),
         ("force exponent", population.force_exponent, {"at_least": -LARGEST_DISPERSION, "at_most": LARGEST_DISPERSION}),
@@ -227,10 +232,19 @@ def _require_usable(population: VirtualPopulation) -> None:
                     f"{what} of {shown(name)}: the network {population.network} has no such element; "
                     f"{hint(str(name), elements)}"
                 )
-            number_in(value, f"{what} of '{name}'", **bounds)
+            least = -LARGEST_ELEMENT if parameters[name].link == SIGNED else 1 / LARGEST_ELEMENT
+            own = bounds or {"at_least": least, "at_most": LARGEST_ELEMENT}
+            number_in(value, f"{what} of '{name}'", **own)
+            if not bounds:
+                parameters[name].u(value)
+            elif parameters[name].shared and value != 0:
+                raise InputError(
+                    f"{what} of '{name}' is {value:g}, but it is the same for everybody (*): leave it out, or remove * "
+                    "from the network"
+                )
     missing = [name for name in elements if name not in population.central]
     if missing:
-        raise InputError(f"element '{missing[0]}' has no positive central value: give one for each of {elements}")
+        raise InputError(f"element '{missing[0]}' has no central value: give one for each of {elements}")
     for pair, value in population.correlation.items():
         if len(set(pair)) != 2 or not set(pair) <= set(elements):
             raise InputError(f"a correlation is between {' and '.join(map(shown, pair))}: name two different elements")

@@ -106,6 +106,7 @@ def read_recordings(path: str | os.PathLike[str]) -> Recordings:
             *circumstances.warnings,
             *unused,
             *metadata.warnings,
+            *reading.plausibility.remarks(metadata, str(metadata_file)),
             *reading.of_subjects,
         ),
         polar=reading.polar,

@@ -8,9 +8,10 @@ number themselves. A number counts as round if it is two significant digits to 2
 :math:`2\pi`. Of numbers without any such meaning 1.6 % are round, of pairs one in four thousand. Grids whose ends are
 not round in Hz, as lines of a spectrum, cannot be told.
 
-**kHz**: nobody moves a person with 0.005 Hz, of which a period takes 200 s. Recordings of forces whose band ends below
-:data:`SLOW_HZ` and begins at a period longer than :data:`LONGEST_PERIOD_S` seem to be in kHz. Of electrical ones
-nothing is said: batteries are measured for hours.
+**kHz**: persons are hardly moved with 0.005 Hz, of which a period takes 200 s. Recordings of forces whose band ends
+below :data:`SLOW_HZ` and begins at a period longer than :data:`LONGEST_PERIOD_S` may be in kHz. Specimens are measured as
+slowly on purpose, so that this is a remark and no reason to refuse them. Of electrical ones nothing is said: batteries
+are measured for hours.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ import numpy as np
 
 TWO_DIGITS = 2e-4
 """Largest relative distance from a number of two digits. By choice: half a unit of the fourth digit, that of 31.42."""
+SURELY = frozenset({"rad/s"})
+"""Units of which the numbers leave no other explanation; the other, kHz, is told and not refused."""
 LEAST_POINTS = 8
 """Fewest frequencies of which this is asked. By choice: with fewer a band is hardly set by its ends."""
 LONGEST_PERIOD_S, SLOW_HZ = 20.0, 20.0
@@ -51,7 +54,8 @@ def sentence(found: str, low: float, high: float) -> str:
         why = f"divided by 2 pi they go from {low / (2 * np.pi):.4g} to {high / (2 * np.pi):.4g}"
     else:
         why = f"one period of the lowest would take {1 / low:.3g} s"
-    return f"the frequencies go from {low:.4g} to {high:.4g} Hz, and {why}: these seem to be in {found}"
+    seem = "seem to" if found in SURELY else "may"
+    return f"the frequencies go from {low:.4g} to {high:.4g} Hz, and {why}: these {seem} be in {found}"
 
 
 def _is_round(value: float) -> bool:

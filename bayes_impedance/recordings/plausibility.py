@@ -67,8 +67,8 @@ class Plausibility:
         ------
         InputError
         """
-        if metadata.frequency_unit is None:
-            _require_hertz(self.bands, metadata.unit, file, metadata_file)
+        if self.other_unit(metadata) in frequency_scale.SURELY:
+            raise InputError(f"{file}: {self._about_unit(metadata, metadata_file)}")
         if metadata.place is None and self.transfer > 0.5 * self.points:
             raise InputError(
                 f"{file}: {sentence(surely=True)}; record force and motion at one place, or, if they are of one, write "
@@ -93,17 +93,24 @@ class Plausibility:
                 f'beside a file named recordings.csv, and they are turned, or "{CONVENTIONS[0]}" if they are none'
             )
 
+    def other_unit(self, metadata: Metadata) -> str | None:
+        """The unit in which all frequencies seem to be, if it is not declared to be Hz and another fits better."""
+        found = {frequency_scale.seems(*band, metadata.unit) for band in self.bands}
+        return next(iter(found)) if metadata.frequency_unit is None and len(found) == 1 else None
 
-def _require_hertz(bands: set[tuple[int, float, float]], unit: str, file: str, metadata_file: str) -> None:
-    found = {frequency_scale.seems(*band, unit) for band in bands}
-    other = next(iter(found), None)
-    if len(found) > 1 or other is None:
-        return
-    _, low, high = min(bands)
-    raise InputError(
-        f"{file}: {frequency_scale.sentence(other, low, high)}; import the file with --frequency-unit {other}, or, if "
-        f'they are in Hz, write frequency_unit = "{HERTZ}" in {metadata_file}, beside a file named recordings.csv'
-    )
+    def remarks(self, metadata: Metadata, metadata_file: str) -> tuple[str, ...]:
+        """What may be wrong and is not refused, in sentences."""
+        doubted = self.other_unit(metadata) is not None
+        return (self._about_unit(metadata, metadata_file),) if doubted else ()
+
+    def _about_unit(self, metadata: Metadata, metadata_file: str) -> str:
+        other = self.other_unit(metadata)
+        assert other is not None  # who asks has found one
+        _, low, high = min(self.bands)
+        return (
+            f"{frequency_scale.sentence(other, low, high)}; import the file with --frequency-unit {other}, or, if they "
+            f'are in Hz, write frequency_unit = "{HERTZ}" in {metadata_file}, beside a file named recordings.csv'
+        )
 
 
 def is_transfer(subject: Subject) -> bool:

@@ -2,9 +2,9 @@
 
 Input: a result or a diagnosis, with its pictures. Output: a page of HTML that needs neither network nor other files.
 Open this file first (the context of a run's page), then :mod:`.fit_sentences` and :mod:`.fit_tables` (its words and
-numbers), :mod:`.diagnosis_page` with :mod:`.findings` (the page of a diagnosis). :mod:`bayes_impedance.network.schematic`
-draws the network; :mod:`.live_data` and :mod:`.live_page` make the charts answer; :mod:`.alternatives` says what pictures
-show.
+numbers), :mod:`.diagnosis_page` with :mod:`.findings` (the page of a diagnosis). The network is drawn by
+:mod:`bayes_impedance.network.schematic`; :mod:`.live_data` and :mod:`.live_page` make the charts answer;
+:mod:`.alternatives` says what pictures show.
 """
 
 from __future__ import annotations

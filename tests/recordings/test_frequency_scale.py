@@ -1,4 +1,4 @@
-"""Frequencies in rad/s or kHz that are read as Hz are refused, unless Hz are declared."""
+"""Frequencies in rad/s that are read as Hz are refused, those in kHz remarked on, unless Hz are declared."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ import pytest
 from known_impedance import FREQUENCY, impedance, imported, table
 
 from bayes_impedance.commands.cli import main
-from bayes_impedance.recordings import Recordings, Subject, write_recordings
+from bayes_impedance.recordings import Recordings, Subject, read_recordings, write_recordings
 from bayes_impedance.recordings.frequency_scale import seems
 
 RADIANS = 2 * np.pi * FREQUENCY
@@ -19,13 +19,9 @@ def dataset(folder: Path, frequency_hz: np.ndarray, unit: str = "N s/m", **said:
     return write_recordings(Recordings(unit=unit, subjects=(one,), **whole), folder)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(
-    ("frequency", "unit"), [(RADIANS, "rad/s"), (np.round(RADIANS, 2), "rad/s"), (FREQUENCY / 1e3, "kHz")]
-)
-def test_another_unit_is_named(
-    frequency: np.ndarray, unit: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = dataset(tmp_path / "in", frequency)
+@pytest.mark.parametrize("frequency", [RADIANS, np.round(RADIANS, 2)])
+def test_radians_are_named(frequency: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder, unit = dataset(tmp_path / "in", frequency), "rad/s"
     assert main(["check", str(folder)]) == 2
     assert f"--frequency-unit {unit}" in capsys.readouterr().err
     file, out = str(folder / "recordings.csv"), str(tmp_path / "out")
@@ -33,6 +29,20 @@ def test_another_unit_is_named(
     assert f"these seem to be in {unit}; give --frequency-unit {unit}" in capsys.readouterr().err
     assert not Path(out).exists()
     np.testing.assert_allclose(imported(tmp_path, file, "--frequency-unit", unit).frequency_hz, FREQUENCY, rtol=2e-4)
+
+
+def test_slow_recordings_are_remarked_on_and_used(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Specimens are measured from 0.005 Hz on purpose."""
+    folder = dataset(tmp_path / "in", FREQUENCY / 1e3)
+    assert main(["check", str(folder)]) == 0
+    assert "may be in kHz; import the file with --frequency-unit kHz" in " ".join(capsys.readouterr().out.split())
+    file = str(folder / "recordings.csv")
+    one = imported(tmp_path, file)
+    assert "may be in kHz; give --frequency-unit kHz" in " ".join(capsys.readouterr().out.split())
+    np.testing.assert_allclose(one.frequency_hz, FREQUENCY / 1e3)
+    assert "kHz" not in " ".join(
+        read_recordings(dataset(tmp_path / "said", FREQUENCY / 1e3, frequency_unit="Hz")).warnings
+    )
 
 
 def test_who_declares_hertz_is_believed(tmp_path: Path) -> None:
