@@ -10,8 +10,8 @@ not round in Hz, as lines of a spectrum, cannot be told.
 
 **kHz**: persons are hardly moved with 0.005 Hz, of which a period takes 200 s. Recordings of forces whose band ends
 below :data:`SLOW_HZ` and begins at a period longer than :data:`LONGEST_PERIOD_S` may be in kHz. Specimens are measured
-as slowly on purpose, so that this is a remark and no reason to refuse them. Of electrical ones nothing is said: batteries
-are measured for hours.
+as slowly on purpose, so that this is a remark and no reason to refuse them. Of electrical ones nothing is said:
+batteries are measured for hours.
 """
 
 from __future__ import annotations
