@@ -39,6 +39,7 @@ def extended(result: Result, text: str, u: dict[str, float]) -> Result:
         group: {name: values for name, values in table.items() if "element" not in DIMS.get(name, ())}
         for group, table in result.groups.items()
     }
+    groups["constant_data"] |= {"identified": np.ones(p, dtype=bool)}
     groups["posterior"] |= {"mu": mu, "correlation": correlation} | dispersions
     return replace(
         result,

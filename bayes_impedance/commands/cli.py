@@ -210,7 +210,7 @@ def _export(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> int:
-    from bayes_impedance.commands.jobs import check_dataset
+    from bayes_impedance.commands.checking import check_dataset
 
     description, _, findings = check_dataset(options.dataset, options.network)
     for key, value in description.items():

@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bayes_impedance.commands.checking import require_quantity
 from bayes_impedance.commands.import_arguments import require_sources
-from bayes_impedance.commands.jobs import require_quantity
 from bayes_impedance.errors import InputError
 from bayes_impedance.runtime.output_folder import output_folder
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bayes_impedance.commands.checking import require_quantity
 from bayes_impedance.commands.finished_fit import examined_result, write_extended, write_pages
 from bayes_impedance.commands.result_folders import (
     CHECKPOINT_FOLDER,
@@ -291,47 +292,6 @@ def diagnose_dataset(
                 write_extended(diagnosis, out / EXTENDED_FOLDER, options, executor, progress)
         discard(checkpoint)
     return diagnosis
-
-
-def check_dataset(
-    dataset: Path, network: str | None = None
-) -> tuple[dict[str, Any], tuple[str, ...], tuple[Finding, ...]]:
-    """Contents of a dataset, changes made when it was read, and its anomalies.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read, or its network or the given one describes it as another quantity than impedance.
-    """
-    from bayes_impedance.quality.checks import check_recordings, describe
-    from bayes_impedance.recordings.files import read_recordings
-
-    recordings = read_recordings(dataset).in_memory()
-    require_quantity(recordings, network)
-    return describe(recordings), recordings.warnings, check_recordings(recordings)
-
-
-def require_quantity(recordings: Recordings, network: str | None) -> None:
-    """Refuse another quantity than impedance; not decided without a network, or with one that cannot be read.
-
-    Raises
-    ------
-    InputError
-        If the network describes the recordings as another quantity, and not as impedance.
-    """
-    from bayes_impedance.network.notation import parse
-    from bayes_impedance.recordings.plausibility import negative_without_cause
-
-    if not negative_without_cause(recordings):
-        return  # what follows takes seconds to import
-    from bayes_impedance.population.other_quantity import require_impedance
-
-    if network is None:
-        try:
-            parse(recordings.network or "")
-        except InputError:  # it is a finding of `check`, and a fit refuses it
-            return
-    require_impedance(recordings, network)
 
 
 def _read(dataset: Path, options: FitOptions) -> tuple[Recordings, Clock]:
