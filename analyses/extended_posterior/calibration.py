@@ -1,11 +1,11 @@
-"""Many small virtual populations with power laws, delays and other parameters of the rig, and how intervals hold.
+"""Simulation-based calibration of networks with power laws, delays and other parameters of the rig.
 
     python analyses/extended_posterior/calibration.py KIND --populations 50 --first 0
 
-Each population has a truth of its own: central values, dispersions and what is the same for all are drawn from the
-seed.
-A line for each goes to results/KIND.csv: for every parameter whether the 90 % interval contains the truth, and the rank
-of the truth among the posterior's draws. ``--table`` prints the table of what is there.
+Each population's truth (central values, both dispersions, correlations, and what is the same for all) is drawn from the
+very prior that its fit has, so that ranks of truths among posterior draws are uniform if the posterior is right (Talts
+et al. 2018). A line for each parameter goes to results/KIND.csv: whether the 90 % interval contains the truth, and its
+rank. ``--table`` prints the table of what is there.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import csv
 from collections import defaultdict
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,9 @@ from scipy.stats import chi2
 
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
+from bayes_impedance.network.parameters import SIGNED
 from bayes_impedance.population.fit import QUICK_SETTINGS, fit_population
+from bayes_impedance.population.given_prior import ElementPrior, GivenPrior
 from bayes_impedance.recordings.files import Recordings, Subject
 
 HERE = Path(__file__).parent / "results"
@@ -43,25 +46,62 @@ KINDS: dict[str, tuple[str, dict[str, float]]] = {
         {"m9": 2e-4, "n3": 1e-4, "r3": 30.0, "m2": 1e-3, "r1": 2.0, "n1": 1e-3},
     ),
 }
-PEOPLE, REPETITIONS, POINTS, BAND_HZ, NOISE, BETWEEN_REPETITIONS = 16, 2, 50, (5.0, 1000.0), 0.01, 0.01
+PEOPLE, REPETITIONS, POINTS, BAND_HZ, NOISE = 16, 2, 50, (5.0, 1000.0), 0.01
 """Of each population: small ones, where intervals are wide and any mistake in them shows."""
+CENTRE_SD, DISPERSION, CONCENTRATION = 0.2, 0.2, 2.0
+"""The prior of fits and truths: central values around those in `KINDS` (natural logarithm, or logit), half-normal
+dispersions between people and between repetitions, LKJ correlations. A signed parameter is normal about zero with the
+listed value as its standard deviation."""
+_STREAM = 7
+"""First entropy of the truths' seeds: they are not those of the fits."""
 
 
-def population(kind: str, seed: int) -> tuple[Recordings, dict[str, float], dict[str, float]]:
-    """Recordings of one population, its central values on the scale of u, and its dispersions."""
+def prior_of(kernel: Kernel, centre: dict[str, float]) -> GivenPrior:
+    """The prior that the fit is told."""
+    return GivenPrior(
+        concentration=CONCENTRATION,
+        dispersion=DISPERSION,
+        elements={
+            p.name: ElementPrior(centre=0.0, scale=centre[p.name])
+            if p.link == SIGNED
+            else ElementPrior(centre=centre[p.name], scale=CENTRE_SD)
+            for p in kernel.parameters
+        },
+    )
+
+
+def correlation_of(size: int, rng: np.random.Generator) -> np.ndarray:
+    """A correlation matrix from LKJ, by its vine of partial correlations (Lewandowski, Kurowicka and Joe 2009)."""
+    partial, result, beta = np.zeros((size, size)), np.eye(size), CONCENTRATION + (size - 1) / 2
+    for k in range(size - 1):
+        beta -= 0.5
+        for i in range(k + 1, size):
+            partial[k, i] = r = 2 * rng.beta(beta, beta) - 1
+            for m in range(k - 1, -1, -1):
+                r = r * np.sqrt((1 - partial[m, i] ** 2) * (1 - partial[m, k] ** 2)) + partial[m, i] * partial[m, k]
+            result[k, i] = result[i, k] = r
+    return result
+
+
+def population(kind: str, seed: int) -> tuple[Recordings, GivenPrior, dict[str, dict[str, float]]]:
+    """Recordings of one population, the prior, and the truth of each quantity by parameter, on the scale of u."""
     notation, centre = KINDS[kind]
-    rng = np.random.default_rng([seed, list(KINDS).index(kind)])
+    rng = np.random.default_rng([_STREAM, seed, list(KINDS).index(kind)])
     kernel = Kernel(parse(notation))
-    mu, tau = np.empty(len(centre)), np.zeros(len(centre))
-    for k, p in enumerate(kernel.parameters):
-        value = centre[p.name]
-        mu[k] = value * rng.normal() if p.link == "signed" else float(p.u(value)) + 0.2 * rng.normal()
-        tau[k] = 0.0 if p.shared else rng.uniform(0.1, 0.35)
+    signed = np.array([p.link == SIGNED for p in kernel.parameters])
+    values = [centre[name] for name in kernel.elements]
+    middle = np.array([0.0 if p.link == SIGNED else float(p.u(centre[p.name])) for p in kernel.parameters])
+    varying = np.flatnonzero([not p.shared for p in kernel.parameters])
+    mu = middle + np.where(signed, values, CENTRE_SD) * rng.normal(size=middle.size)
+    tau = DISPERSION * np.abs(rng.normal(size=varying.size))
+    rho = DISPERSION * np.abs(rng.normal(size=varying.size))
+    factor = tau[:, None] * np.linalg.cholesky(correlation_of(varying.size, rng))
     frequency = np.geomspace(*BAND_HZ, POINTS)
     subjects = []
     for i in range(PEOPLE):
-        theta = mu + tau * rng.normal(size=mu.size)
-        own = theta + BETWEEN_REPETITIONS * (tau > 0) * rng.normal(size=(REPETITIONS, mu.size))
+        own = np.tile(mu, (REPETITIONS, 1))
+        own[:, varying] += factor @ rng.normal(size=varying.size)
+        own[:, varying] += rho * rng.normal(size=(REPETITIONS, varying.size))
         z = kernel.impedance(own, frequency)
         z = z * (1 + NOISE * (rng.normal(size=z.shape) + 1j * rng.normal(size=z.shape)))
         names = tuple(str(j + 1) for j in range(REPETITIONS))
@@ -69,24 +109,33 @@ def population(kind: str, seed: int) -> tuple[Recordings, dict[str, float], dict
     recordings = Recordings(
         subjects=tuple(subjects), title=kind, unit="N s/m", network=notation, source=None, licence=None
     )
-    names = kernel.elements
-    return recordings, dict(zip(names, mu, strict=True)), dict(zip(names, tau, strict=True))
+    own_names = [kernel.elements[k] for k in varying]
+    truth = {
+        "centre": {name: mu[kernel.elements.index(name)] for name in own_names},
+        "dispersion": dict(zip(own_names, tau, strict=True)),
+        "repetitions": dict(zip(own_names, rho, strict=True)),
+        "shared": {p.name: mu[k] for k, p in enumerate(kernel.parameters) if p.shared},
+    }
+    return recordings, prior_of(kernel, centre), truth
 
 
 def one(kind: str, seed: int, workers: int) -> list[dict[str, object]]:
     """Fit one population: a row for each parameter and quantity."""
-    recordings, centre, spread = population(kind, seed)
-    fit = fit_population(recordings, settings=QUICK_SETTINGS, seed=seed + 1, workers=workers)
+    recordings, prior, truth = population(kind, seed)
+    fit = fit_population(recordings, settings=replace(QUICK_SETTINGS, prior=prior), seed=seed + 1, workers=workers)
+    found = {
+        "centre": fit.parameters.mu,
+        "dispersion": fit.parameters.between_persons,
+        "repetitions": fit.parameters.between_repetitions,
+        "shared": fit.parameters.mu,
+    }
     rows = []
     for k, name in enumerate(fit.kernel.elements):
-        shared = fit.kernel.parameters[k].shared
-        for quantity, draws, truth in (
-            ("shared" if shared else "centre", fit.parameters.mu[:, k], centre[name]),
-            ("dispersion", fit.parameters.between_persons[:, k], spread[name]),
-        ):
-            if quantity == "dispersion" and shared:
+        for quantity, draws in found.items():
+            if name not in truth[quantity]:
                 continue
-            low, high = np.quantile(draws, (0.05, 0.95))
+            own, value = draws[:, k], truth[quantity][name]
+            low, high = np.quantile(own, (0.05, 0.95))
             rows.append(
                 {
                     "seed": seed,
@@ -94,9 +143,9 @@ def one(kind: str, seed: int, workers: int) -> list[dict[str, object]]:
                     "quantity": quantity,
                     "identified": int(fit.identified[k]),
                     "problems": len(fit.diagnostics.problems),
-                    "covers": int(low <= truth <= high),
-                    "rank": f"{np.mean(draws < truth):.4f}",
-                    "z": f"{(truth - draws.mean()) / draws.std():.3f}",
+                    "covers": int(low <= value <= high),
+                    "rank": f"{np.mean(own < value):.4f}",
+                    "z": f"{(value - own.mean()) / own.std():.3f}",
                 }
             )
     return rows
@@ -120,7 +169,7 @@ def table() -> None:
 
 
 def quantity_of(row: dict[str, str]) -> str:
-    """What a row is about; an exponent's central value is a quantity of its own."""
+    """What a row is about; an exponent's own central value is a quantity by itself."""
     return "exponent" if row["parameter"].startswith("a") and row["quantity"] == "centre" else row["quantity"]
 
 

@@ -138,7 +138,7 @@ def with_a_delay():
     )
 
 
-@pytest.mark.parametrize("kind", ["fingertip", "with a shared delay"])
+@pytest.mark.parametrize("kind", [pytest.param("fingertip", marks=pytest.mark.slow), "with a shared delay"])
 def test_gradient_of_a_fits_posterior(kind, monkeypatch):
     """In standard deviations: an error of one changes trajectories by as much as the posterior's own curvature."""
     recordings = (
