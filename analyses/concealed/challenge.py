@@ -180,14 +180,18 @@ def blind(case: Mapping[str, Any]) -> Record:
     from bayes_impedance.diagnosis.verdict_file import to_json
 
     recordings = read_recordings(Path(case["folder"]))
-    return {"verdict": to_json(diagnose(recordings, quick=True, seed=case["seed"]).verdict)}
+    return {"verdict": to_json(diagnose(recordings, quick=not case.get("full"), seed=case["seed"]).verdict)}
 
 
-def to_diagnose(out: Path, n_cases: int) -> list[Record]:
-    """Cases for :func:`blind`, from the folders alone; the digest prevents that an old verdict counts for new data."""
+def to_diagnose(out: Path, n_cases: int, full: bool = False) -> list[Record]:
+    """Cases for :func:`blind`, from the folders alone; the digest prevents that an old verdict counts for new data.
+
+    `full` diagnoses end with the population's posterior, from which their intervals then are.
+    """
     folders = [out / "datasets" / f"case_{i + 1:03d}" for i in range(n_cases)]
     return [
         {"folder": str(folder), "data_sha256": read_recordings(folder).sha256, "seed": i + 1}
+        | ({"full": True} if full else {})
         for i, folder in enumerate(folders)
     ]
 

@@ -7,7 +7,8 @@ Run from the repository's root::
 Each diagnosis appends a line to ``verdicts.jsonl`` when it ends. Cases on file are skipped: a run may be interrupted.
 ``--score`` scores the cases on file; ``--with`` also counts the rows of other challenges' folders. The table goes to
 ``challenge.md`` and, for 60 cases or more, between its markers into CHALLENGE.md; the picture to ``confusion.png``.
-``--small`` is for a trial: 10 people, 61 frequencies.
+``--full`` ends each diagnosis with the population's posterior, from which its intervals then are; without it they are
+those of a normal approximation. ``--small`` is for a trial: 10 people, 61 frequencies.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=2, help="processes; 0 works in this one")
     parser.add_argument("--small", action="store_true", help="10 people and 61 frequencies in every case")
+    parser.add_argument("--full", action="store_true", help="diagnoses that end with the population's posterior")
     parser.add_argument("--score", action="store_true", help="diagnose nothing: score what is on file")
     parser.add_argument("--with", dest="others", nargs="+", type=Path, default=[], help="folders of other challenges")
     parser.add_argument("-o", "--out", type=Path, default=HERE / "results" / "challenge")
@@ -41,7 +43,7 @@ def main(arguments: list[str] | None = None) -> None:
         plans = draw(options.seed, options.cases, Sizes((10,), (61,)) if options.small else None)
         seal = prepare(plans, out, options.seed)
         print(f"sealed {len(plans)} cases: SHA-256 {seal}", flush=True)
-        run_cases(to_diagnose(out, len(plans)), blind, out / FILE, options.jobs)
+        run_cases(to_diagnose(out, len(plans), options.full), blind, out / FILE, options.jobs)
     answers = sealed_answers(out)
     pairs = matched(answers, read_lines(out / FILE))
     rows = scored(pairs, lambda plan: conduct(plan_from(plan)))

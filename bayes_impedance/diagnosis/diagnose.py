@@ -13,7 +13,7 @@ from bayes_impedance.diagnosis import catalogue  # noqa: F401  (fills the regist
 from bayes_impedance.diagnosis.catalogue.effect import Effect, registered
 from bayes_impedance.diagnosis.catalogue.offered import offered
 from bayes_impedance.diagnosis.claimed_simulation import Claim, claim_of
-from bayes_impedance.diagnosis.extended_network import ExtendedNetwork, extended_network
+from bayes_impedance.diagnosis.extended_network import ExtendedNetwork, extended_network, no_networks
 from bayes_impedance.diagnosis.extended_posterior import extended_posterior
 from bayes_impedance.diagnosis.findings import Findings, find
 from bayes_impedance.diagnosis.fit.baseline import Fitted, fit_network
@@ -59,6 +59,10 @@ _SHAPE_UNKNOWN = (
 _NO_POSTERIOR = (
     "The posterior of the network with what was found is not reliable, and the intervals of what was found are those "
     "of a normal approximation"
+)
+_NOT_IN_NETWORK = (
+    "cannot be written as a network, and without it the posterior of a network does not describe the recordings: the "
+    "intervals of what was found are those of a normal approximation"
 )
 
 
@@ -293,6 +297,9 @@ def _measured(
 ) -> tuple[Evidence, PopulationFit | None]:
     """Evidence with parameters from the posterior of the population of the extended network; and that posterior."""
     settings = FitSettings("diagonal" if job.diagonal else "full")
+    if without := no_networks(evidence.final.model):
+        because = f"{', '.join(without)} {_NOT_IN_NETWORK}."
+        return replace(evidence, remarks=(*evidence.remarks, because)), None
     try:
         fit = fit_population(
             recordings,

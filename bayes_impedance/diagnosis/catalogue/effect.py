@@ -31,7 +31,7 @@ import numpy as np
 
 from bayes_impedance.diagnosis.catalogue.coefficient import Coefficient, Scales
 from bayes_impedance.errors import InputError
-from bayes_impedance.network.elements import kind_of
+from bayes_impedance.network.elements import KINDS, kind_of
 from bayes_impedance.network.notation import Element, Network, Parallel, Place, Series, parse
 from bayes_impedance.network.operation_traits import PLACES, Setting, Traits
 from bayes_impedance.network.operations import N_PARAMETERS, NAMES, TRAITS
@@ -124,7 +124,17 @@ class Effect:
         elif self.coefficients:
             raise InputError(f"{what}: the coefficients of a branch are its elements; leave 'coefficients' out")
         if self.branch:
-            parse(self.branch)
+            self._check_branch(what)
+
+    def _check_branch(self, what: str) -> None:
+        """A branch is tried over a grid of its elements' values, which only masses, compliances and dampers have."""
+        others = [name for name in parse(self.branch).elements if name[0] not in KINDS]
+        if others:
+            raise InputError(
+                f"{what}: its branch has the parameter '{others[0]}', but a branch may have masses (m), compliances (n) "
+                "and dampers (r) only; power laws, reflexes, delays and filters are operations, such as "
+                "operation='beside_power'"
+            )
 
     def _check_coefficients(self, what: str) -> None:
         """Check number, units and links of the coefficients against what the operation takes."""

@@ -176,6 +176,8 @@ def test_registering_and_taking_out(added: Callable[[Effect], Effect]) -> None:
         ),
         ({"branch": "m-"}, "ends too early"),
         ({"branch": "k1"}, "no known kind"),
+        ({"branch": "p1^a1"}, "has the parameter .p1."),
+        ({"branch": "reflex[k1, d1, f1](n1)"}, "masses .m., compliances .n. and dampers .r. only"),
     ],
 )
 def test_effects_that_make_no_sense_are_refused(change: Mapping[str, object], message: str) -> None:

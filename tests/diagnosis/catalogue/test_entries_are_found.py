@@ -161,6 +161,17 @@ def test_its_parameters_are_recovered(name: str) -> None:
         assert found.q95 - found.q05 < abs(true)
 
 
+def test_what_no_network_contains_is_measured_without_one() -> None:
+    """Not a quick diagnosis, which ends with the posterior of the network with what was found, if there is one."""
+    made, _ = recordings(HIDDEN["amplitude"])
+    diagnosis = diagnose(made, workers=1)
+    (entry,) = diagnosis.verdict.physics
+    assert entry.id == "body.amplitude"
+    assert all(p.q05 < p.median < p.q95 for p in entry.parameters.values())
+    assert diagnosis.fit is None
+    assert any("body.amplitude cannot be written as a network" in remark for remark in diagnosis.verdict.remarks)
+
+
 @pytest.mark.slow
 @pytest.mark.ci
 def test_one_sweep_of_each_shows_no_change_with_time_or_amplitude() -> None:
