@@ -131,8 +131,8 @@ class Effect:
         others = [name for name in parse(self.branch).elements if name[0] not in KINDS]
         if others:
             raise InputError(
-                f"{what}: its branch has the parameter '{others[0]}', but a branch may have masses (m), compliances (n) "
-                "and dampers (r) only; power laws, reflexes, delays and filters are operations, such as "
+                f"{what}: its branch has the parameter '{others[0]}', but a branch may have masses (m), compliances "
+                "(n) and dampers (r) only; power laws, reflexes, delays and filters are operations, such as "
                 "operation='beside_power'"
             )
 
