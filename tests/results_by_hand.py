@@ -94,8 +94,10 @@ def make_result(
         posterior["slope"] = 0.1 * rng.normal(size=(2, draws, p, len(covariates))) * seen[:, None]
     groups = {
         "posterior": posterior,
-        "observed_data": {"observed_re": z.real, "observed_im": z.imag},
+        "observed_data": {},
         "constant_data": {
+            "observed_re": z.real,
+            "observed_im": z.imag,
             "band_centre": narrow,
             "band_person": band,
             "band_recording": band,

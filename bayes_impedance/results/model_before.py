@@ -28,7 +28,7 @@ def with_model_before(result: Result, magnitude: np.ndarray, phase_deg: np.ndarr
     Result
         The same result if the curves are on another grid: they cannot be shown together.
     """
-    if person_curve.shape != result.groups["observed_data"]["observed_re"].shape:
+    if person_curve.shape != result.groups["constant_data"]["observed_re"].shape:
         return result
     kept = {
         "before_band_recording": np.stack([magnitude, phase_deg]),

@@ -90,6 +90,22 @@ def test_run_with_a_verdict(verdict: Path, dataset: Path, fitted: Path) -> None:
     assert proposed == by_hand
 
 
+def test_a_diagnosis_leaves_the_fit_of_what_it_found(dataset: Path, tmp_path: Path) -> None:
+    """A result like any other, whose page shows before and after, and which `report` and `export` take."""
+    assert main(["diagnose", str(dataset), "-o", str(tmp_path)]) == 0
+    extended = tmp_path / "extended"
+    assert json.loads((extended / "summary.json").read_text())["network"] == NETWORK
+    page = (extended / "report.html").read_text()
+    assert "Before and after" in page
+    assert 'value="before"' in page
+    (extended / "report.html").unlink()
+    assert main(["report", str(extended), "--overwrite"]) == 0
+    assert (extended / "report.html").read_text() == page
+    users = ["--what", "users", "--users", "5", "--spanning", "2", "--no-pictures"]
+    assert main(["export", str(extended), "-o", str(tmp_path / "design"), *users]) == 0
+    assert json.loads((tmp_path / "design" / "users.json").read_text())["network"] == PLAIN
+
+
 @pytest.mark.parametrize(
     ("content", "said"),
     [

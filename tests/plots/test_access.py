@@ -18,7 +18,7 @@ def with_variable(result: Result, group: str, name: str, values: np.ndarray) -> 
 
 def test_a_variable_is_found_in_any_group() -> None:
     result = make_result()
-    np.testing.assert_array_equal(access.variable(result, "observed_re"), result.groups["observed_data"]["observed_re"])
+    np.testing.assert_array_equal(access.variable(result, "observed_re"), result.groups["constant_data"]["observed_re"])
     assert access.variable(result, "nothing_of_the_kind") is None
     with pytest.raises(KeyError, match="nothing_of_the_kind"):
         access.needed(result, "nothing_of_the_kind")
@@ -37,7 +37,7 @@ def test_recordings_are_magnitude_and_phase_without_numbers_outside_of_their_ban
     assert np.isnan(magnitude[0, 4:]).all()
     assert np.isnan(phase[0, 4:]).all()
     assert np.isfinite(magnitude[1:]).all()
-    data = result.groups["observed_data"]
+    data = result.groups["constant_data"]
     z = magnitude * np.exp(1j * np.deg2rad(phase))
     np.testing.assert_allclose(z[1], data["observed_re"][1] + 1j * data["observed_im"][1], rtol=1e-12)
     np.testing.assert_array_equal(f, np.geomspace(5.0, 5000.0, 8))

@@ -34,7 +34,7 @@ def recorded() -> Recordings:
 def result_with_predictions() -> Result:
     result = make_result()
     data = result.groups
-    z = data["observed_data"]["observed_re"] + 1j * data["observed_data"]["observed_im"]
+    z = data["constant_data"]["observed_re"] + 1j * data["constant_data"]["observed_im"]
     rng = np.random.default_rng(0)
     observed = {"log_magnitude": np.log(np.abs(z)), "phase_deg": np.angle(z, deg=True)}
     predicted = {name: v + 0.2 * rng.normal(size=(2, 50, *v.shape)) for name, v in observed.items()}
@@ -72,7 +72,7 @@ def test_nyquist_follows_the_custom_of_its_field() -> None:
     np.testing.assert_array_equal(axes.lines[1].get_ydata(), recorded().subjects[1].mean.imag)
     electrical = make_result(electrical=True)
     axes = plot_nyquist(electrical, plt.subplots()[1])
-    np.testing.assert_array_equal(axes.lines[0].get_ydata(), -electrical.groups["observed_data"]["observed_im"][0])
+    np.testing.assert_array_equal(axes.lines[0].get_ydata(), -electrical.groups["constant_data"]["observed_im"][0])
     assert axes.get_ylabel() == "-Im z (ohm)"
 
 
@@ -80,7 +80,7 @@ def test_a_person_is_shown_with_the_own_network() -> None:
     result = make_result()
     upper, lower = plot_person(result, "P02")
     seen, fitted = (np.asarray(line.get_ydata()) for line in upper.lines)
-    z = result.groups["observed_data"]["observed_re"][2] + 1j * result.groups["observed_data"]["observed_im"][2]
+    z = result.groups["constant_data"]["observed_re"][2] + 1j * result.groups["constant_data"]["observed_im"][2]
     np.testing.assert_allclose(seen, np.abs(z))
     np.testing.assert_allclose(fitted, seen, rtol=0.15)
     assert len(lower.collections) == 1

@@ -81,7 +81,7 @@ def test_data_of_a_run(variant: str, tmp_path: Path) -> None:
     else:
         assert {"curves", "noise", "person", "bands", "errors"} <= names
         magnitude = np.abs(
-            result.groups["observed_data"]["observed_re"] + 1j * result.groups["observed_data"]["observed_im"]
+            result.groups["constant_data"]["observed_re"] + 1j * result.groups["constant_data"]["observed_im"]
         )
         first = np.array([np.nan if v is None else v for v in data["curves"]["magnitude"][0]])
         ratio = first / magnitude[0]
@@ -96,7 +96,7 @@ def test_data_of_a_run(variant: str, tmp_path: Path) -> None:
 
 def test_a_network_to_which_something_was_added_can_be_compared_with_the_one_before(tmp_path: Path) -> None:
     result = make_result()
-    z = result.groups["observed_data"]["observed_re"] + 1j * result.groups["observed_data"]["observed_im"]
+    z = result.groups["constant_data"]["observed_re"] + 1j * result.groups["constant_data"]["observed_im"]
     band = result.groups["constant_data"]["band_recording"]
     both = with_model_before(result, 2 * band[0, [0, 2, 4]], band[1, [0, 2, 4]], 0.5 * z)
     text = write_report(both, tmp_path, pictures={}).read_text(encoding="utf-8")
