@@ -6,6 +6,7 @@ import numpy as np
 
 from bayes_impedance.population.parameters import Coordinates, PopulationParameters
 from bayes_impedance.population.prior import Prior
+from bayes_impedance.population.whole import all_columns
 
 
 def draw_prior(
@@ -64,20 +65,4 @@ def draw_prior(
         start = sum(coordinates.sizes[:4])
         vector[:, start : start + partial.shape[1]] = np.arctanh(partial)
     drawn = coordinates.unpack(vector)
-    if not common.size:
-        return drawn
-    assert drawn.shared is not None  # there are shared parameters
-    mu, tau, rho = np.empty((n, p)), np.zeros((n, p)), np.zeros((n, p))
-    mu[:, varying], mu[:, common] = drawn.mu, drawn.shared
-    tau[:, varying], rho[:, varying] = drawn.between_persons, drawn.between_repetitions
-    cholesky, slopes = np.tile(np.eye(p), (n, 1, 1)), np.zeros((n, p, n_covariates))
-    cholesky[:, varying[:, None], varying] = drawn.correlation_cholesky
-    slopes[:, varying] = drawn.slopes
-    return PopulationParameters(
-        mu=mu,
-        between_persons=tau,
-        correlation_cholesky=cholesky,
-        between_repetitions=rho,
-        slopes=slopes,
-        shared=drawn.shared,
-    )
+    return all_columns(drawn, varying, common) if common.size else drawn

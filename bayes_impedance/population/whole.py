@@ -43,20 +43,8 @@ class Whole:
         """W sets with a column for every parameter."""
         if not self.pooling.names:
             return replace(sampled, mu=sampled.mu * self.unit, between_persons=sampled.between_persons * self.unit)
-        assert sampled.shared is not None  # there are shared parameters
-        w, v = len(sampled.mu), self.pooling.varying
-        cholesky = np.tile(np.eye(self.unit.size), (w, 1, 1))
-        cholesky[:, v[:, None], v] = sampled.correlation_cholesky
-        slopes = np.zeros((w, self.unit.size, sampled.slopes.shape[2]))
-        slopes[:, v] = sampled.slopes
-        return PopulationParameters(
-            mu=self.pooling.whole(sampled.mu, sampled.shared) * self.unit,
-            between_persons=self.without(sampled.between_persons),
-            correlation_cholesky=cholesky,
-            between_repetitions=self.without(sampled.between_repetitions),
-            slopes=slopes,
-            shared=sampled.shared,
-        )
+        complete = all_columns(sampled, self.pooling.varying, self.pooling.shared)
+        return replace(complete, mu=complete.mu * self.unit)
 
     def persons(self, theta: np.ndarray, shared: np.ndarray | None) -> np.ndarray:
         """Everybody's parameters, (W, N, P), of varying ones (W, N, V) and shared ones (W, S)."""
@@ -78,3 +66,31 @@ class Whole:
             centre_sd=prior.centre_sds * self.unit,
             dispersion_sd=prior.dispersion_sds * self.unit,
         )
+
+
+def all_columns(sampled: PopulationParameters, varying: np.ndarray, shared: np.ndarray) -> PopulationParameters:
+    """W sets with a column for every parameter; a shared one has no dispersion.
+
+    Parameters
+    ----------
+    sampled : PopulationParameters
+        Of V varying parameters, with the values of S shared ones.
+    varying, shared : ndarray of int, shape (V,) and (S,)
+        Columns of the parameters, P = V + S.
+    """
+    assert sampled.shared is not None  # there are shared parameters
+    w, p = len(sampled.mu), varying.size + shared.size
+    mu, tau, rho = np.empty((w, p)), np.zeros((w, p)), np.zeros((w, p))
+    mu[:, varying], mu[:, shared] = sampled.mu, sampled.shared
+    tau[:, varying], rho[:, varying] = sampled.between_persons, sampled.between_repetitions
+    cholesky, slopes = np.tile(np.eye(p), (w, 1, 1)), np.zeros((w, p, sampled.slopes.shape[2]))
+    cholesky[:, varying[:, None], varying] = sampled.correlation_cholesky
+    slopes[:, varying] = sampled.slopes
+    return PopulationParameters(
+        mu=mu,
+        between_persons=tau,
+        correlation_cholesky=cholesky,
+        between_repetitions=rho,
+        slopes=slopes,
+        shared=sampled.shared,
+    )
