@@ -16,6 +16,7 @@ from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.marginal_likelihood import LEAST_RHO
 from bayes_impedance.population.e_step import PersonFit, expect
 from bayes_impedance.population.fit import PopulationFit
+from bayes_impedance.population.moved_dispersions import DispersionRange
 from bayes_impedance.population.posterior import FEWEST_DRAWS, RARELY
 from bayes_impedance.population.recording_noise import noise_of
 from bayes_impedance.population.sharded_likelihood import part_of
@@ -50,7 +51,8 @@ def held_out_log_densities(fit: PopulationFit, person: Subject, seed: np.random.
     """
     p, elements = fit.parameters, len(fit.kernel.elements)
     covariates = _standardised(fit, person)
-    rho = np.sqrt(np.mean(p.between_repetitions**2, axis=0))
+    span = DispersionRange.of_draws(p.between_repetitions)
+    rho = span.middle
     mean = p.mu.mean(axis=0) + p.slopes.mean(axis=0) @ covariates
     covariance = p.covariance.mean(axis=0) + np.diag(rho**2) / len(person.repetitions)
     nothing = np.zeros((len(person.repetitions), elements))
@@ -70,6 +72,7 @@ def held_out_log_densities(fit: PopulationFit, person: Subject, seed: np.random.
             _MORE_DRAWS * fit.settings.draws,
             [child],
             along_valley,
+            span,
         )
         effective = part.marginal.terms(p, effective=True)[1]
         if np.quantile(effective, RARELY) >= FEWEST_DRAWS:

@@ -17,7 +17,9 @@ error).
 Where parameters are the same for everybody, monomials in them are further columns of the coefficients, and each
 person's mean is shifted (:mod:`bayes_impedance.population.shared_draws`).
 
-The contrasts between repetitions have a closed form (:mod:`bayes_impedance.population.contrasts`).
+The contrasts between repetitions have a closed form at each person's mode
+(:mod:`bayes_impedance.population.contrasts`); monomials in functions of rho are further columns, by which a draw away
+from the mode differs (:mod:`bayes_impedance.population.moved_dispersions`).
 """
 
 from __future__ import annotations
@@ -30,6 +32,7 @@ import numpy as np
 from bayes_impedance.person.importance_draws import Draws
 from bayes_impedance.population.contrasts import Contrasts
 from bayes_impedance.population.exponentials import sums_of_exponentials
+from bayes_impedance.population.moved_dispersions import DispersionRange
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.shared_draws import Moved, Sharing, monomials, stacked
 
@@ -57,6 +60,10 @@ class ImportanceLikelihood:
         If there are parameters that are the same for everybody.
     moved : sequence of Moved
         How each person's draws move with them.
+    span : DispersionRange, optional
+        Of the dispersions between repetitions, if draws change with them.
+    responses : sequence of ndarray, shape (M, K)
+        How each person's draws change.
     """
 
     def __init__(
@@ -69,11 +76,13 @@ class ImportanceLikelihood:
         contrasts: Sequence[Contrasts],
         sharing: Sharing | None = None,
         moved: Sequence[Moved] = (),
+        span: DispersionRange | None = None,
+        responses: Sequence[np.ndarray] = (),
     ) -> None:
         self.n_draws, n_elements = draws[0].theta.shape
         self.repetitions, self.covariates, self.contrasts = repetitions, covariates, contrasts
         self.reference_means = reference_means
-        self.sharing = sharing
+        self.sharing, self.span = sharing, span
         self.path, self.missed = stacked(moved)
         same = bool(np.all(reference_means == reference_means[0]))
         self._same_means = not covariates.shape[1] and same and sharing is None
@@ -90,6 +99,9 @@ class ImportanceLikelihood:
                 if sharing is not None:
                     pairs = zip(features, persons, strict=True)
                     features = [np.vstack([own, moved[i].coefficients.astype(np.float32)]) for own, i in pairs]
+                if span is not None:
+                    pairs = zip(features, persons, strict=True)
+                    features = [np.vstack([own, responses[i].astype(np.float32)]) for own, i in pairs]
                 self.blocks.append((int(j), persons, np.concatenate(features, axis=1)))
 
     def thinned(self, n_draws: int) -> ImportanceLikelihood:
@@ -216,7 +228,8 @@ class ImportanceLikelihood:
         constants = log_determinant[:, None] - 0.5 * np.einsum("wnp,wnp->wn", v, linear)
         quadratic = -0.5 * self._multiplicity * precision[:, self.pairs[0], self.pairs[1]]
         own = np.broadcast_to(quadratic[:, None], (*linear.shape[:2], quadratic.shape[1]))
-        rest = np.concatenate([np.ones((len(moving), 1)), moving], axis=1)
+        of_dispersions = [] if self.span is None else [self.span.terms(parameters.between_repetitions)]
+        rest = np.concatenate([np.ones((len(moving), 1)), moving, *of_dispersions], axis=1)
         rest = np.broadcast_to(rest[:, None], (*linear.shape[:2], rest.shape[1]))
         with np.errstate(over="ignore", invalid="ignore"):  # as above: a vanishing dispersion is refused later
             coefficients = np.concatenate([own, linear, rest], axis=2).astype(np.float32)

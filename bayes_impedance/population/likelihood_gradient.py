@@ -11,7 +11,8 @@ the weights of a person's draws, in the coordinates u in which the reference pop
 where T is the covariance of a person's mean over J repetitions, :math:`\Sigma + \operatorname{diag}(\rho^2)/J`. The
 moments are one more matrix product of weights with the same monomials from which the weights are computed. Monomials in
 parameters that are the same for everybody change the draws' log likelihoods, with their mean coefficients, and shift v
-along the person's path (:mod:`bayes_impedance.population.shared_draws`).
+along the person's path (:mod:`bayes_impedance.population.shared_draws`); so do those in dispersions between repetitions
+(:mod:`bayes_impedance.population.moved_dispersions`), without a shift.
 """
 
 from __future__ import annotations
@@ -66,6 +67,7 @@ def likelihood_gradient(marginal: ImportanceLikelihood, parameters: PopulationPa
     mean = np.zeros((n_sets, n_elements))
     slopes = np.zeros((n_sets, n_elements, marginal.covariates.shape[1]))
     on_monomials = np.zeros((n_sets, moving.shape[1]))
+    on_terms: np.ndarray | float = 0.0
     scatter = {int(j): np.zeros((n_sets, n_elements, n_elements)) for j in np.unique(marginal.repetitions)}
     precisions = {j: marginal.population_in_reference(parameters, j)[0] for j in scatter}
     whitening = np.linalg.inv(factor)
@@ -85,8 +87,10 @@ def likelihood_gradient(marginal: ImportanceLikelihood, parameters: PopulationPa
         mean += pull.sum(axis=1)
         slopes += np.swapaxes(pull, 1, 2) @ marginal.covariates[persons]
         if moving.size:
-            on_monomials += moments[:, :, n_quadratic + 1 :].sum(axis=1)
+            on_monomials += moments[:, :, n_quadratic + 1 : n_quadratic + 1 + moving.shape[1]].sum(axis=1)
             on_monomials -= np.einsum("wbp,bmp->wm", pull, marginal.path[persons])
+        if marginal.span is not None:
+            on_terms = on_terms + moments[:, :, n_quadratic + 1 + moving.shape[1] :].sum(axis=1)
     covariance = np.zeros((n_sets, n_elements, n_elements))
     repetitions = np.zeros((n_sets, n_elements))
     for j, spread in scatter.items():
@@ -97,6 +101,8 @@ def likelihood_gradient(marginal: ImportanceLikelihood, parameters: PopulationPa
         repetitions += 2 * parameters.between_repetitions / j * np.diagonal(own, axis1=1, axis2=2)
     for contrasts in marginal.contrasts:
         repetitions += contrasts.slope(parameters.between_repetitions)
+    if marginal.span is not None:
+        repetitions += marginal.span.slopes(parameters.between_repetitions, np.asarray(on_terms))
     shared = np.zeros((n_sets, 0))
     if marginal.sharing is not None and parameters.shared is not None:
         turning = monomial_slopes(marginal.sharing.standardised(parameters.shared))

@@ -21,6 +21,7 @@ from bayes_impedance.person.importance_draws import widening
 from bayes_impedance.population.coordinates_gradient import pulled_back
 from bayes_impedance.population.draw_error import DrawError, draw_error, noise_within
 from bayes_impedance.population.em import Estimate, moved_to
+from bayes_impedance.population.moved_dispersions import range_of
 from bayes_impedance.population.parameters import Coordinates, PopulationParameters
 from bayes_impedance.population.prior import Prior
 from bayes_impedance.population.sharded_likelihood import KeptDraws
@@ -133,7 +134,6 @@ class Posterior:
         self.sharing: Sharing | None = None
         self.repetitions = repetitions
         determined = point.determined
-        # Undetermined elements keep a fixed population distribution: draws cover it, but it is not sampled.
         self.covariance = point.covariance.copy()
         held = ~determined
         self.covariance[held, :] = 0
@@ -363,9 +363,9 @@ class Posterior:
             progress,
             along_valley,
             self.sharing,
+            range_of(self.point.fits, self.coordinates.prior, self.point.between_repetitions),
         )
-        # The same coordinates serve all draws: each mode is looked for where the last one was found.
-        # The prior alone has a precision of one in most coordinates.
+        # Each mode is looked for where the last was found. The prior alone has a precision of one in most coordinates.
         self.mode, self.normal_covariance = normal_approximation(
             self.log_probability, self.mode, self.normal_covariance, 0.5
         )

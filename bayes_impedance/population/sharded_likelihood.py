@@ -18,19 +18,20 @@ from typing import Any
 import numpy as np
 
 from bayes_impedance.network.kernel import Kernel
-from bayes_impedance.person.absolute_density import deviations_of, log_constant
-from bayes_impedance.person.importance_draws import Draws, Reference, draw
+from bayes_impedance.person.importance_draws import Draws
 from bayes_impedance.person.likelihood import Likelihood
-from bayes_impedance.person.marginal_likelihood import LEAST_RHO, find_ridge
+from bayes_impedance.person.marginal_likelihood import LEAST_RHO
 from bayes_impedance.population.contrasts import Contrasts
 from bayes_impedance.population.e_step import PersonFit, contrasts_of
 from bayes_impedance.population.em import Estimate
 from bayes_impedance.population.importance_likelihood import ImportanceLikelihood
 from bayes_impedance.population.likelihood_gradient import ParameterGradient, likelihood_gradient
+from bayes_impedance.population.moved_dispersions import DispersionRange
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.person_densities import constants_of, log_densities
+from bayes_impedance.population.person_draws import DrawingPlan, PersonDraws, draws_of
 from bayes_impedance.population.shared import SharedEquations
-from bayes_impedance.population.shared_draws import Moved, Sharing, monomials, moved
+from bayes_impedance.population.shared_draws import Sharing, monomials
 from bayes_impedance.runtime.executors import Cluster, map_persons
 from bayes_impedance.runtime.progress import Progress
 from bayes_impedance.runtime.sharded import Kept, parts_of
@@ -72,18 +73,6 @@ class Part:
         return self.theta.nbytes + self.log_ratio.nbytes + self.marginal.nbytes
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Plan:
-    """Settings common to the draws of all persons."""
-
-    kernel: Kernel
-    rho: np.ndarray
-    covariance: np.ndarray
-    n_draws: int
-    along_valley: bool
-    sharing: Sharing | None
-
-
 class KeptDraws:
     """The likelihood of population parameters, all persons together.
 
@@ -112,6 +101,7 @@ class KeptDraws:
         progress: Progress,
         along_valley: bool = False,
         sharing: Sharing | None = None,
+        span: DispersionRange | None = None,
     ) -> KeptDraws:
         """Draw for all persons under a reference population.
 
@@ -134,15 +124,18 @@ class KeptDraws:
             Propose along each person's curved valley, because one t distribution missed parts of it.
         sharing : Sharing, optional
             If there are parameters that are the same for everybody: how far they may move.
+        span : DispersionRange, optional
+            How far dispersions between repetitions may move; draws are made at its middle, or at the point estimate.
         """
         n = len(means)
-        plan = _Plan(
+        plan = DrawingPlan(
             kernel=kernel,
-            rho=point.between_repetitions,
+            rho=point.between_repetitions if span is None else span.middle,
             covariance=covariance,
             n_draws=n_draws,
             along_valley=along_valley,
             sharing=sharing,
+            span=span,
         )
         seeds = seed.spawn(n)
         if isinstance(executor, Cluster):
@@ -160,7 +153,7 @@ class KeptDraws:
             return cls(kept, executor)
         data, fits = point.data.gathered(), point.fits.gathered()
         equations = [None] * n if point.shared_equations is None else point.shared_equations.gathered()
-        drawn = map_persons(executor, partial(_draws_of, plan), data, fits, equations, means, seeds)
+        drawn = map_persons(executor, partial(draws_of, plan), data, fits, equations, means, seeds)
         watched = _watched(drawn, n, progress)
         rows_of = parts_of(n)
         parts = [_part(plan, watched, *_repetitions_of(fits[r]), means[r], covariates[r]) for r in rows_of]
@@ -238,16 +231,23 @@ def part_of(
     n_draws: int,
     seeds: Sequence[np.random.SeedSequence],
     along_valley: bool,
+    span: DispersionRange | None,
 ) -> Part:
     """Draw for some persons, in this process; the arguments are those of :meth:`KeptDraws.made`."""
-    plan = _Plan(
-        kernel=kernel, rho=rho, covariance=covariance, n_draws=n_draws, along_valley=along_valley, sharing=None
+    plan = DrawingPlan(
+        kernel=kernel,
+        rho=rho,
+        covariance=covariance,
+        n_draws=n_draws,
+        along_valley=along_valley,
+        sharing=None,
+        span=span,
     )
     return _drawn_part(plan, data, fits, None, means, covariates, seeds)
 
 
 def _drawn_part(
-    plan: _Plan,
+    plan: DrawingPlan,
     data: Sequence[Likelihood],
     fits: Sequence[PersonFit],
     equations: Sequence[SharedEquations] | None,
@@ -256,7 +256,7 @@ def _drawn_part(
     seeds: Sequence[np.random.SeedSequence],
 ) -> Part:
     own = [None] * len(data) if equations is None else equations
-    drawn = (_draws_of(plan, *row) for row in zip(data, fits, own, means, seeds, strict=True))
+    drawn = (draws_of(plan, *row) for row in zip(data, fits, own, means, seeds, strict=True))
     return _part(plan, drawn, *_repetitions_of(fits), means, covariates)
 
 
@@ -266,8 +266,8 @@ def _repetitions_of(fits: Sequence[PersonFit]) -> tuple[np.ndarray, tuple[Contra
 
 
 def _part(
-    plan: _Plan,
-    drawn: Iterable[tuple[Draws, Moved | None]],
+    plan: DrawingPlan,
+    drawn: Iterable[PersonDraws],
     repetitions: np.ndarray,
     contrasts: Sequence[Contrasts],
     means: np.ndarray,
@@ -276,39 +276,21 @@ def _part(
     """A part with one person per row of `means`; draws are consumed one by one, so that none is in memory twice."""
     theta = np.empty((len(means), plan.n_draws, means.shape[1]))
     log_ratio = np.empty(theta.shape[:2])
-    kept, how = [], []
-    for i, (draws, along) in zip(range(len(means)), drawn, strict=False):
-        theta[i], log_ratio[i] = draws.theta, draws.log_ratio
-        kept.append(replace(draws, theta=theta[i], log_ratio=log_ratio[i]))
-        if along is not None:
-            how.append(along)
-    marginal = ImportanceLikelihood(kept, means, plan.covariance, repetitions, covariates, contrasts, plan.sharing, how)
+    kept, how, responses = [], [], []
+    for i, own in zip(range(len(means)), drawn, strict=False):
+        theta[i], log_ratio[i] = own.draws.theta, own.draws.log_ratio
+        kept.append(replace(own.draws, theta=theta[i], log_ratio=log_ratio[i]))
+        if own.moved is not None:
+            how.append(own.moved)
+        if own.response is not None:
+            responses.append(own.response)
+    marginal = ImportanceLikelihood(
+        kept, means, plan.covariance, repetitions, covariates, contrasts, plan.sharing, how, plan.span, responses
+    )
     return Part(theta, log_ratio, marginal, tuple(kept), constants_of(kept, np.maximum(plan.rho, LEAST_RHO)))
 
 
-def _draws_of(
-    plan: _Plan,
-    likelihood: Likelihood,
-    fit: PersonFit,
-    equations: SharedEquations | None,
-    mean: np.ndarray,
-    seed: np.random.SeedSequence,
-) -> tuple[Draws, Moved | None]:
-    likelihood = likelihood.moved(fit.deviations)
-    # The ridge fixes rho at the estimate; the contrasts give the likelihood of other values of rho.
-    ridge = find_ridge(plan.kernel, likelihood, fit.theta, fit.mode.scale, plan.rho)
-    reference = Reference(mean, plan.covariance)
-    draws = draw(plan.kernel, likelihood, fit.mode, ridge, reference, plan.n_draws, seed, plan.along_valley)
-    deviations = deviations_of(plan.kernel, likelihood, fit.theta)
-    draws = replace(draws, constant=log_constant(likelihood, ridge, deviations), deviations=deviations)
-    if plan.sharing is None or equations is None:
-        return draws, None
-    return moved(plan.sharing, equations, likelihood, ridge, reference, draws)
-
-
-def _watched(
-    drawn: Iterable[tuple[Draws, Moved | None]], n: int, progress: Progress
-) -> Iterator[tuple[Draws, Moved | None]]:
+def _watched(drawn: Iterable[PersonDraws], n: int, progress: Progress) -> Iterator[PersonDraws]:
     for i, draws in enumerate(drawn):
         progress("draws", i + 1, n)
         yield draws

@@ -1,0 +1,95 @@
+"""One person's importance draws under a population, and how they change with all that is common to everybody.
+
+Draws are made at one value of the parameters that are the same for everybody and of the dispersions between
+repetitions. Where these are elsewhere, the draws' likelihoods are polynomials in them
+(:mod:`bayes_impedance.population.shared_draws`, :mod:`bayes_impedance.population.moved_dispersions`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.person.absolute_density import deviations_of, log_constant
+from bayes_impedance.person.importance_draws import Draws, Reference, draw
+from bayes_impedance.person.likelihood import Likelihood
+from bayes_impedance.person.marginal_likelihood import find_ridge
+from bayes_impedance.population.e_step import PersonFit
+from bayes_impedance.population.moved_dispersions import DispersionRange, with_responses
+from bayes_impedance.population.shared import SharedEquations
+from bayes_impedance.population.shared_draws import Moved, Sharing, moved
+
+
+@dataclass(frozen=True, kw_only=True)
+class DrawingPlan:
+    """Settings common to the draws of all persons.
+
+    Attributes
+    ----------
+    kernel : Kernel
+        Of the P parameters that differ between people.
+    rho : ndarray, shape (P,)
+        Dispersion between repetitions at which deviations are integrated out.
+    covariance : ndarray, shape (P, P)
+        Of the reference population, already widened.
+    n_draws : int
+        For each person, a power of two.
+    along_valley : bool
+        Propose along each person's curved valley.
+    sharing : Sharing or None
+        How far parameters that are the same for everybody may move.
+    span : DispersionRange or None
+        How far dispersions between repetitions may move.
+    """
+
+    kernel: Kernel
+    rho: np.ndarray
+    covariance: np.ndarray
+    n_draws: int
+    along_valley: bool
+    sharing: Sharing | None
+    span: DispersionRange | None
+
+
+@dataclass(frozen=True)
+class PersonDraws:
+    """One person's draws, and how their likelihoods change.
+
+    Attributes
+    ----------
+    draws : Draws
+    moved : Moved or None
+        With the parameters that are the same for everybody.
+    response : ndarray, shape (M, K), or None
+        With dispersions between repetitions: coefficients of :meth:`DispersionRange.terms`.
+    """
+
+    draws: Draws
+    moved: Moved | None
+    response: np.ndarray | None
+
+
+def draws_of(
+    plan: DrawingPlan,
+    likelihood: Likelihood,
+    fit: PersonFit,
+    equations: SharedEquations | None,
+    mean: np.ndarray,
+    seed: np.random.SeedSequence,
+) -> PersonDraws:
+    """Draw for one person, whose fit is a mode and the deviations there, under a population of the given mean (P,)."""
+    likelihood = likelihood.moved(fit.deviations)
+    # The ridge fixes rho; contrasts and the draws' responses give the likelihood of other values of rho.
+    ridge = find_ridge(plan.kernel, likelihood, fit.theta, fit.mode.scale, plan.rho)
+    reference = Reference(mean, plan.covariance)
+    draws = draw(plan.kernel, likelihood, fit.mode, ridge, reference, plan.n_draws, seed, plan.along_valley)
+    deviations = deviations_of(plan.kernel, likelihood, fit.theta)
+    draws = replace(draws, constant=log_constant(likelihood, ridge, deviations), deviations=deviations)
+    response, along = None, None
+    if plan.span is not None:
+        draws, response = with_responses(plan.kernel, plan.span, likelihood, fit, ridge, draws)
+    if plan.sharing is not None and equations is not None:
+        draws, along = moved(plan.sharing, equations, likelihood, ridge, reference, draws)
+    return PersonDraws(draws, along, response)

@@ -1,0 +1,118 @@
+"""Draws under other dispersions between repetitions, against an integration in which nothing is factored."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from test_likelihood_gradient import posterior_of
+
+from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.network.notation import parse
+from bayes_impedance.population.moved_dispersions import DispersionRange
+from bayes_impedance.population.parameters import PopulationParameters
+from bayes_impedance.recordings.files import Recordings, Subject
+
+SPAN = DispersionRange(np.array([0.1, 0.02]), np.array([0.01, 0.005]), np.array([0.4, 0.1]))
+NETWORK = parse("(n3|r3)-(m2|r1|n1)")
+VALUES = {"n3": 1e-4, "r3": 30.0, "m2": 1e-3, "r1": 2.0, "n1": 1e-3}
+SPREAD, CHANGE = 0.15, {"n3": 0.12, "r3": 0.1, "m2": 0.1, "r1": 0.03, "n1": 0.1}
+PEOPLE, REPETITIONS, NOISE = 8, 2, 0.01
+DRAWS = 6000
+
+
+def test_terms_vanish_in_the_middle_and_stay_at_the_ends():
+    assert np.array_equal(SPAN.terms(SPAN.middle[None]), np.zeros((1, 4)))
+    assert np.array_equal(SPAN.terms(2 * SPAN.highest[None]), SPAN.terms(SPAN.highest[None]))
+    assert np.array_equal(SPAN.terms(np.zeros((1, 2))), SPAN.terms(SPAN.lowest[None]))
+    assert np.abs(SPAN.nodes[:, [0, -1]].T - [SPAN.lowest, SPAN.highest]).max() < 1e-12
+
+
+def test_slopes_of_terms():
+    rng = np.random.default_rng(0)
+    rho = rng.uniform(1.2 * SPAN.lowest, 0.8 * SPAN.highest, (20, 2))
+    weights = rng.normal(size=(20, 4))
+    step = 1e-7 * np.eye(2)
+    for p in range(2):
+        expected = np.sum(weights * (SPAN.terms(rho + step[p]) - SPAN.terms(rho - step[p])), axis=1) / 2e-7
+        assert np.abs(SPAN.slopes(rho, weights)[:, p] - expected).max() < 1e-6 * np.abs(expected).max()
+    assert not SPAN.slopes(2 * SPAN.highest[None], weights[:1]).any()
+
+
+def recordings() -> Recordings:
+    """People of whom one recording determines n3 weakly, and whose repetitions differ much."""
+    kernel, rng = Kernel(NETWORK), np.random.default_rng(3)
+    centre = np.log([VALUES[name] for name in kernel.elements])
+    change = np.array([CHANGE[name] for name in kernel.elements])
+    frequency = np.geomspace(5, 1000, 40)
+    subjects = []
+    for i in range(PEOPLE):
+        own = centre + SPREAD * rng.normal(size=centre.size) + change * rng.normal(size=(REPETITIONS, centre.size))
+        z = kernel.impedance(own, frequency)
+        noise = rng.normal(size=z.shape) + 1j * rng.normal(size=z.shape)
+        names = tuple(str(j + 1) for j in range(REPETITIONS))
+        sd = NOISE * np.abs(z)
+        subjects.append(Subject(name=f"s{i}", repetitions=names, frequency_hz=frequency, z=z + sd * noise, noise_sd=sd))
+    return Recordings(
+        subjects=tuple(subjects), title=None, unit="N s/m", network=str(NETWORK), source=None, licence=None
+    )
+
+
+def integrated(kernel: Kernel, subject: Subject, sets: PopulationParameters, k: int) -> float:
+    """Log likelihood of a person's recordings under set k, up to a constant of the person.
+
+    All repetitions' log elements are integrated together by importance sampling from a t around their joint mode: no
+    Laplace's method, no contrasts, no reference population.
+    """
+    rng, p, nu = np.random.default_rng(7), sets.mu.shape[1], 8
+    own = np.diag(sets.between_repetitions[k] ** 2)
+    factor = np.linalg.cholesky(
+        np.kron(np.ones((REPETITIONS, REPETITIONS)), sets.covariance[k]) + np.kron(np.eye(REPETITIONS), own)
+    )
+
+    def z_of(u: np.ndarray) -> np.ndarray:
+        theta = sets.mu[k] + (u @ factor.T).reshape(-1, REPETITIONS, p)
+        return kernel.impedance(theta.reshape(-1, p), subject.frequency_hz).reshape(len(u), *subject.z.shape)
+
+    def residuals(u: np.ndarray) -> np.ndarray:
+        r = ((z_of(u[None])[0] - subject.z) / subject.noise_sd).ravel()
+        return np.concatenate([r.real, r.imag, u])
+
+    mode = least_squares(residuals, np.zeros(factor.shape[0]))
+    centre, curvature = mode.x, np.linalg.inv(mode.jac.T @ mode.jac)
+    covariance, value = curvature, 0.0
+    for _ in range(3):
+        spread = np.linalg.cholesky(covariance)
+        x = rng.normal(size=(DRAWS, centre.size)) / np.sqrt(rng.chisquare(nu, (DRAWS, 1)) / nu)
+        u = centre + x @ spread.T
+        chi = np.sum(np.abs((z_of(u) - subject.z) / subject.noise_sd) ** 2, axis=(1, 2))
+        log_density = -(2 + subject.z.size) * np.log(2 + 0.5 * chi) - 0.5 * np.sum(u**2, axis=1)
+        log_density += 0.5 * (nu + centre.size) * np.log1p(np.sum(x**2, axis=1) / nu) + np.log(np.diag(spread)).sum()
+        value = np.logaddexp.reduce(log_density)
+        weight = np.exp(log_density - value)
+        centre = weight @ u
+        covariance = (u - centre).T @ ((u - centre) * weight[:, None]) + 0.02 * curvature
+    return float(value)
+
+
+@pytest.mark.parametrize("factored", [False, True])
+def test_likelihood_equals_that_with_everything_integrated_together(factored, monkeypatch):
+    """And does not if the contrasts are taken at the modes alone: the draws' responses are needed."""
+    given = recordings()
+    posterior = posterior_of(given, monkeypatch)
+    if factored:
+        for part in posterior.marginal._kept.parts:
+            for _, _, features in part.marginal.blocks:
+                features[-2 * len(VALUES) :] = 0.0
+    rng = np.random.default_rng(5)
+    factor = np.linalg.cholesky(posterior.normal_covariance)
+    u = posterior.mode + rng.normal(size=(10, posterior.mode.size)) @ factor.T
+    sets = posterior.coordinates.unpack(u)
+    # Dispersions between repetitions by up to a factor of two either way.
+    sets = replace(sets, between_repetitions=sets.between_repetitions * 2.0 ** rng.uniform(-1, 1, sets.mu.shape))
+    kernel = Kernel(NETWORK)
+    exact = np.array([sum(integrated(kernel, s, sets, k) for s in given.subjects) for k in range(len(u))])
+    off = (posterior.marginal(sets) - exact).std()
+    assert (off > 0.5) if factored else (off < 0.25), off
