@@ -27,8 +27,10 @@ from bayes_impedance.population.draw_error import noise_within
 from bayes_impedance.population.fit import FitSettings, PopulationFit, _kept_sets, fit_population
 from bayes_impedance.population.importance_likelihood import ImportanceLikelihood
 from bayes_impedance.population.likelihood_gradient import likelihood_gradient
+from bayes_impedance.population.moved_dispersions import DispersionRange
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.person_densities import constants_of, log_densities
+from bayes_impedance.population.person_draws import DrawingPlan, PersonDraws
 from bayes_impedance.population.sharded_likelihood import KeptDraws
 from bayes_impedance.population.simulate import simulate_recordings
 from bayes_impedance.recordings.files import Recordings
@@ -180,14 +182,18 @@ def test_sums_over_parts_are_those_over_all_persons() -> None:
         root = rng.normal(size=(own, size, 2 * size))
         information = np.moveaxis(root @ np.swapaxes(root, 1, 2), 0, -1)
         contrasts.append(Contrasts(np.ascontiguousarray(information), rng.normal(size=(size, own))))
-    plan = sharded_likelihood._Plan(
+    span = DispersionRange(np.full(2, 0.1), np.full(2, 0.04), np.full(2, 0.25))
+    responses = [0.5 * rng.normal(size=(4, k)) for _ in draws]
+    plan = DrawingPlan(
         kernel=Kernel(parse("m1|r1")),
         rho=np.zeros(2),
         covariance=np.eye(2),
         n_draws=k,
         along_valley=False,
         sharing=None,
+        span=span,
     )
+    drawn = [PersonDraws(d, None, r) for d, r in zip(draws, responses, strict=True)]
     parts = []
     for rows in parts_of(n):
         inside = np.zeros(n, dtype=bool)
@@ -197,11 +203,7 @@ def test_sums_over_parts_are_those_over_all_persons() -> None:
             for j, c in zip((2, 3), contrasts, strict=True)
             for some in [inside[repetitions == j]]
         ]
-        parts.append(
-            sharded_likelihood._part(
-                plan, [(d, None) for d in draws[rows]], repetitions[rows], own, means[rows], covariates[rows]
-            )
-        )
+        parts.append(sharded_likelihood._part(plan, drawn[rows], repetitions[rows], own, means[rows], covariates[rows]))
     assert len(parts) > 2
     sets = PopulationParameters(
         mu=rng.normal(size=(5, 2)),
@@ -210,7 +212,9 @@ def test_sums_over_parts_are_those_over_all_persons() -> None:
         between_repetitions=rng.uniform(0.05, 0.2, (5, 2)),
         slopes=rng.normal(size=(5, 2, 1)),
     )
-    whole = ImportanceLikelihood(draws, means, np.eye(2), repetitions, covariates, contrasts)
+    whole = ImportanceLikelihood(
+        draws, means, np.eye(2), repetitions, covariates, contrasts, span=span, responses=responses
+    )
     with ThreadPoolExecutor(1) as executor:
         kept = KeptDraws(parts, executor)
         np.testing.assert_allclose(kept(sets), whole(sets), rtol=1e-9)
