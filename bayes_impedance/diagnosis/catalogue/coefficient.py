@@ -15,6 +15,11 @@ UNITS = ("m", "n", "r", "k", "c", "l", "s", "Hz", "")
 """Units of coefficients, see :class:`Coefficient`."""
 
 
+_EDGE = 1e-9
+"""Nearest that a share comes to zero or one. By choice: an exponent so near is that of a spring or a damper, and a fit
+that drives it there must be able to begin from it again."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Scales:
     """Typical sizes in a dataset: they make coefficients dimensionless.
@@ -96,7 +101,8 @@ class Coefficient:
             case "log":
                 return float(np.log(value))
             case "logit":
-                return float(np.log(value / (1 - value)))
+                inside = min(max(value, _EDGE), 1 - _EDGE)
+                return float(np.log(inside / (1 - inside)))
         return value / self.scale(scales)
 
     def scale(self, scales: Scales) -> float:

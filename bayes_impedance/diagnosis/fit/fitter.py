@@ -44,7 +44,7 @@ from bayes_impedance.diagnosis.fit.normal_equations import (
     sums,
     weights,
 )
-from bayes_impedance.diagnosis.fit.outliers_alone import ends_of_outliers
+from bayes_impedance.diagnosis.fit.outliers_alone import ends_of_outliers, search_the_only_person
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood
 from bayes_impedance.person.marginal_likelihood import LEAST_RHO
@@ -189,7 +189,9 @@ class Refitter:
                 else:
                     draw = fit.population.mu + rng.normal(size=(n, factor.shape[0])) @ factor.T
                     start[:, varying] = draw[self.owner]
-                if k < _ALONE_TRIES:
+                if self.one_person and k == 0:
+                    start = search_the_only_person(fit, fit.u, rng)
+                elif k < _ALONE_TRIES:
                     start = ends_of_outliers(fit, start, rng)
                 trial = self.fit(fit.model, start, fit.population, 15, hold_population=True, hold_additions=True)
                 better = trial.evidence > best_evidence + 0.2
