@@ -32,7 +32,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayes_impedance.diagnosis.fit.model import Model
+from bayes_impedance.diagnosis.fit.model import Model, with_dispersions
 from bayes_impedance.diagnosis.fit.normal_equations import (
     Equations,
     Population,
@@ -44,7 +44,7 @@ from bayes_impedance.diagnosis.fit.normal_equations import (
     sums,
     weights,
 )
-from bayes_impedance.diagnosis.fit.outliers_alone import ends_of_outliers, search_the_only_person
+from bayes_impedance.diagnosis.fit.outliers_alone import ends_of_outliers, starts_of_the_only_person
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood
 from bayes_impedance.person.marginal_likelihood import LEAST_RHO
@@ -54,6 +54,10 @@ from bayes_impedance.population.em_state import PRIOR_PERSONS, SMALLEST_DISPERSI
 _LONGEST_STEP, _LONGEST_SHARE = 1.0, 0.3
 """Largest step of the additions, in prior standard deviations or units of the coefficient, and as a share of it if that
 is more: a filter in the middle of the band has 100 units. By choice."""
+
+_BEST_COPIES = 3
+"""Best ends of the only person that are fitted with the additions free. By choice: while these are held, a right valley
+may lie a little behind."""
 
 _ALONE_TRIES = 3
 """Starts of a round in which people who are described much worse than most are searched alone. By choice."""
@@ -124,7 +128,7 @@ class Refitter:
         varying = ~shared
         n = len(self.data)
         u = u.copy()
-        population = replace(population, covariance=_with_dispersions(model, population.covariance, population.mu))
+        population = replace(population, covariance=with_dispersions(model, population.covariance, population.mu))
         persons = _means(u[:, varying], self.owner, n)
         damping = np.full(n, 1e-3)
         equations = equations_at(model, self.stack, u, self.executor)
@@ -177,6 +181,8 @@ class Refitter:
             Hold population and additions.
         """
         rng = np.random.default_rng(seed)
+        if self.one_person:
+            return self._only_person_settled(fit, rng, rounds, hold)
         varying = ~fit.model.shared
         n = len(self.data)
         for _ in range(rounds):
@@ -189,9 +195,7 @@ class Refitter:
                 else:
                     draw = fit.population.mu + rng.normal(size=(n, factor.shape[0])) @ factor.T
                     start[:, varying] = draw[self.owner]
-                if self.one_person and k == 0:
-                    start = search_the_only_person(fit, fit.u, rng)
-                elif k < _ALONE_TRIES:
+                if k < _ALONE_TRIES:
                     start = ends_of_outliers(fit, start, rng)
                 trial = self.fit(fit.model, start, fit.population, 15, hold_population=True, hold_additions=True)
                 better = trial.evidence > best_evidence + 0.2
@@ -202,7 +206,19 @@ class Refitter:
             fit = self.fit(fit.model, best_u, fit.population, hold_population=hold, hold_additions=hold)
         return fit
 
-    # ------------------------------------------------------------------------------------------------ steps
+    def _only_person_settled(self, fit: Refit, rng: np.random.Generator, rounds: int, hold: bool) -> Refit:
+        """The same with one person, who is everybody: as many copies as there are starts are fitted at once."""
+        for _ in range(rounds):
+            starts = np.repeat(starts_of_the_only_person(fit, rng), len(fit.u), axis=0)
+            many = Refitter(self.data * (len(starts) // len(fit.u)), self.executor, one_person=True)
+            ends = many.fit(fit.model, starts, fit.population, 15, hold_population=True, hold_additions=True)
+            best = np.argsort(-np.nan_to_num(ends.evidence, nan=-np.inf), kind="stable")[:_BEST_COPIES]
+            again = [self.fit(fit.model, ends.u[ends.owner == k], fit.population, hold_additions=hold) for k in best]
+            better = max(again, key=lambda other: float(np.nan_to_num(other.evidence[0], nan=-np.inf)))
+            if not better.evidence[0] > fit.evidence[0] + 0.2:
+                break
+            fit = better
+        return fit
 
     def _objective(self, chi: np.ndarray, v: np.ndarray, persons: np.ndarray, population: Population) -> np.ndarray:
         """Negative log posterior of each person, shape (N,)."""
@@ -325,7 +341,7 @@ class Refitter:
                 moved[:, n_elements:] += own[:, varying]
                 follow = trial_u[:, :n_elements] - u[:, :n_elements]
                 moved[:, :n_elements] += _means(follow, self.owner, len(self.data))
-                shifted = replace(population, mu=mu, covariance=_with_dispersions(model, population.covariance, mu))
+                shifted = replace(population, mu=mu, covariance=with_dispersions(model, population.covariance, mu))
                 length = float(np.sqrt(max(step @ target.precision @ step, 0.0)))
                 return trial_u, moved, shifted, trial, length
             step = 0.3 * step
@@ -368,21 +384,6 @@ class Refitter:
         shift = np.abs(mu - population.mu) / sd
         stretch = np.abs(np.log(np.diag(covariance) / np.diag(population.covariance))) * 0.5
         return Population(mu, covariance, rho), float(max(shift.max(), stretch.max()))
-
-
-def _with_dispersions(model: Model, covariance: np.ndarray, mu: np.ndarray) -> np.ndarray:
-    """The covariance with the rows and columns of additions set from their dispersions, means and correlations."""
-    result = covariance.copy()
-    varying = [p for p in model.parameters if not p.shared]
-    for k, p in enumerate(varying, model.n_elements):
-        result[k] = result[:, k] = 0.0
-        result[k, k] = max(p.dispersion * (abs(mu[k]) if p.is_coefficient else 1.0), 1e-5) ** 2
-    for i, addition in enumerate(model.additions):
-        own = [k for k, p in enumerate(varying, model.n_elements) if p.addition == i]
-        if addition.correlation and len(own) > 1:
-            k, j = own[:2]
-            result[k, j] = result[j, k] = addition.correlation * np.sign(mu[k]) * np.sqrt(result[k, k] * result[j, j])
-    return result
 
 
 def _rho(population: Population) -> np.ndarray:

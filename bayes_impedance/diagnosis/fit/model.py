@@ -294,6 +294,21 @@ class _Reordered(Kernel):
         self.elements = tuple(order)
 
 
+def with_dispersions(model: Model, covariance: np.ndarray, mu: np.ndarray) -> np.ndarray:
+    """The covariance with the rows and columns of additions set from their dispersions, means and correlations."""
+    result = covariance.copy()
+    varying = [p for p in model.parameters if not p.shared]
+    for k, p in enumerate(varying, model.n_elements):
+        result[k] = result[:, k] = 0.0
+        result[k, k] = max(p.dispersion * (abs(mu[k]) if p.is_coefficient else 1.0), 1e-5) ** 2
+    for i, addition in enumerate(model.additions):
+        own = [k for k, p in enumerate(varying, model.n_elements) if p.addition == i]
+        if addition.correlation and len(own) > 1:
+            k, j = own[:2]
+            result[k, j] = result[j, k] = addition.correlation * np.sign(mu[k]) * np.sqrt(result[k, k] * result[j, j])
+    return result
+
+
 def inner_places(model: Model) -> dict[str, tuple[int, ...]]:
     """Path in the kernel's network of every place of the network as given; the port is the outermost."""
     inner, grown = _with_labels(model.network), model.kernel.network

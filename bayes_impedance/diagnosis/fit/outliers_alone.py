@@ -49,6 +49,10 @@ _ANYWHERE, _SPREAD = 64, 2.5
 _CHANGES = (-4.0, -2.0, 2.0, 4.0)
 """Changes of one log element from where the only person is. By choice: a wrong model leaves single elements wrong."""
 
+_APART, _VALLEYS = 0.3, 8
+"""Difference of a log element from which two ends are in different valleys, that of common solutions of a network; and
+largest number of valleys that are tried, by choice."""
+
 _FIRST_STEPS, _STEPS = 4, 40
 """Largest numbers of steps of the exact search, from all starts and from the best. By choice, the second as in the
 first fits."""
@@ -121,32 +125,38 @@ def search_alone(
     return start
 
 
-def search_the_only_person(fit: Refit, start: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """The start (M, P), or where a search of the only person with all parameters free has ended.
+def starts_of_the_only_person(fit: Refit, rng: np.random.Generator) -> np.ndarray:
+    """Starts of the only person's parameters, shape (S, P).
+
+    Where searches of the first recording with all parameters free have ended, one for each valley; and where the fit is
+    with one element changed.
 
     Parameters
     ----------
     fit : Refit
         Of one person.
-    start : ndarray, shape (M, P)
     rng : Generator
     """
     model, data = fit.model, fit.data[0]
-    n, size = model.n_elements, start.shape[1]
-    centre, sd = start[0].copy(), np.empty(size)
+    n, size = model.n_elements, fit.u.shape[1]
+    centre, sd = fit.u[0].copy(), np.empty(size)
     own = ~model.shared
     centre[own], sd[own] = fit.population.mu, np.sqrt(np.diag(fit.population.covariance))
     centre[n:], sd[n:] = [p.centre for p in model.parameters], [p.prior_sd for p in model.parameters]
     one = replace(
         data, z=data.z[:1], weight=data.weight[:1], deviations=np.zeros((1, size)), count=data.count / len(data.z)
     )  # fmt: skip
-    starts = np.tile(start[0], (_ANYWHERE, 1))
+    starts = np.tile(fit.u[0], (_ANYWHERE, 1))
     starts[:, :n] = centre[:n] + _SPREAD * rng.normal(size=(_ANYWHERE, n))
-    changed = np.tile(start[0], (n * len(_CHANGES), 1))
+    changed = np.tile(fit.u[0], (n * len(_CHANGES), 1))
     changed[np.arange(len(changed)), np.repeat(np.arange(n), len(_CHANGES))] += np.tile(_CHANGES, n)
-    starts = np.concatenate([start[:1], changed, starts])
+    starts = np.concatenate([fit.u[:1], changed, starts])
     precision = np.diag(sd**-2.0)
     near, values, _ = all_modes(model.kernel, one, starts, centre, precision, _FIRST_STEPS)
     best = np.argsort(values, kind="stable")[: 2 * _STARTS]
     ends, values, _ = all_modes(model.kernel, one, near[best], centre, precision, _STEPS)
-    return np.tile(ends[int(np.argmin(values))], (len(start), 1))
+    distinct: list[np.ndarray] = []
+    for k in np.argsort(values, kind="stable"):
+        if np.isfinite(values[k]) and all(np.abs(ends[k, :n] - other[:n]).max() > _APART for other in distinct):
+            distinct.append(ends[k])
+    return np.concatenate([distinct[:_VALLEYS], changed])
