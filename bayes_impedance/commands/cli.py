@@ -74,6 +74,7 @@ def _compare(options: argparse.Namespace) -> int:
     if options.networks is not None:
         return _compare_networks(options)
     from bayes_impedance.commands.comparison import compare_dataset
+    from bayes_impedance.network.spellings import in_both
 
     with Bars() as bars:
         comparison = compare_dataset(
@@ -82,7 +83,7 @@ def _compare(options: argparse.Namespace) -> int:
     for problem in comparison.problems:
         tell(f"NOT RELIABLE (population rows): {problem}")
     tell()
-    tell(f"{len(comparison.observed)} subject(s), network {comparison.network}")
+    tell(f"{len(comparison.observed)} subject(s), network {in_both(comparison.network, comparison.unit)}")
     tell("error of one curve for all (eq. 5), mean ± standard deviation over frequency")
     tell()
     tell(f"{'':32}{'the paper':20}{'|z|, ' + comparison.unit:>20}{'phase, deg':>20}  passive")
@@ -150,6 +151,8 @@ def _diagnose(options: argparse.Namespace) -> int:
 
 def _tell_verdict(verdict: Verdict) -> None:
     """Print a verdict. What was found is listed only if it can be relied on; `verdict.json` has it for the search."""
+    from bayes_impedance.network.spellings import in_both
+
     if not verdict.reliable:
         tell(f"NOT RELIABLE: {verdict.shortcomings[0] if verdict.shortcomings else 'the fit did not converge'}")
     for remark in verdict.remarks:
@@ -158,8 +161,13 @@ def _tell_verdict(verdict: Verdict) -> None:
     tell()
     tell(f"{verdict.summary}")
     tell()
+    tell(f"network {in_both(verdict.network[0], verdict.unit)}")
     if not verdict.reliable:
         return
+    extended = verdict.extended_network or verdict.network[1]
+    if extended != verdict.network[0]:
+        tell(f"with what was found: {in_both(extended, verdict.unit)}")
+    tell()
     for entry in verdict.physics:
         tell(f"{entry.id} at {entry.place} ({entry.side or 'rig or body not decided'}): {entry.name}")
         for name, row in entry.parameters.items():
@@ -211,9 +219,12 @@ def _export(options: argparse.Namespace) -> int:
 
 def _check(options: argparse.Namespace) -> int:
     from bayes_impedance.commands.checking import check_dataset
+    from bayes_impedance.network.spellings import in_both
 
     description, _, findings = check_dataset(options.dataset, options.network)
     for key, value in description.items():
+        if key == "network" and value:
+            value = in_both(value, description["unit"])
         shown = " to ".join(f"{v:.4g}" for v in dict.fromkeys(value)) if _is_range(value) else value
         label = key.replace("_hz", ", Hz").replace("_", " ")
         tell(f"{label:14} {(', '.join(map(str, value)) or 'none') if isinstance(shown, list) else shown}")
@@ -316,6 +327,8 @@ def _fit_options(options: argparse.Namespace) -> Any:
 
 def _finish(result: Result, last: str) -> int:
     """Print the result: problems first, then remarks, then the table."""
+    from bayes_impedance.network.spellings import in_both
+
     summary = result.summary
     for problem in summary["problems"]:
         tell(f"NOT RELIABLE: {problem}")
@@ -328,7 +341,7 @@ def _finish(result: Result, last: str) -> int:
         if remark not in misfit:
             tell(f"note: {remark}")
     tell()
-    tell(f"{summary['subjects']} subject(s), network {summary['network']}")
+    tell(f"{summary['subjects']} subject(s), network {in_both(summary['network'], summary['unit'])}")
     tell()
     tell(f"{'':6}{'unit':9}{'central value (90 %)':32}{'between persons':24}between repetitions")
     for name, element in summary["elements"].items():
