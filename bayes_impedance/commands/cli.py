@@ -295,16 +295,16 @@ _JOBS = {
 
 def _fit_options(options: argparse.Namespace) -> Any:
     from bayes_impedance.commands.jobs import FitOptions
-    from bayes_impedance.commands.proposed_network import before_in, proposed_network
+    from bayes_impedance.commands.proposed_network import plain_in, proposed_network
     from bayes_impedance.population.given_prior import read_prior
 
-    network, proposed, before = options.network, getattr(options, "proposed", None), None
+    network, proposed, plain = options.network, getattr(options, "proposed", None), None
     if proposed is not None:
         if network is not None:
             raise InputError(
                 "--network and --with exclude each other, because each names the network to fit; leave one out"
             )
-        network, before = proposed_network(proposed), before_in(proposed)
+        network, plain = proposed_network(proposed), plain_in(proposed)
         tell(f"network: {network}")
     return FitOptions(
         network=network,
@@ -317,7 +317,7 @@ def _fit_options(options: argparse.Namespace) -> Any:
         workers=options.workers,
         scheduler=options.scheduler,
         overwrite=options.overwrite,
-        before=before,
+        plain=plain,
         prior=None if options.priors is None else read_prior(options.priors),
     )
 

@@ -88,7 +88,7 @@ def compare_networks(
     entries = []
     with output_folder(out, TABLES, options.overwrite):
         for k, (candidate, folder) in enumerate(zip(candidates, folders, strict=True), start=1):
-            own = replace(options, network=candidate.network, prior=priors[k - 1])
+            own = replace(options, network=candidate.network, prior=priors[k - 1], with_before=False)
             result = candidate.result or (_finished(folder, recordings, own) if resume else None)
             if result is None:
                 result = fit_dataset(dataset, folder, own, resume, progress)

@@ -242,7 +242,7 @@ def error_table(result: Result) -> tuple[str, list[tuple[str, str, str]]]:
 
 
 def before_and_after(result: Result) -> list[tuple[str, str, str]]:
-    """What the effects that a diagnosis added change: quantity, before, and after; empty without a diagnosis."""
+    """What the additions to a network change: quantity, before, and after; empty if the network before is not known."""
     before = result.summary.get("before")
     if before is None:
         return []
