@@ -327,6 +327,7 @@ def _fit(
     checkpoint = out / CHECKPOINT_FOLDER
     with interrupted("the same command with --resume continues the fit where it was"):
         with executor_of(options.threads, options.workers, options.scheduler) as executor:
+            before = model_before(recordings, options, clock, executor, progress)
             fit = fit_population(
                 recordings,
                 options.network,
@@ -337,7 +338,6 @@ def _fit(
                 checkpoint=checkpoint,
                 executor=executor,
             )
-            before = model_before(recordings, options, clock, executor, progress)
             result = examined_result(fit, options, clock, executor, progress, findings, helper, before)
         remove(out, (*stale, *FIT_FILES))
         save_result(result, out)
