@@ -162,12 +162,12 @@ def _tell_verdict(verdict: Verdict) -> None:
     tell(f"{verdict.summary}")
     tell()
     tell(f"network {in_both(verdict.network[0], verdict.unit)}")
-    if not verdict.reliable:
-        return
     extended = verdict.extended_network or verdict.network[1]
-    if extended != verdict.network[0]:
+    if verdict.reliable and extended != verdict.network[0]:
         tell(f"with what was found: {in_both(extended, verdict.unit)}")
     tell()
+    if not verdict.reliable:
+        return
     for entry in verdict.physics:
         tell(f"{entry.id} at {entry.place} ({entry.side or 'rig or body not decided'}): {entry.name}")
         for name, row in entry.parameters.items():
