@@ -19,6 +19,9 @@ LARGEST_ELEMENT = 1e15
 LOWEST_HZ, HIGHEST_HZ = 1e-12, 1e15
 """Frequencies: a period of thirty thousand years, and light. Powers of s as high as networks have stay finite."""
 
+ELECTRICAL_UNIT = "ohm"
+"""Of the impedance of electrical recordings, which the force-voltage analogy describes."""
+
 NORMAL_Q95 = 1.6448536269514722
 """Half the width of a 90 % interval, the level of all intervals here, in standard errors: the 95 % quantile of the
 standard normal distribution."""

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from timing import ratio, seconds_of, spread
 
-from bayes_impedance.network.constructs import CONSTRUCTS
+from bayes_impedance.network.constructs import CONSTRUCTS, Construct
+from bayes_impedance.network.elements import KINDS
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
 
@@ -17,18 +18,24 @@ _POINTS, _SETS = 401, 64
 """The paper's grid, and sets per call, as a sampler asks for."""
 
 DAMPER = "r1"
+
+
+def _around_a_damper(construct: Construct, first: str) -> str:
+    return f"{construct.word}[{', '.join([first + '2', *(own[0] + '2' for own in construct.letters[1:])])}]({DAMPER})"
+
+
 NETWORKS = {
     DAMPER: DAMPER,
+    **{f"{letter}1": f"{letter}1" for letter in KINDS if f"{letter}1" != DAMPER},
     "r1-n1": "r1-n1",
     "p1^a1": "p1^a1",
     "p1^b1@100": "p1^b1@100",
     "p1^0.5": "p1^0.5",
-    **{
-        f"{c.word}[...](r1)": f"{c.word}[{', '.join(letters[0] + '2' for letters in c.letters)}](r1)"
-        for c in CONSTRUCTS.values()
-    },
+    **{f"{c.word}[...](r1)": _around_a_damper(c, c.letters[0][0]) for c in CONSTRUCTS.values()},
+    **{text: text for c in CONSTRUCTS.values() for first in c.letters[0][1:] for text in [_around_a_damper(c, first)]},
 }
-"""What is timed, by the name in the table: a group of two for comparison, power laws, every wrapper around a damper."""
+"""What is timed, by the name in the table: every element, a group of two for comparison, power laws, every wrapper
+around a damper with its first choice of parameter, and with the others."""
 
 
 def measure() -> dict[str, Any]:

@@ -11,6 +11,7 @@ from pathlib import Path
 from bayes_impedance.network.constructs import CONSTRUCTS, Construct
 from bayes_impedance.network.electrical import CIRCUIT_ELEMENTS
 from bayes_impedance.network.elements import KINDS
+from bayes_impedance.network.extensions import POWER_LAW_SOURCES
 from bayes_impedance.network.parameters import EXPONENTS, QUANTITIES
 from bayes_impedance.units import unit_of
 
@@ -23,7 +24,8 @@ _INTRODUCTION = """\
 
 A network is built from elements with `|` (one velocity: impedances add) and `-` (one force: mobilities add), as in
 `(n3|r3)-(m2|r1|n1)`. Here are all elements, and the wrappers that change the impedance of what is in their parentheses.
-z = F/v is the impedance, s = jω. By the analogy of force with voltage the same formulas are those of circuits.
+z = F/v is the impedance, s = jω. By the analogy of force with voltage the same formulas are those of circuits. Sources
+are given in full at the end.
 
 The first letter of a name says what it is; behind it may be any letters, digits and `_`. A parameter without a mark
 is each person's own; `m9*` is the same for everybody; `m9=0.0115` is held at that value, in the unit below.
@@ -52,7 +54,46 @@ _CIRCUITS = """\
 A network may be written as circuits are in impedance.py, `R0-p(R1,CPE1)-Wo1`: there `-` is series and `p(a,b)` is
 parallel, which is `|` and `a-b` here. `electrical` of `bayes_impedance.network.electrical` prints a network so, and
 `values_from_circuit` and `values_to_circuit` convert values. A constant-phase element's size is that at 1 rad/s.
+Passivity and source are those of what is written here.
 """
+
+REFERENCES = {
+    "Barsoukov and Macdonald 2005": "E. Barsoukov and J. R. Macdonald (eds.), Impedance Spectroscopy: Theory, "
+    "Experiment, and Applications, 2nd ed., Wiley-Interscience, 2005",
+    "Bishop 1955": "R. E. D. Bishop, The treatment of damping forces in vibration theory, Journal of the Royal "
+    "Aeronautical Society 59, 738-742, 1955",
+    "Blech 1983": "J. J. Blech, On isothermal squeeze films, Journal of Lubrication Technology 105, 615-620, 1983",
+    "Cole and Cole 1941": "K. S. Cole and R. H. Cole, Dispersion and absorption in dielectrics I. Alternating current "
+    "characteristics, Journal of Chemical Physics 9, 341-351, 1941",
+    "Cremer, Heckl and Ungar 1973": "L. Cremer, M. Heckl and E. E. Ungar, Structure-Borne Sound, Springer, 1973",
+    "Ewins 2000": "D. J. Ewins, Modal Testing: Theory, Practice and Application, 2nd ed., Research Studies Press, 2000 "
+    "(mass cancellation)",
+    "Griffin, Richardson and Yamanami 1966": "W. S. Griffin, H. H. Richardson and S. Yamanami, A study of fluid "
+    "squeeze-film damping, Journal of Basic Engineering 88, 451-456, 1966",
+    "Hixson 2002": "E. L. Hixson, Mechanical impedance, chapter 10 of C. M. Harris and A. G. Piersol (eds.), Harris' "
+    "Shock and Vibration Handbook, 5th ed., McGraw-Hill, 2002",
+    "Horowitz and Hill 2015": "P. Horowitz and W. Hill, The Art of Electronics, 3rd ed., Cambridge University Press, "
+    "2015 (chapter 1: RC filters)",
+    "ISO 7626-1:2011": "ISO 7626-1:2011, Mechanical vibration and shock. Experimental determination of mechanical "
+    "mobility. Part 1: Basic terms and definitions, and transducer specifications (calibration)",
+    "Koeller 1984": "R. C. Koeller, Applications of fractional calculus to the theory of viscoelasticity, Journal of "
+    "Applied Mechanics 51, 299-307, 1984",
+    "Mirbagheri, Barbeau and Kearney 2000": "M. M. Mirbagheri, H. Barbeau and R. E. Kearney, Intrinsic and reflex "
+    "contributions to human ankle stiffness: variation with activation level and position, Experimental Brain Research "
+    "135, 423-436, 2000",
+    "Neumark 1962": "S. Neumark, Concept of complex stiffness applied to problems of oscillations with viscous and "
+    "hysteretic damping, Aeronautical Research Council Reports and Memoranda 3269, 1962",
+    "Olson 1943": "H. F. Olson, Dynamical Analogies, Van Nostrand, 1943",
+    "Oppenheim and Willsky 1997": "A. V. Oppenheim and A. S. Willsky with S. H. Nawab, Signals and Systems, 2nd ed., "
+    "Prentice Hall, 1997 (time shift of the Laplace transform)",
+    "Scott Blair 1947": "G. W. Scott Blair, The role of psychophysics in rheology, Journal of Colloid Science 2, "
+    "21-32, 1947",
+    "Vanderkooy 1989": "J. Vanderkooy, A model of loudspeaker driver impedance incorporating eddy currents in the pole "
+    "structure, Journal of the Audio Engineering Society 37, 119-128, 1989",
+    "Warburg 1899": "E. Warburg, Ueber das Verhalten sogenannter unpolarisirbarer Elektroden gegen Wechselstrom, "
+    "Annalen der Physik und Chemie 303, 493-499, 1899",
+}
+"""What the column of sources names, by these names."""
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -74,20 +115,44 @@ def quantities() -> str:
     return table(["letter", "is a", "unit", "in circuits", "scale", ""], rows)
 
 
+def units(letters: Sequence[str]) -> str:
+    """Units of parameters with these first letters, of a mechanical one-port."""
+    return ", ".join(f"`{letter}`: {unit_of(QUANTITIES[letter].unit, 'N s/m') or '1'}" for letter in letters)
+
+
+def law_source(letters: str) -> str:
+    """Where a power law with these parameters is from; that with a held exponent of a half is Warburg's too."""
+    source = POWER_LAW_SOURCES["b" if "b" in letters else "a"]
+    return source if len(letters) > 1 else f"{source}; Warburg 1899"
+
+
 def leaves() -> str:
     """Masses, compliances, dampers, power laws."""
     circuits = {e.names[0][0]: word for word, e in CIRCUIT_ELEMENTS.items() if len(e.names) == 1 and word != "W"}
     rows = [
-        [f"`{letter}1`", kind.name, f"`{_FORMULAS[letter]}`", "yes", f"`{circuits[letter]}1`"]
+        [
+            f"`{letter}1`",
+            kind.name,
+            f"`{_FORMULAS[letter]}`",
+            units(letter),
+            "yes",
+            f"`{circuits[letter]}1`",
+            kind.source,
+        ]
         for letter, kind in KINDS.items()
     ]
-    rows += [
-        ["`p1^a1`", "power law between spring (a = 0) and damper (a = 1)", "`p s^(a-1)`", "yes", "`CPE1`"],
-        ["`p1^b1`", "power law between damper (b = 1) and mass (b = 2)", "`p s^(b-1)`", "yes", "`La1`"],
-        ["`p1^0.5`", "the same with a held exponent", "`p/sqrt(s)`", "yes", "`W1`"],
-        ["`p1^a1@100`", "the same with its size at 100 Hz", "`p (s/(2 pi 100))^(a-1)`", "yes", "none"],
+    slow, fast = "between spring (a = 0) and damper (a = 1)", "between damper (b = 1) and mass (b = 2)"
+    laws = [
+        ("p1^a1", f"power law {slow}", "p s^(a-1)", "pa", "`CPE1`"),
+        ("p1^b1", f"power law {fast}", "p s^(b-1)", "pb", "`La1`"),
+        ("p1^0.5", "the same with a held exponent", "p/sqrt(s)", "p", "`W1`"),
+        ("p1^a1@100", "the same with its size at 100 Hz", "p (s/(2 pi 100))^(a-1)", "pa", "none"),
     ]
-    return table(["written", "is a", "z", "passive", "in circuits"], rows)
+    rows += [
+        [f"`{law}`", what, f"`{z}`", units(letters), "yes", circuit, law_source(letters)]
+        for law, what, z, letters, circuit in laws
+    ]
+    return table(["written", "is a", "z", "units", "passive", "in circuits", "source"], rows)
 
 
 def passive(construct: Construct) -> str:
@@ -108,18 +173,20 @@ def wrappers() -> str:
             for first in construct.letters[0]
         )
         sign = "either" if construct.signed else "above zero"
+        letters = [letter for choice in construct.letters for letter in choice]
         rows.append(
             [
                 written,
                 f"`{construct.text}`",
                 construct.story,
+                units(letters),
                 sign,
                 passive(construct),
                 circuits.get(word, "none"),
                 construct.source,
             ]
         )
-    head = ["written", "z becomes", "", "sign where shared or held", "passive", "in circuits", "source"]
+    head = ["written", "z becomes", "", "units", "sign where shared or held", "passive", "in circuits", "source"]
     return table(head, rows)
 
 
@@ -130,6 +197,11 @@ def circuits() -> str:
         for e in CIRCUIT_ELEMENTS.values()
     ]
     return table(["circuits", "z", "here", "conversion"], rows)
+
+
+def references() -> str:
+    """Every source in full."""
+    return table(["source", "in full"], [[name, full] for name, full in REFERENCES.items()])
 
 
 def page() -> str:
@@ -148,6 +220,8 @@ def page() -> str:
         "## The spelling of circuits\n",
         _CIRCUITS,
         circuits(),
+        "## Sources\n",
+        references(),
     ]
     return "\n".join(parts)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -237,3 +238,17 @@ MISFITS = {
     "more scatter expected": {"ranks": (0.97, 0.99)},
 }
 """Residuals that are more than noise: pages and sentences of them; their pictures are those of the others."""
+
+
+def described_worse(result: Result) -> SimpleNamespace:
+    """A network that describes the recordings of a result by hand worse, as if something had been added to it."""
+    kept = result.groups["constant_data"]
+    return SimpleNamespace(
+        magnitude=2 * kept["band_recording"][0, [0, 2, 4]],
+        phase_deg=kept["band_recording"][1, [0, 2, 4]],
+        delta_magnitude=3 * kept["error_population_network"][0],
+        delta_phase_deg=4 * kept["error_population_network"][1],
+        coverage90=0.5 * kept["coverage_90"],
+        subject_rms_relative=np.full(len(kept["observed_re"]), 0.1),
+        person_curve=0.5 * (kept["observed_re"] + 1j * kept["observed_im"]),
+    )

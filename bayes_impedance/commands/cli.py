@@ -74,6 +74,7 @@ def _compare(options: argparse.Namespace) -> int:
     if options.networks is not None:
         return _compare_networks(options)
     from bayes_impedance.commands.comparison import compare_dataset
+    from bayes_impedance.network.spellings import in_both
 
     with Bars() as bars:
         comparison = compare_dataset(
@@ -82,7 +83,7 @@ def _compare(options: argparse.Namespace) -> int:
     for problem in comparison.problems:
         tell(f"NOT RELIABLE (population rows): {problem}")
     tell()
-    tell(f"{len(comparison.observed)} subject(s), network {comparison.network}")
+    tell(f"{len(comparison.observed)} subject(s), network {in_both(comparison.network, comparison.unit)}")
     tell("error of one curve for all (eq. 5), mean ± standard deviation over frequency")
     tell()
     tell(f"{'':32}{'the paper':20}{'|z|, ' + comparison.unit:>20}{'phase, deg':>20}  passive")
@@ -150,6 +151,8 @@ def _diagnose(options: argparse.Namespace) -> int:
 
 def _tell_verdict(verdict: Verdict) -> None:
     """Print a verdict. What was found is listed only if it can be relied on; `verdict.json` has it for the search."""
+    from bayes_impedance.network.spellings import in_both
+
     if not verdict.reliable:
         tell(f"NOT RELIABLE: {verdict.shortcomings[0] if verdict.shortcomings else 'the fit did not converge'}")
     for remark in verdict.remarks:
@@ -157,6 +160,11 @@ def _tell_verdict(verdict: Verdict) -> None:
             tell(f"note: {remark}")
     tell()
     tell(f"{verdict.summary}")
+    tell()
+    tell(f"network {in_both(verdict.network[0], verdict.unit)}")
+    extended = verdict.extended_network or verdict.network[1]
+    if verdict.reliable and extended != verdict.network[0]:
+        tell(f"with what was found: {in_both(extended, verdict.unit)}")
     tell()
     if not verdict.reliable:
         return
@@ -211,9 +219,12 @@ def _export(options: argparse.Namespace) -> int:
 
 def _check(options: argparse.Namespace) -> int:
     from bayes_impedance.commands.checking import check_dataset
+    from bayes_impedance.network.spellings import in_both
 
     description, _, findings = check_dataset(options.dataset, options.network)
     for key, value in description.items():
+        if key == "network" and value:
+            value = in_both(value, description["unit"])
         shown = " to ".join(f"{v:.4g}" for v in dict.fromkeys(value)) if _is_range(value) else value
         label = key.replace("_hz", ", Hz").replace("_", " ")
         tell(f"{label:14} {(', '.join(map(str, value)) or 'none') if isinstance(shown, list) else shown}")
@@ -284,16 +295,16 @@ _JOBS = {
 
 def _fit_options(options: argparse.Namespace) -> Any:
     from bayes_impedance.commands.jobs import FitOptions
-    from bayes_impedance.commands.proposed_network import before_in, proposed_network
+    from bayes_impedance.commands.proposed_network import plain_in, proposed_network
     from bayes_impedance.population.given_prior import read_prior
 
-    network, proposed, before = options.network, getattr(options, "proposed", None), None
+    network, proposed, plain = options.network, getattr(options, "proposed", None), None
     if proposed is not None:
         if network is not None:
             raise InputError(
                 "--network and --with exclude each other, because each names the network to fit; leave one out"
             )
-        network, before = proposed_network(proposed), before_in(proposed)
+        network, plain = proposed_network(proposed), plain_in(proposed)
         tell(f"network: {network}")
     return FitOptions(
         network=network,
@@ -306,7 +317,7 @@ def _fit_options(options: argparse.Namespace) -> Any:
         workers=options.workers,
         scheduler=options.scheduler,
         overwrite=options.overwrite,
-        before=before,
+        plain=plain,
         prior=None if options.priors is None else read_prior(options.priors),
     )
 
@@ -316,6 +327,8 @@ def _fit_options(options: argparse.Namespace) -> Any:
 
 def _finish(result: Result, last: str) -> int:
     """Print the result: problems first, then remarks, then the table."""
+    from bayes_impedance.network.spellings import in_both
+
     summary = result.summary
     for problem in summary["problems"]:
         tell(f"NOT RELIABLE: {problem}")
@@ -328,7 +341,7 @@ def _finish(result: Result, last: str) -> int:
         if remark not in misfit:
             tell(f"note: {remark}")
     tell()
-    tell(f"{summary['subjects']} subject(s), network {summary['network']}")
+    tell(f"{summary['subjects']} subject(s), network {in_both(summary['network'], summary['unit'])}")
     tell()
     tell(f"{'':6}{'unit':9}{'central value (90 %)':32}{'between persons':24}between repetitions")
     for name, element in summary["elements"].items():

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bayes_impedance.commands.proposed_network import plain_network
 from bayes_impedance.commands.result_folders import FIT_FILES, PICTURE_FOLDER, page_files, remove
 from bayes_impedance.runtime.clock import Clock
 from bayes_impedance.runtime.output_folder import output_folder
@@ -18,8 +18,14 @@ if TYPE_CHECKING:
     from bayes_impedance.diagnosis import Diagnosis
     from bayes_impedance.population.fit import PopulationFit
     from bayes_impedance.quality.checks import Finding
+    from bayes_impedance.recordings.files import Recordings
+    from bayes_impedance.results.model_before import ModelBefore
     from bayes_impedance.results.result import Result
     from bayes_impedance.runtime.progress import Progress
+
+_MOST_DESCRIBED = 1000
+"""Most subjects for whom the network without its additions is fitted too. By choice, as for the check of the
+recordings: it loads all of them into memory."""
 
 
 def examined_result(
@@ -30,9 +36,26 @@ def examined_result(
     progress: Progress,
     findings: Sequence[Finding],
     helper: Executor | None = None,
+    before: ModelBefore | None = None,
 ) -> Result:
-    """The fit examined, with its predictions; `findings` are those of the recordings."""
+    """The fit examined, with its predictions.
+
+    Parameters
+    ----------
+    fit : PopulationFit
+    options : FitOptions
+    clock : Clock
+    executor : Executor
+    progress : callable
+    findings : sequence of Finding
+        Of the recordings.
+    helper : Executor, optional
+        Another process, which prepares for the pictures.
+    before : ModelBefore, optional
+        The network to which something was added.
+    """
     from bayes_impedance.diagnosis.examine import examine
+    from bayes_impedance.results.model_before import with_model_before
     from bayes_impedance.results.predictive import predict
     from bayes_impedance.results.result import make_result
 
@@ -50,25 +73,44 @@ def examined_result(
         predictive = predict(fit, seed=options.seed)
         progress("predictions", 1, 1)
     told = [f.message for f in findings if f.severity == "warning"]
-    return make_result(fit, predictive, clock.seconds, options.subjects, adequacy, told, options.before)
+    said = None if before is None else before.summary()
+    result = make_result(fit, predictive, clock.seconds, options.subjects, adequacy, told, said)
+    return result if before is None else with_model_before(result, before)
+
+
+def model_before(
+    recordings: Recordings, options: FitOptions, clock: Clock, executor: Executor, progress: Progress
+) -> ModelBefore | None:
+    """The network to which the fitted one adds something, described as a diagnosis describes it.
+
+    None if no such network is known, or for a comparison of networks, which describes each of them anyway.
+    """
+    network = plain_network(recordings, options)
+    if network is None or len(recordings.subjects) > _MOST_DESCRIBED:
+        return None
+    from bayes_impedance.diagnosis.verdict.model_bands import described
+    from bayes_impedance.results.model_before import ModelBefore
+
+    def of_it(stage: str, done: int, total: int) -> None:
+        progress(f"the network before: {stage}", done, total)
+
+    with clock.measure("network before"):
+        return ModelBefore(network, described(recordings, network, options.seed, executor, of_it))
 
 
 def write_extended(
     diagnosis: Diagnosis, out: Path, options: FitOptions, executor: Executor, progress: Progress
 ) -> Result:
     """The population of the network with what was found as an ordinary result: files, pictures and report."""
-    from bayes_impedance.diagnosis.verdict_file import before_of
-    from bayes_impedance.results.model_before import with_model_before
+    from bayes_impedance.results.model_before import ModelBefore
     from bayes_impedance.results.result import save_result
 
     fit = diagnosis.fit
     assert fit is not None  # there is an extended network
-    options = replace(options, before=before_of(diagnosis.verdict))
+    before = ModelBefore(diagnosis.verdict.network[0], diagnosis.before)
     pages = page_files()
     with output_folder(out, [*FIT_FILES, *pages], options.overwrite):
-        result = examined_result(fit, options, Clock(), executor, progress, ())
-        before = diagnosis.before
-        result = with_model_before(result, before.magnitude, before.phase_deg, before.person_curve)
+        result = examined_result(fit, options, Clock(), executor, progress, (), before=before)
         remove(out, (*pages, *FIT_FILES))
         save_result(result, out)
         write_pages(result, out, (), progress)

@@ -8,13 +8,13 @@ from there if it is started again with the same arguments, and gives the same nu
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from bayes_impedance.commands.checking import require_quantity
-from bayes_impedance.commands.finished_fit import examined_result, write_extended, write_pages
+from bayes_impedance.commands.finished_fit import examined_result, model_before, write_extended, write_pages
 from bayes_impedance.commands.result_folders import (
     CHECKPOINT_FOLDER,
     DIAGNOSIS_CHECKPOINT_FOLDER,
@@ -81,8 +81,10 @@ class FitOptions:
         Address of a Dask scheduler whose workers run the computations of single persons; does not change the result.
     overwrite : bool
         Replace files with the names of the results that this package did not write.
-    before : mapping or None
-        Network and errors before a diagnosis added what was missing, for the report.
+    plain : str or None
+        The network to which a diagnosis added what was missing.
+    with_before : bool
+        Describe that network too, or the dataset's own if `network` extends it, for the report.
     prior : GivenPrior or None
         What replaces the default prior.
     """
@@ -97,7 +99,8 @@ class FitOptions:
     workers: int | None = None
     scheduler: str | None = None
     overwrite: bool = False
-    before: Mapping[str, Any] | None = None
+    plain: str | None = None
+    with_before: bool = True
     prior: GivenPrior | None = None
 
     @property
@@ -324,6 +327,7 @@ def _fit(
     checkpoint = out / CHECKPOINT_FOLDER
     with interrupted("the same command with --resume continues the fit where it was"):
         with executor_of(options.threads, options.workers, options.scheduler) as executor:
+            before = model_before(recordings, options, clock, executor, progress)
             fit = fit_population(
                 recordings,
                 options.network,
@@ -334,7 +338,7 @@ def _fit(
                 checkpoint=checkpoint,
                 executor=executor,
             )
-            result = examined_result(fit, options, clock, executor, progress, findings, helper)
+            result = examined_result(fit, options, clock, executor, progress, findings, helper, before)
         remove(out, (*stale, *FIT_FILES))
         save_result(result, out)
     discard(checkpoint)

@@ -88,7 +88,7 @@ def compare_networks(
     entries = []
     with output_folder(out, TABLES, options.overwrite):
         for k, (candidate, folder) in enumerate(zip(candidates, folders, strict=True), start=1):
-            own = replace(options, network=candidate.network, prior=priors[k - 1])
+            own = replace(options, network=candidate.network, prior=priors[k - 1], with_before=False)
             result = candidate.result or (_finished(folder, recordings, own) if resume else None)
             if result is None:
                 result = fit_dataset(dataset, folder, own, resume, progress)
@@ -287,12 +287,11 @@ def lines_of(comparison: NetworkComparison) -> list[str]:
     entries, rows = comparison.entries, comparison.rows()
     lines = []
     for entry in entries:
-        name = entry.result.attributes["network"]
-        lines += [f"NOT RELIABLE ({name}): {problem}" for problem in entry.result.problems]
-        lines += [f"MISFIT ({name}): {sentence}" for sentence in entry.result.summary["adequacy"]["misfit"]]
+        lines += [f"NOT RELIABLE ({entry.shown}): {problem}" for problem in entry.result.problems]
+        lines += [f"MISFIT ({entry.shown}): {sentence}" for sentence in entry.result.summary["adequacy"]["misfit"]]
     unit = entries[0].result.attributes["unit"]
     lines += ["", f"{len(entries[0].left_out.subjects)} subjects, each predicted from all others", ""]
-    width = max(len("network"), *(len(row["network"]) for row in rows)) + 2
+    width = max(len("network"), *(len(entry.shown) for entry in entries)) + 2
     lines.append(
         f"{'network':{width}}{'elpd':>12}{'less than best':>22}{'worst k':>9}{'|z|, ' + unit:>16}{'phase, deg':>12}"
         f"{'own rms, %':>12}"
@@ -302,7 +301,7 @@ def lines_of(comparison: NetworkComparison) -> list[str]:
         worst = "-" if row["pareto_k_max"] is None else f"{row['pareto_k_max']:.2f}"
         mark = ("*" if row["doubtful"] else "") + ("" if row["reliable"] else "!")
         lines.append(
-            f"{row['network']:{width}}{row['elpd']:12.1f}{behind:>22}{worst + mark:>9}{row['delta_magnitude']:16.3g}"
+            f"{entry.shown:{width}}{row['elpd']:12.1f}{behind:>22}{worst + mark:>9}{row['delta_magnitude']:16.3g}"
             f"{row['delta_phase_deg']:12.3g}{100 * row['relative_rms_median']:12.3g}"
         )
     lines.append("")
@@ -317,8 +316,7 @@ def lines_of(comparison: NetworkComparison) -> list[str]:
     lines.append(
         "elpd: log predictive density, summed over subjects, each predicted from all others; ±: one standard error"
     )
-    same = [e.result.attributes["network"] for e in comparison.as_good]
-    best = comparison.best.result.attributes["network"]
+    same, best = [entry.shown for entry in comparison.as_good], comparison.best.shown
     if comparison.best.result.problems:
         lines.append("no fit is reliable, so none is named the best")
     elif same:

@@ -1,16 +1,18 @@
-"""The network that a diagnosis proposes, for ``run --with`` and ``compare --networks``."""
+"""The network that a diagnosis proposes, for ``run --with`` and ``compare --networks``, and the one it was added to."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from bayes_impedance.commands.result_folders import VERDICT_FILE
 from bayes_impedance.errors import InputError
 from bayes_impedance.runtime.input_files import read_json
 
 if TYPE_CHECKING:
+    from bayes_impedance.commands.jobs import FitOptions
     from bayes_impedance.diagnosis.verdict_types import Verdict
+    from bayes_impedance.recordings.files import Recordings
 
 
 def proposed_network(file: Path) -> str:
@@ -39,17 +41,40 @@ def proposed_network(file: Path) -> str:
     return after
 
 
-def before_in(file: Path) -> dict[str, Any] | None:
-    """Network and errors before anything was added, from the same file; None if the verdict has no comparison.
+def plain_in(file: Path) -> str | None:
+    """Notation of the network without what the diagnosis found, from the same file; None if nothing was added.
 
     Raises
     ------
     InputError
         If it is no verdict of this version.
     """
-    from bayes_impedance.diagnosis.verdict_file import before_of
+    plain = _read(file).network[0]
+    return None if proposed_network(file) == plain else plain
 
-    return before_of(_read(file))
+
+def plain_network(recordings: Recordings, options: FitOptions) -> str | None:
+    """The network to which the fitted one adds something: that of the verdict, or the dataset's own if it is extended.
+
+    Parameters
+    ----------
+    recordings : Recordings
+    options : FitOptions
+    """
+    from bayes_impedance.network.additions import extends
+    from bayes_impedance.network.notation import parse
+
+    given, own = options.network, recordings.network
+    if not options.with_before:
+        return None
+    if options.plain is not None:
+        return options.plain
+    if given is None or own is None:
+        return None
+    try:
+        return own if extends(parse(given), parse(own)) else None
+    except InputError:  # the dataset's own network cannot be read: it is not used
+        return None
 
 
 def _path(file: Path) -> Path:

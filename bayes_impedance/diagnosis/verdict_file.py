@@ -228,19 +228,3 @@ def _pair(values: Any) -> Pair:
 def _number(value: float | None) -> float:
     """A number of the file, in which null stands for a non-finite number."""
     return math.nan if value is None else value
-
-
-def before_of(verdict: Verdict) -> dict[str, Any] | None:
-    """Network and errors before anything was added, as ``summary.json`` of the extended network keeps them.
-
-    None if nothing was added.
-
-    Parameters
-    ----------
-    verdict : Verdict
-    """
-    change = verdict.improvement
-    if change is None or verdict.extended_network is None:
-        return None
-    pairs = ("delta_magnitude", "delta_phase_deg", "subject_rms_relative", "coverage90")
-    return {"network": verdict.network[0]} | {name: _plain(getattr(change, name)[0]) for name in pairs}

@@ -3,7 +3,8 @@
 Input: notation such as ``(n3|r3)-(m2|r1|n1)``, or circuits such as ``R0-p(R1,CPE1)``. Output: impedance over frequency
 with its derivatives. Open :mod:`.notation` first (the text), then :mod:`.tree` and :mod:`.elements` (mass, compliance,
 damper), :mod:`.parameters` and :mod:`.constructs` (power laws, wrappers; what is shared or held), :mod:`.program` (the
-network as arrays) and :mod:`.kernel` (compiled evaluation). :mod:`.electrical` reads and prints circuits.
+network as arrays) and :mod:`.kernel` (compiled evaluation). :mod:`.electrical` reads and prints circuits,
+and :mod:`.spellings` says where the user is shown both spellings.
 :mod:`.operations` is the table of operations on the impedance of a place, :mod:`.transform` their formulas,
 :mod:`.rational` the network as a ratio of polynomials. :mod:`.redundancy` says what no recording can tell apart,
 :mod:`.passivity` whether a network is passive by construction. :mod:`.schematic` draws it.

@@ -74,7 +74,7 @@ class Construct:
     story : str
         One sentence of explanation.
     source : str
-        Where the formula is from; empty for what follows from its definition.
+        Where the formula is from.
     """
 
     word: str
@@ -85,7 +85,7 @@ class Construct:
     formula: Formula
     text: str
     story: str
-    source: str = ""
+    source: str
 
     def __reduce__(self) -> tuple[Callable[[str], Construct], tuple[str]]:
         """By its word: worker processes have the same table, and its functions cannot be sent to them."""
@@ -154,6 +154,9 @@ def _squeeze_film(s: np.ndarray, z: np.ndarray, x: Sequence[np.ndarray], _: Sequ
     return np.asarray(z + x[0] * film)
 
 
+_LINES = "Cremer, Heckl and Ungar 1973; Warburg 1899; Barsoukov and Macdonald 2005"
+"""Of lines with mass, of diffusion at an electrode, and of both ends of a line of diffusion."""
+
 _FRACTION = 12
 """Terms of the continued fraction of a squeeze film: the next one is below 1e-20 of it for abs(w) < 1."""
 
@@ -169,6 +172,7 @@ CONSTRUCTS: dict[str, Construct] = {
             formula=lambda s, z, x, _: z * np.exp(-s * x[0]),
             text="z exp(-s d)",
             story="One channel is delayed with respect to the other.",
+            source="Oppenheim and Willsky 1997",
         ),
         Construct(
             word="highpass",
@@ -178,6 +182,7 @@ CONSTRUCTS: dict[str, Construct] = {
             formula=_filtered(low=False),
             text="z s/(s + 2 pi f)",
             story="The force channel loses low frequencies that the motion channel keeps; f < 0: the reverse.",
+            source="Horowitz and Hill 2015",
         ),
         Construct(
             word="lowpass",
@@ -187,6 +192,7 @@ CONSTRUCTS: dict[str, Construct] = {
             formula=_filtered(low=True),
             text="z/(1 + s t)",
             story="The force channel loses high frequencies that the motion channel keeps; t < 0: the reverse.",
+            source="Horowitz and Hill 2015",
         ),
         Construct(
             word="gain",
@@ -196,6 +202,7 @@ CONSTRUCTS: dict[str, Construct] = {
             formula=lambda _s, z, x, _: z * x[0],
             text="g z",
             story="A wrong sensitivity (calibration factor). The elements can absorb it, so hold it at a known value.",
+            source="ISO 7626-1:2011",
         ),
         Construct(
             word="hysteretic",
@@ -205,7 +212,7 @@ CONSTRUCTS: dict[str, Construct] = {
             formula=lambda _s, z, x, _: z * (1 + 1j * x[0]),
             text="z (1 + j e)",
             story="A spring that loses the same share of its energy in each cycle, at every frequency.",
-            source="Neumark 1962; Bishop 1955 (structural damping)",
+            source="Neumark 1962; Bishop 1955",
         ),
         Construct(
             word="offset",
@@ -216,6 +223,7 @@ CONSTRUCTS: dict[str, Construct] = {
             formula=lambda s, z, x, letters: z + x[0] * s ** _POWER_OF_S[letters[0]],
             text="z + s m, z + r or z + k/s",
             story="A mass, damper or stiffness that was subtracted incompletely, or, if negative, in excess.",
+            source="Ewins 2000",
         ),
         Construct(
             word="line_free",
@@ -226,7 +234,7 @@ CONSTRUCTS: dict[str, Construct] = {
             text="sqrt(y z) coth sqrt(y/z)",
             story="A layer with distributed mass (or resistance); its far side does not move (in circuits: an open "
             "end). A layer whose far side is mechanically free is `line_fixed`.",
-            source="Warburg 1899; Barsoukov and Macdonald 2005, section 2.1.3",
+            source=_LINES,
         ),
         Construct(
             word="line_fixed",
@@ -237,7 +245,7 @@ CONSTRUCTS: dict[str, Construct] = {
             text="sqrt(y z) tanh sqrt(y/z)",
             story="The same layer; no force acts on its far side, which moves freely (in circuits: a short circuit). A "
             "layer whose far side is held is `line_free`.",
-            source="Warburg 1899; Barsoukov and Macdonald 2005, section 2.1.3",
+            source=_LINES,
         ),
         Construct(
             word="line_matched",
@@ -247,7 +255,7 @@ CONSTRUCTS: dict[str, Construct] = {
             formula=_matched_line,
             text="sqrt(y z)",
             story="The same layer of infinite thickness: no reflection from the far side.",
-            source="Warburg 1899; Barsoukov and Macdonald 2005, section 2.1.3",
+            source=_LINES,
         ),
         Construct(
             word="reflex",
@@ -266,7 +274,7 @@ CONSTRUCTS: dict[str, Construct] = {
             passive=True,
             formula=_squeeze_film,
             text="z + 3 r (w - sqrt(w) tanh sqrt(w))/w^2, w = s t",
-            story="A film of liquid that is pressed out between two plates: a damper when slow, a spring when fast.",
+            story="A film of a compressible fluid between two plates: a damper when slow, a spring when fast.",
             source="Griffin, Richardson and Yamanami 1966; Blech 1983",
         ),
     )

@@ -28,7 +28,7 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.units import unit_of
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Kind:
     """A kind of element: mass, compliance or damper.
 
@@ -44,6 +44,8 @@ class Kind:
         Power of s in the impedance.
     story : str
         One sentence of explanation for the report.
+    source : str
+        Where the formula is from.
     """
 
     letter: str
@@ -51,6 +53,7 @@ class Kind:
     exponent: int
     power: int
     story: str
+    source: str
 
     def impedance(self, s: npt.ArrayLike, value: npt.ArrayLike) -> np.ndarray:
         """Impedance at complex frequency s.
@@ -81,9 +84,33 @@ class Kind:
         return unit_of(self.letter, impedance_unit)
 
 
-MASS = Kind("m", "mass", +1, +1, "Inertia: force proportional to acceleration.")
-COMPLIANCE = Kind("n", "compliance", -1, -1, "Elasticity: displacement per force (1/stiffness).")
-DAMPER = Kind("r", "damper", +1, 0, "Viscous loss: force proportional to velocity.")
+_ANALOGIES = "Olson 1943; Hixson 2002"
+"""Of all three kinds: their impedances in mechanics, acoustics and circuits."""
+
+MASS = Kind(
+    letter="m",
+    name="mass",
+    exponent=+1,
+    power=+1,
+    story="Inertia: force proportional to acceleration.",
+    source=_ANALOGIES,
+)
+COMPLIANCE = Kind(
+    letter="n",
+    name="compliance",
+    exponent=-1,
+    power=-1,
+    story="Elasticity: displacement per force (1/stiffness).",
+    source=_ANALOGIES,
+)
+DAMPER = Kind(
+    letter="r",
+    name="damper",
+    exponent=+1,
+    power=0,
+    story="Viscous loss: force proportional to velocity.",
+    source=_ANALOGIES,
+)
 
 KINDS: dict[str, Kind] = {kind.letter: kind for kind in (MASS, COMPLIANCE, DAMPER)}
 

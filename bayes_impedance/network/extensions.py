@@ -30,6 +30,9 @@ from bayes_impedance.network.tree import Network, require_allowed, require_disti
 RADIAN_PER_SECOND = 1 / (2 * np.pi)
 """Reference frequency in Hz of a power law without one: its size is then the c of c s^(a-1)."""
 
+POWER_LAW_SOURCES = {"a": "Scott Blair 1947; Koeller 1984; Cole and Cole 1941", "b": "Vanderkooy 1989"}
+"""Where the formula is from by the exponent's letter: springpots and constant-phase elements; semi-inductances."""
+
 
 @dataclass(frozen=True, repr=False)
 class PowerLaw(Network):

@@ -8,7 +8,7 @@ import numpy as np
 
 from bayes_impedance.population.natural_scales import LOG_SD
 from bayes_impedance.results.result import Result
-from bayes_impedance.units import Scale, scale_for
+from bayes_impedance.units import ELECTRICAL_UNIT, Scale, scale_for
 
 
 def variable(result: Result, name: str) -> np.ndarray | None:
@@ -92,7 +92,7 @@ def element_scale(result: Result, element: int) -> Scale:
 
 def is_electrical(result: Result) -> bool:
     """Whether the recordings are of an electrical one-port, described by the force-voltage analogy."""
-    return str(result.attributes["unit"]) == "ohm"
+    return str(result.attributes["unit"]) == ELECTRICAL_UNIT
 
 
 def is_simulated(result: Result) -> bool:

@@ -14,6 +14,9 @@ from bayes_impedance.units import Scale, scale_for
 NINETY_SD = 1.645
 """Half the width of a normal variable's 90 % interval in standard deviations."""
 
+BEFORE = "the network before"
+"""How charts call the network to which something was added."""
+
 
 def magnitude_scale(result: Result) -> Scale:
     """Prefix and unit of |z| on all charts of a result."""
@@ -21,7 +24,7 @@ def magnitude_scale(result: Result) -> Scale:
 
 
 def has_before(result: Result) -> bool:
-    """Whether the result holds what the network described before a diagnosis added something to it."""
+    """Whether the result holds what the network described before something was added to it."""
     return variable(result, "before_band_recording") is not None
 
 
@@ -130,7 +133,7 @@ def bands(result: Result) -> Chart:
         if earlier is not None:
             low, median, high = earlier[part] / by
             before_bands = (Ribbon(name=f"90 % of {kind}", low=low, high=high, colour="outer", when="before"),)
-            before_lines = (Line(name="median of the network before", y=median, colour="red", when="before"),)
+            before_lines = (Line(name=f"median of {BEFORE}", y=median, colour="red", when="before"),)
         panels.append(
             Panel(
                 label=label,
@@ -155,6 +158,7 @@ def errors(result: Result) -> Chart:
     """Eq. 5 over frequency: the population network, the look-up tables, and replicated populations."""
     several = len(subjects(result)) > 1
     replicated, network = needed(result, "replicated_error"), needed(result, "error_population_network")
+    earlier = variable(result, "before_error")
     scale = scale_for(float(np.nanmedian(network[0])), result.attributes["unit"])
     kind = "populations" if several else "recordings"
     panels = []
@@ -166,6 +170,8 @@ def errors(result: Result) -> Chart:
             for statistic, colour, dash in (("mean", "orange", "dash"), ("median", "green", "dashdot")):
                 table = needed(result, f"error_lookup_{statistic}")[part]
                 lines.append(Line(name=f"look-up table, {statistic}", y=factor * table, colour=colour, dash=dash))
+        if earlier is not None:
+            lines.append(Line(name=BEFORE, y=factor * earlier[part], colour="red", dash="dot"))
         shown = factor * replicated[part]
         band = Ribbon(name=f"replicated {kind}, 5–95 %", low=shown[0], high=shown[2], colour="sky")
         panels.append(Panel(label=label, logarithmic=part == 0, zero=part == 1, lines=tuple(lines), ribbons=(band,)))
@@ -174,7 +180,7 @@ def errors(result: Result) -> Chart:
 
 def coverage(result: Result) -> Chart:
     """Share of people inside the predicted bands, and its range by chance alone."""
-    present = np.isfinite(observed(result)[0]).sum(axis=0)
+    present, earlier = np.isfinite(observed(result)[0]).sum(axis=0), variable(result, "before_coverage_90")
     panels = []
     for part, title in enumerate(("magnitude", "phase")):
         lines, ribbons = [], []
@@ -184,6 +190,9 @@ def coverage(result: Result) -> Chart:
             share = 100 * needed(result, f"coverage_{100 * nominal:.0f}")[part]
             ribbons.append(Ribbon(name=f"{name}, by chance", low=100 * low, high=100 * high, colour=fill))
             lines.append(Line(name=f"inside the {name}", y=share, colour=colour))
+        if earlier is not None:
+            name = f"inside the 90 % band of {BEFORE}"
+            lines.append(Line(name=name, y=100 * earlier[part], colour="red", dash="dot"))
         label = f"{title}: {who(result)} (%)"
         panels.append(Panel(label=label, zero=True, lines=tuple(lines), ribbons=tuple(ribbons)))
     return Chart(name="coverage", panels=tuple(panels))

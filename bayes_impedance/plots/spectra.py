@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayes_impedance.plots.access import frequency, needed, observed, subjects, who
+from bayes_impedance.plots.access import frequency, needed, observed, subjects, variable, who
+from bayes_impedance.plots.fit_charts import BEFORE
 from bayes_impedance.plots.style import (
     BLUE,
     GREEN,
@@ -93,17 +94,23 @@ def bands(figure: Figure, result: Result) -> Figure:
         (phase, recording[1], centre[1]),
     )
     name = "new recording" if n > 1 else "repeated recording"
-    for axes, (data, band, own) in zip(panels, rows, strict=True):
+    earlier = variable(result, "before_band_recording")
+    factors = (scale.factor, 1 / middle, 1.0)
+    for k, (axes, (data, band, own)) in enumerate(zip(panels, rows, strict=True)):
         axes.fill_between(f, band[0], band[4], color=OUTER, lw=0, label=f"90 % of {name}s")
         axes.fill_between(f, band[1], band[3], color=INNER, lw=0, label=f"50 % of {name}s")
         many_lines(axes, f, data, colors=INK, linewidths=0.6 if n > 1 else 1.4, alpha=line_alpha(n))
         axes.plot([], [], color=INK, lw=0.8, alpha=0.7, label="measured")
         axes.fill_between(f, own[0], own[4], color=RED, alpha=0.5, lw=0, label="its 90 % interval")
         axes.plot(f, own[2], color=RED, lw=1.4, label="population centre" if n > 1 else "network")
+        if earlier is not None:
+            low, _, high = earlier[k // 2] * factors[k]
+            axes.plot(f, low, color=GREEN, lw=1.2, ls=":", label=f"90 % of {BEFORE}")
+            axes.plot(f, high, color=GREEN, lw=1.2, ls=":")
     panels[0].set_ylabel(scale.label("|z|"))
     panels[1].set_ylabel("|z| / centre")
-    log_axis(panels[0].yaxis, *log_limits(rows[0][0], rows[0][1]))
-    log_axis(panels[1].yaxis, *log_limits(rows[1][0], rows[1][1]), ticks=5)
+    for axes, (data, band, _), factor, ticks in zip(panels, rows, factors[:2], ({}, {"ticks": 5}), strict=False):
+        log_axis(axes.yaxis, *log_limits(data, band, *(() if earlier is None else (earlier[0] * factor,))), **ticks)
     phase_axis(panels[2])
     for axes in panels:
         frequency_axis(axes, f, label=axes is panels[2])
@@ -131,6 +138,7 @@ def errors(figure: Figure, result: Result) -> Figure:
     panels = figure.subplots(2, 1, sharex=True)
     kind = "populations" if n > 1 else "recordings"
     tables = [needed(result, f"error_lookup_{statistic}") for statistic in ("mean", "median")]
+    earlier = variable(result, "before_error")
     for part, (axes, factor) in enumerate(zip(panels, (scale.factor, 1.0), strict=True)):
         shown = replicated[part] * factor
         axes.fill_between(f, shown[0], shown[2], color=SKY, alpha=0.45, lw=0, label=f"replicated {kind}, 5–95 %")
@@ -138,8 +146,11 @@ def errors(figure: Figure, result: Result) -> Figure:
             axes.plot(f, tables[0][part] * factor, color=ORANGE, lw=1.4, ls="--", label="look-up table, mean")
             axes.plot(f, tables[1][part] * factor, color=GREEN, lw=1.4, ls="-.", label="look-up table, median")
         axes.plot(f, network[part] * factor, color=BLUE, lw=1.6, label="population network" if n > 1 else "network")
+        if earlier is not None:
+            axes.plot(f, earlier[part] * factor, color=RED, lw=1.4, ls=":", label=BEFORE)
         frequency_axis(axes, f, label=part == 1)
     shown_too = [network, *(replicated[:, i] for i in (0, 2)), *(tables if n > 1 else ())]
+    shown_too += [] if earlier is None else [earlier]
     panels[0].set_ylabel(scale.label("magnitude error"))
     log_axis(panels[0].yaxis, *log_limits(*(scale.factor * rows[0] for rows in shown_too)))
     panels[1].set_ylabel("phase error (°)")
@@ -163,6 +174,7 @@ def coverage(figure: Figure, result: Result) -> Figure:
     """
     f = frequency(result)
     present = np.isfinite(observed(result)[0]).sum(axis=0)
+    earlier = variable(result, "before_coverage_90")
     panels = figure.subplots(2, 1, sharex=True, sharey=True)
     for part, (axes, title) in enumerate(zip(panels, ("magnitude", "phase"), strict=True)):
         for nominal, colour in ((0.9, BLUE), (0.5, ORANGE)):
@@ -171,6 +183,8 @@ def coverage(figure: Figure, result: Result) -> Figure:
             axes.axhline(100 * nominal, color=colour, lw=1.0, ls=(0, (4, 3)))
             share = 100 * needed(result, f"coverage_{100 * nominal:.0f}")[part]
             axes.plot(f, share, color=colour, lw=1.5, label=f"inside the {100 * nominal:.0f} % band")
+        if earlier is not None:
+            axes.plot(f, 100 * earlier[part], color=RED, lw=1.4, ls=":", label=f"inside the 90 % band of {BEFORE}")
         axes.set_ylim(0, 103)
         axes.set_yticks([0, 25, 50, 75, 100])
         axes.set_ylabel(f"{title}: {who(result)} (%)")

@@ -11,11 +11,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
 from bayes_impedance.network.notation import parse
 from bayes_impedance.network.schematic import schematic
+from bayes_impedance.network.spellings import circuit_of
 from bayes_impedance.plots import write_pictures
 from bayes_impedance.plots.access import is_electrical, is_simulated, subjects, who
 from bayes_impedance.population.diagnostics import PARETO_LIMIT
@@ -105,6 +107,7 @@ def _context(result: Result, findings: list[FindingLike], pictures: Mapping[str,
         "answer": fit_sentences.answer(result),
         "recordings": fit_tables.recording_rows(result),
         "network": result.attributes["network"],
+        "circuit_of": partial(circuit_of, unit=result.attributes["unit"]),
         "schematic": Markup(drawing),
         "elements": fit_tables.element_rows(result),
         "correlations": fit_tables.correlation_rows(result),

@@ -70,6 +70,14 @@ def _of_estimates(result: Result, seen: Sequence[str], band: str) -> dict[str, s
         "coverage": f"Share of {whom} inside the predicted bands {band}: on average {inside} in the 90 % band and "
         f"{100 * summary['coverage']['50']:.0f} % in the 50 % band.",
     }
+    earlier = variable(result, "before_error")
+    if earlier is not None:
+        texts["errors"] += (
+            f" Of the network before: in magnitude {_course(scale.factor * earlier[0], f, f' {scale.unit}')}; in phase "
+            f"{_course(earlier[1], f, '°')}."
+        )
+        share = 100 * float(np.nanmean(needed(result, "before_coverage_90")))
+        texts["coverage"] += f" That of the network before holds {share:.0f} % on average."
     if not seen:
         return texts
     texts["corner_central"] = (

@@ -11,12 +11,14 @@ import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.notation import Network, parse
 from bayes_impedance.network.schematic import schematic
+from bayes_impedance.network.spellings import circuit_of
 from bayes_impedance.plots import write_diagnosis_pictures
 from bayes_impedance.plots.missing_physics import people
 from bayes_impedance.report import alternatives, live_data
@@ -36,7 +38,7 @@ from bayes_impedance.report.findings import (
 )
 from bayes_impedance.report.page_template import embedded_picture, template_environment
 from bayes_impedance.runtime.atomic_files import write_text
-from bayes_impedance.units import Scale, hertz, joined, scale_for, signed, significant
+from bayes_impedance.units import ELECTRICAL_UNIT, Scale, hertz, joined, scale_for, signed, significant
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -118,7 +120,8 @@ def _context(diagnosis: Diagnosis, pictures: Mapping[str, Path]) -> dict[str, ob
         "who": people(diagnosis),
         "one_who": people(diagnosis, 1),
         "single": n == 1,
-        "electrical": diagnosis.unit == "ohm",
+        "electrical": diagnosis.unit == ELECTRICAL_UNIT,
+        "circuit_of": partial(circuit_of, unit=diagnosis.unit),
         "kind": kind,
         "kicker": KINDS[kind],
         "sentence": verdict.summary,
@@ -206,7 +209,11 @@ def drawing(notation: str | None, marks: Mapping[tuple[int, ...], str], diagnosi
     from markupsafe import Markup
 
     network = _parsed(notation)
-    return None if network is None else Markup(schematic(network, electrical=diagnosis.unit == "ohm", mark=marks))
+    return (
+        None
+        if network is None
+        else Markup(schematic(network, electrical=diagnosis.unit == ELECTRICAL_UNIT, mark=marks))
+    )
 
 
 def _parsed(notation: str | None) -> Network | None:

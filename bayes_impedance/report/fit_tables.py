@@ -16,6 +16,7 @@ import numpy as np
 from bayes_impedance.mcmc.ensemble import QUICK, SamplerSettings
 from bayes_impedance.network.notation import Network, parse
 from bayes_impedance.network.parameters import quantity_of
+from bayes_impedance.network.spellings import in_both
 from bayes_impedance.plots.access import (
     frequency,
     is_electrical,
@@ -241,7 +242,7 @@ def error_table(result: Result) -> tuple[str, list[tuple[str, str, str]]]:
 
 
 def before_and_after(result: Result) -> list[tuple[str, str, str]]:
-    """What the effects that a diagnosis added change: quantity, before, and after; empty without a diagnosis."""
+    """What the additions to a network change: quantity, before, and after; empty if the network before is not known."""
     before = result.summary.get("before")
     if before is None:
         return []
@@ -357,7 +358,7 @@ def provenance_rows(result: Result) -> list[tuple[str, str]]:
     summary, s = result.summary, result.summary["sampler"]
     seconds = ", ".join(f"{name} {value:.1f} s" for name, value in summary.get("seconds", {}).items())
     return [
-        ("Network", summary["network"]),
+        ("Network", in_both(summary["network"], summary["unit"])),
         ("Seed", str(summary["seed"])),
         ("SHA-256 of the data", summary["data_sha256"] or "none: the recordings did not come from a file"),
         ("Covariance between " + who(result), summary["covariance"]),

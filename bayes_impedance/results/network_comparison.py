@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayes_impedance.display import heading, joined, table
+from bayes_impedance.network.spellings import in_both
 from bayes_impedance.results.leave_one_out import LeftOut
 from bayes_impedance.results.result import Result
 
@@ -51,6 +52,11 @@ class Entry:
     result: Result
     left_out: LeftOut
 
+    @property
+    def shown(self) -> str:
+        """The network as it is shown: of electrical recordings in both spellings."""
+        return in_both(self.result.attributes["network"], self.result.attributes["unit"])
+
 
 @dataclass(frozen=True)
 class NetworkComparison:
@@ -82,11 +88,11 @@ class NetworkComparison:
         return tuple(e for e, difference, error in behind if abs(difference) <= UNDECIDED * error)
 
     def __repr__(self) -> str:
-        return f"<NetworkComparison of {len(self.entries)}: best {self.best.result.attributes['network']}>"
+        return f"<NetworkComparison of {len(self.entries)}: best {self.best.shown}>"
 
     def _repr_html_(self) -> str:
         names = ("network", "elpd", "elpd_se", "difference", "difference_se", "doubtful", "reliable")
-        rows = [[row[name] for name in names] for row in self.rows()]
+        rows = [[e.shown, *(row[name] for name in names[1:])] for e, row in zip(self.entries, self.rows(), strict=True)]
         return joined(heading(repr(self).strip("<>")), table([name.replace("_", " ") for name in names], rows))
 
     def to_dataframe(self) -> pd.DataFrame:

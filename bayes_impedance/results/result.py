@@ -155,6 +155,8 @@ DIMS: dict[str, list[str]] = {
     "person_curve_re": ["subject", "frequency_hz"],
     "person_curve_im": ["subject", "frequency_hz"],
     "before_band_recording": ["part", "replicate_quantile", "frequency_hz"],
+    "before_error": ["part", "frequency_hz"],
+    "before_coverage_90": ["part", "frequency_hz"],
     "before_person_curve_re": ["subject", "frequency_hz"],
     "before_person_curve_im": ["subject", "frequency_hz"],
     "pareto_k": ["subject"],
@@ -192,8 +194,8 @@ def make_result(
     findings : sequence of str
         Anomalies of the recordings, in sentences.
     before : mapping, optional
-        Of the network to which a diagnosis added what was missing: notation and errors, as
-        :func:`bayes_impedance.diagnosis.verdict_file.before_of` returns them.
+        Of the network to which something was added: notation and errors, as
+        :meth:`bayes_impedance.results.model_before.ModelBefore.summary` returns them.
     """
     recordings, elements = fit.recordings, list(fit.kernel.elements)
     attributes = {

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayes_impedance.display import curves, heading, interval, joined, lines, table
+from bayes_impedance.network.spellings import in_both
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -19,7 +20,8 @@ def one_line(result: Result) -> str:
     """Network, people and whether the numbers may be used."""
     n, problems = int(result.summary["subjects"]), len(result.problems)
     state = "reliable" if not problems else f"{problems} problem{'s' if problems > 1 else ''}"
-    return f"<Result {result.attributes['network']} of {n} subject{'s' if n > 1 else ''}: {state}>"
+    network = in_both(result.attributes["network"], result.attributes["unit"])
+    return f"<Result {network} of {n} subject{'s' if n > 1 else ''}: {state}>"
 
 
 def result_html(result: Result) -> str:

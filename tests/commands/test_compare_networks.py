@@ -165,8 +165,10 @@ def test_files_of_others_in_a_later_folder_are_seen_before_the_first_fit(
     assert [p.name for p in tmp_path.iterdir()] == ["2"]
 
 
-def entry(name: str, elpd: np.ndarray, k: float = 0.2, problems: tuple[str, ...] = ()) -> Entry:
-    result = results_by_hand.make_result(problems=problems)
+def entry(
+    name: str, elpd: np.ndarray, k: float = 0.2, problems: tuple[str, ...] = (), electrical: bool = False
+) -> Entry:
+    result = results_by_hand.make_result(problems=problems, electrical=electrical)
     result.attributes["network"] = name
     tails = np.full(elpd.size, k)
     left_out = LeftOut(tuple(f"P{i}" for i in range(elpd.size)), elpd, tails, np.zeros(elpd.size, dtype=bool), 3.0)
@@ -193,3 +195,15 @@ def test_what_people_do_not_separate_is_undecided() -> None:
     assert lines_of(comparison)[-1] == "best: first; not separated from it (within 3 standard errors): close"
     nothing = NetworkComparison.of([entry("x", elpd, problems=("p",)), entry("y", elpd - 1, problems=("p",))])
     assert lines_of(nothing)[-1] == "no fit is reliable, so none is named the best"
+
+
+def test_circuits_are_named_in_both_spellings() -> None:
+    elpd = np.array([10.0, 12.0, 11.0, 9.0])
+    entries = [entry(name, elpd - k, electrical=True) for k, name in enumerate(("r0|p1^a1@10", "delay[d1*](r0)"))]
+    comparison = NetworkComparison.of(entries)
+    lines = lines_of(comparison)
+    assert lines[-1] == "best: r0|p1^a1@10 = R0-CPE1"
+    table = [line for line in lines if " ± " in line or line.startswith("r0|p1^a1@10 = R0-CPE1 ")]
+    assert [len(line) for line in table] == [len(table[0])] * 2
+    assert "r0|p1^a1@10 = R0-CPE1" in comparison._repr_html_()
+    assert [row["network"] for row in comparison.rows()] == ["r0|p1^a1@10", "delay[d1*](r0)"]  # as it can be given

@@ -12,6 +12,7 @@ from bayes_impedance.commands.cli import main
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
 from bayes_impedance.recordings.files import Recordings, Subject, write_recordings
+from bayes_impedance.results.result import load_result
 
 NETWORK, DELAY = "delay[d1*](m1|r1|n1)", 4e-4
 PLAIN = "m1|r1|n1"
@@ -82,12 +83,33 @@ def test_the_verdict_says_the_network(verdict: Path) -> None:
     assert record["extended_network"] == NETWORK
 
 
-def test_run_with_a_verdict(verdict: Path, dataset: Path, fitted: Path) -> None:
-    out = dataset.parent / "with"
+def test_run_with_a_verdict(verdict: Path, dataset: Path, fitted: Path, tmp_path: Path) -> None:
+    """It is the same as by hand, where the dataset's own network is the one before."""
+    out = tmp_path / "with"
     assert main(["fit", str(dataset), "-o", str(out), "--with", str(verdict), "--quick"]) == 0
     by_hand, proposed = (json.loads((folder / "summary.json").read_text()) for folder in (fitted, out))
-    assert proposed.pop("before")["network"] == "m1|r1|n1"
+    assert proposed["before"]["network"] == PLAIN
     assert proposed == by_hand
+
+
+def test_a_run_shows_before_and_after(fitted: Path, verdict: Path) -> None:
+    """Bands, eq. 5 and coverage of both networks, those before as the diagnosis has them."""
+    summary, proposal = (json.loads(f.read_text()) for f in (fitted / "summary.json", verdict / "verdict.json"))
+    for name in set(summary["before"]) - {"network"}:
+        assert summary["before"][name] == pytest.approx(proposal["improvement"][name][0]), name
+    after = summary["errors"]["population_network"]
+    assert after["delta_phase_deg"] < 0.8 * summary["before"]["delta_phase_deg"]
+    page = (fitted / "report.html").read_text()
+    assert "Before and after" in page
+    assert 'value="before"' in page
+    result = load_result(fitted)
+    kept = result.groups["constant_data"]
+    assert kept["before_band_recording"].shape == (2, 3, kept["network_curve"].shape[1])
+    for name, key in (("before_error", "delta_phase_deg"), ("before_coverage_90", "coverage90")):
+        shown = kept[name][1].mean() if name == "before_error" else kept[name].mean()
+        assert shown == pytest.approx(summary["before"][key], rel=1e-5)
+    assert main(["report", str(fitted)]) == 0  # from the files alone
+    assert 'value="before"' in (fitted / "report.html").read_text()
 
 
 def test_a_diagnosis_leaves_the_fit_of_what_it_found(dataset: Path, tmp_path: Path) -> None:

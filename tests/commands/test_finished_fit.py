@@ -63,14 +63,14 @@ def steps(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, Any]]:
 
 
 def test_warnings_are_findings_and_notes_are_not(steps: list[tuple[str, Any]]) -> None:
-    clock, options = Clock(), FitOptions(seed=5, subjects=("A",), before={"network": "m1"})
+    clock, options = Clock(), FitOptions(seed=5, subjects=("A",), plain="m1")
     assert examined_result(FIT, options, clock, Helper(), lambda *_: None, FINDINGS) == "result"
     assert [name for name, _ in steps] == ["examine", "predict", "make_result"]
     assert steps[1][1] == ((FIT,), {"seed": 5})
     told = ["a jump", "an outlier"]
     made = steps[2][1][0]
     assert made[:2] == (FIT, "predictive")
-    assert made[3:] == (("A",), "adequacy", told, {"network": "m1"})
+    assert made[3:] == (("A",), "adequacy", told, None)
     assert set(clock.seconds) == {"modes", "examine", "predictive"}
     assert clock.seconds["modes"] == 1.0
 
@@ -110,10 +110,10 @@ def test_the_extended_network_is_an_ordinary_result_that_knows_what_was_before(
         "write_report",
     ]
     assert steps[3][1][0][0] == "result"
-    assert steps[3][1][0][3] is diagnosis.before.person_curve
+    assert steps[3][1][0][1].described is diagnosis.before
     assert steps[4][1][0][0] == steps[6][1][0][0] == "result with both"
     before = steps[2][1][0][-1]
     assert before["network"] == "m1|r1"
-    assert before["delta_phase_deg"] == 8.7
+    assert before["delta_phase_deg"] == pytest.approx(diagnosis.before.delta_phase_deg.mean())
     assert set(FIT_FILES) < set(removed)  # no old file contradicts the new result
     assert "report.html" in removed

@@ -9,10 +9,12 @@ from pathlib import Path
 import pytest
 from diagnoses_by_hand import DELAY, RESONATOR, UNKNOWN, verdict_of
 
-from bayes_impedance.commands.proposed_network import before_in, proposed_network
+from bayes_impedance.commands.jobs import FitOptions
+from bayes_impedance.commands.proposed_network import plain_in, plain_network, proposed_network
 from bayes_impedance.diagnosis.verdict_file import to_json
 from bayes_impedance.diagnosis.verdict_types import Verdict
 from bayes_impedance.errors import InputError
+from bayes_impedance.recordings.files import Recordings
 
 PLAIN, MORE, ALL = "m1|r1", "m1|r1|n1", "delay[d1*](m1|r1)"
 
@@ -48,17 +50,38 @@ def test_effects_that_are_no_network_are_named(tmp_path: Path) -> None:
         proposed_network(file)
 
 
-def test_what_was_before_is_kept_only_with_a_network_that_extends_it(tmp_path: Path) -> None:
-    file = written(tmp_path, verdict_of((DELAY,), PLAIN, None, extended_network=ALL))
-    before = {"network": PLAIN, "delta_magnitude": 1.31, "delta_phase_deg": 8.7, "subject_rms_relative": 0.034}
-    assert before_in(file) == before | {"coverage90": 0.82}
-    assert before_in(written(tmp_path, verdict_of((RESONATOR,), PLAIN, MORE))) is None
+def test_what_was_before_is_known_where_something_was_added(tmp_path: Path) -> None:
+    assert plain_in(written(tmp_path, verdict_of((DELAY,), PLAIN, None, extended_network=ALL))) == PLAIN
+    assert plain_in(written(tmp_path, verdict_of((RESONATOR,), PLAIN, MORE))) == PLAIN
+    assert plain_in(written(tmp_path, verdict_of((), PLAIN, None))) is None
+
+
+@pytest.mark.parametrize(
+    ("own", "options", "plain"),
+    [
+        (PLAIN, FitOptions(network=ALL), PLAIN),
+        (PLAIN, FitOptions(network=ALL, plain="r1"), "r1"),  # the verdict's goes before the dataset's
+        (None, FitOptions(network=ALL, plain=PLAIN), PLAIN),
+        (PLAIN, FitOptions(network=ALL, plain="r1", with_before=False), None),
+        (PLAIN, FitOptions(network=ALL, with_before=False), None),
+        (PLAIN, FitOptions(network=PLAIN), None),
+        (PLAIN, FitOptions(network="m1-(r1|n1)"), None),
+        (PLAIN, FitOptions(), None),
+        (None, FitOptions(network=ALL), None),
+        ("m1|", FitOptions(network=ALL), None),
+    ],
+)
+def test_the_network_before_is_that_of_the_verdict_or_the_dataset_s(
+    own: str | None, options: FitOptions, plain: str | None
+) -> None:
+    recordings = Recordings(title="t", unit="N s/m", network=own, source=None, licence=None, subjects=())
+    assert plain_network(recordings, options) == plain
 
 
 @pytest.mark.parametrize("content", ["{}", '{"schema": 1}', '{"network": ["m1", "m1|r1"]}', '{"schema": 2}'])
 def test_what_is_no_verdict_is_refused_with_its_name(tmp_path: Path, content: str) -> None:
     (tmp_path / "verdict.json").write_text(content, encoding="utf-8")
-    for read in (proposed_network, before_in):
+    for read in (proposed_network, plain_in):
         with pytest.raises(InputError, match=r"verdict\.json: this is not a verdict of schema 1"):
             read(tmp_path)
 

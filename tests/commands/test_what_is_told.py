@@ -48,3 +48,17 @@ def test_a_mark_belongs_to_a_number(capsys: pytest.CaptureFixture[str]) -> None:
     summary["problems"] = ["no number holds"]
     assert _finish(replace(result, summary=summary), "end") == FAILED
     assert "*" not in capsys.readouterr().out
+
+
+def test_the_network_of_electrical_recordings_is_told_in_both_spellings(capsys: pytest.CaptureFixture[str]) -> None:
+    _finish(make_result(electrical=True), "end")
+    assert "network r0|(r1-n1) = R0-p(R1,C1)\n" in capsys.readouterr().out
+    verdict = make_diagnosis(electrical=True).verdict
+    _tell_verdict(replace(verdict, unit="ohm", extended_network="r0|(r1-p1^a1@10)"))
+    said = capsys.readouterr().out
+    assert "\nnetwork r0|(r1-n1)|(r2-n2) = R0-p(R1,C1)-p(R2,C2)\n" in said
+    assert "\nwith what was found: r0|(r1-p1^a1@10) = R0-p(R1,CPE1)\n" in said
+    _tell_verdict(verdict_of((), PAPER_NETWORK, None))
+    said = capsys.readouterr().out
+    assert f"\nnetwork {PAPER_NETWORK}\n" in said
+    assert "with what was found" not in said

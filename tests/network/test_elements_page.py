@@ -11,7 +11,11 @@ import pytest
 
 from bayes_impedance.network.constructs import CONSTRUCTS
 from bayes_impedance.network.electrical import CIRCUIT_ELEMENTS
+from bayes_impedance.network.elements import KINDS
 from bayes_impedance.network.notation import parse
+from bayes_impedance.network.parameters import EXPONENTS
+from bayes_impedance.network.passivity import known_passive
+from bayes_impedance.network.tree import Network
 
 ROOT = Path(__file__).resolve().parents[2]
 S = 2j * np.pi * np.geomspace(0.1, 100, 9)
@@ -38,6 +42,53 @@ def test_the_page_has_everything() -> None:
         assert f"`{word}[" in page
     for word in CIRCUIT_ELEMENTS:
         assert f"| `{word}1` |" in page
+
+
+def rows_of(page: str) -> dict[str, dict[str, str]]:
+    """The tables of elements and wrappers: each row by what is written, its cells by their heads."""
+    rows = {}
+    for head, body in re.findall(r"^\| (written \|[^\n]*) \|\n\|[^\n]*\n((?:\|[^\n]*\n)+)", page, flags=re.MULTILINE):
+        for line in body.splitlines():
+            cells = [cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]]
+            rows[cells[0]] = dict(zip(re.split(r" *\| *", head), cells, strict=True))
+    return rows
+
+
+def language() -> list[str]:
+    """What stands in the first column for everything that a network may hold besides its two connections."""
+    laws = [f"`p1^{letter}1`" for letter in EXPONENTS] + ["`p1^0.5`", "`p1^a1@100`"]
+    return [*(f"`{letter}1`" for letter in KINDS), *laws, *(f"`{word}[" for word in CONSTRUCTS)]
+
+
+def test_each_node_of_a_network_is_of_the_language() -> None:
+    """A new kind of node has to be added to the page, and to :func:`language`."""
+
+    def final(node: type) -> set[str]:
+        return set().union(*(final(own) for own in node.__subclasses__())) or {node.__name__}
+
+    assert final(Network) == {"Element", "PowerLaw", "Wrapped", "Parallel", "Series"}
+
+
+@pytest.mark.parametrize("written", language())
+def test_each_has_unit_passivity_and_a_source_in_full(written: str) -> None:
+    page = (ROOT / "docs" / "elements.md").read_text(encoding="utf-8")
+    (row,) = (cells for first, cells in rows_of(page).items() if first.startswith(written))
+    in_full = dict(
+        re.findall(r"^\| ([^|`]+) \| ([^|]+, (?:18|19|20)\d\d[^|]*|ISO [^|]+) \|$", page, flags=re.MULTILINE)
+    )
+    sources = row["source"].split("; ")
+    assert all(source in in_full for source in sources)
+    first = row["written"].split("` or `")[0].strip("`").replace("(...)", "(n7|r7)")
+    for parameter in parse(first).parameters:
+        if parameter.name and not parameter.held and parameter.name[1:] != "7":
+            assert f"`{parameter.letter}`: {parameter.unit('N s/m') or '1'}" in row["units"]
+    assert row["passive"].startswith("yes" if known_passive(parse(first)) else "no")
+
+
+def test_each_source_is_one_of_something() -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "elements.py"))
+    used = {source for row in rows_of(script["page"]()).values() for source in row["source"].split("; ")}
+    assert used == set(script["REFERENCES"])
 
 
 @pytest.mark.parametrize(

@@ -127,6 +127,7 @@ def test_unknown_draws_the_one_port_that_is_missing(tmp_path: Path) -> None:
     assert "A one-port is missing at port" in page.words
     assert "One subject was measured" in page.words
     assert "person" not in page.words
+    assert "r0|(r1-n1)|(r2-n2) = R0-p(R1,C1)-p(R2,C2)" in page.words
 
 
 def test_what_is_left_beside_a_known_effect_has_its_own_card(tmp_path: Path) -> None:

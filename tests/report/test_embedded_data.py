@@ -13,7 +13,7 @@ import pytest
 from diagnoses_by_hand import make_diagnosis
 from pages import Page, data_of
 from PIL import Image
-from results_by_hand import VARIANTS, make_result
+from results_by_hand import VARIANTS, described_worse, make_result
 
 from bayes_impedance.plots import PICTURES
 from bayes_impedance.plots.charts import kept_frequencies, kept_people, rounded
@@ -21,7 +21,7 @@ from bayes_impedance.plots.missing_physics import DIAGNOSIS_PICTURES
 from bayes_impedance.report import write_report
 from bayes_impedance.report.diagnosis_page import write_diagnosis_report
 from bayes_impedance.report.live_page import GLUE, LIBRARY, contents, embedded_data, script, security_policy
-from bayes_impedance.results.model_before import with_model_before
+from bayes_impedance.results.model_before import ModelBefore, with_model_before
 
 ASSETS = Path(script.__wrapped__.__code__.co_filename).parent / "assets"
 NAMES = ("</script><script>alert(1)</script>", "<!--", "]]>", "a'b\"c&d", "\u2028\u2029", "\ud800", "%{y}", "x" * 300)
@@ -97,10 +97,13 @@ def test_data_of_a_run(variant: str, tmp_path: Path) -> None:
 def test_a_network_to_which_something_was_added_can_be_compared_with_the_one_before(tmp_path: Path) -> None:
     result = make_result()
     z = result.groups["constant_data"]["observed_re"] + 1j * result.groups["constant_data"]["observed_im"]
-    band = result.groups["constant_data"]["band_recording"]
-    both = with_model_before(result, 2 * band[0, [0, 2, 4]], band[1, [0, 2, 4]], 0.5 * z)
+    earlier = described_worse(result)
+    both = with_model_before(result, ModelBefore("m1", earlier))
     text = write_report(both, tmp_path, pictures={}).read_text(encoding="utf-8")
     data = data_of(text)
+    assert text.count("the choice of the network: the network before") == 3
+    assert "Of the network before: in magnitude" in text
+    assert "That of the network before holds" in text
     assert data["models"] == ["before", "after"]
     assert '<input type="radio" name="model" value="after" checked>' in text
     ratio = np.array(data["curves"]["fit_magnitude_before"]) / np.array(data["curves"]["fit_magnitude"])
@@ -110,7 +113,14 @@ def test_a_network_to_which_something_was_added_can_be_compared_with_the_one_bef
     for panel in (*charts["bands"]["panels"], *charts["person"]["panels"]):
         shown = [item["when"] for item in (*panel.get("own", []), *panel["lines"])]
         assert {"before", "after"} <= set(shown)
-    assert with_model_before(result, band[0, :3], band[1, :3], z[:, 1:]) is result
+    for name, factor in (("errors", (3, 4)), ("coverage", (0.5, 0.5))):
+        for panel, times in zip(charts[name]["panels"], factor, strict=True):
+            lines = {line["name"]: np.array(line["y"]) for line in panel["lines"]}
+            now = lines["inside the 90 % band" if name == "coverage" else "population network"]
+            (before,) = (y for title, y in lines.items() if title.endswith("the network before"))
+            np.testing.assert_allclose(before, times * now, rtol=2e-3)
+    earlier.person_curve = z[:, 1:]
+    assert with_model_before(result, ModelBefore("m1", earlier)) is result
     assert data_of(write_report(result, tmp_path, pictures={}).read_text("utf-8"))["models"] == ["fit"]
 
 

@@ -132,6 +132,8 @@ def test_says_who_was_measured(tmp_path: Path) -> None:
     assert "resistance" in cells.words
     assert "person" not in cells.words
     assert "look-up" not in cells.words
+    assert cells.words.count("r0|(r1-n1) = R0-p(R1,C1)") == 2  # the network, and where the numbers come from
+    assert "R0" not in people.words
 
 
 def test_covariates_are_listed(tmp_path: Path) -> None:

@@ -7,19 +7,43 @@ coefficients are drawn from the population, their deviations between repetitions
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import replace
 
 import numpy as np
 
-from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
+from bayes_impedance.diagnosis.fit.baseline import fit_network
+from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.residuals.locate import residual_maps
 from bayes_impedance.diagnosis.types import Snapshot
 from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.results.curve_errors import common_grid, coverage, error_curves, on_grid, relative_rms
+from bayes_impedance.runtime.progress import Progress
 from bayes_impedance.units import INTERVAL
 
 _DRAWS = 600
 """Predictive draws: the probability below the 5 % quantile then has a standard error of 0.9 %."""
+
+
+def described(recordings: Recordings, network: str, seed: int, executor: Executor, progress: Progress) -> Snapshot:
+    """A network alone, fitted and described as at the beginning of its diagnosis.
+
+    Parameters
+    ----------
+    recordings : Recordings
+    network : str
+    seed : int
+    executor : Executor
+    progress : callable
+    """
+    from threadpoolctl import threadpool_limits
+
+    recordings = replace(recordings.in_memory(), calibration=None)
+    with threadpool_limits(1):
+        fit = fit_network(recordings, network, seed, executor, progress).fit
+        residuals = person_residuals(fit, recordings.names, executor)
+        return snapshot("before", recordings, fit, residuals, seed)
 
 
 def snapshot(
