@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from bayes_impedance.errors import InputError
 
 if TYPE_CHECKING:
-    from bayes_impedance.quality.checks import Finding
+    from bayes_impedance.quality.findings import Finding
     from bayes_impedance.recordings.files import Recordings
 
 

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from bayes_impedance.diagnosis import Diagnosis
     from bayes_impedance.population.fit import FitSettings
     from bayes_impedance.population.given_prior import GivenPrior
-    from bayes_impedance.quality.checks import Finding
+    from bayes_impedance.quality.findings import Finding
     from bayes_impedance.recordings.files import Recordings
     from bayes_impedance.results.result import Result
     from bayes_impedance.runtime.progress import Progress
