@@ -295,11 +295,13 @@ def diagnose_dataset(
 
 
 def _read(dataset: Path, options: FitOptions) -> tuple[Recordings, Clock]:
+    from bayes_impedance.quality.copies import require_distinct
     from bayes_impedance.recordings.files import read_recordings
 
     clock = Clock()
     with clock.measure("read"):
         recordings = selected(read_recordings(dataset), options)
+        require_distinct(replace(recordings, title=str(dataset)))
         require_quantity(recordings, options.network)
         return recordings, clock
 
