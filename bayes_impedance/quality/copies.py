@@ -107,6 +107,8 @@ def _copies_on_grid(subjects: Sequence[Subject]) -> list[list[tuple[str, str]]]:
 
 
 def _are_copies(one: ComplexArray, other: ComplexArray) -> bool:
+    if np.unique(one).size < LEAST_POINTS:
+        return False  # a stuck channel or marks of missing values, which are reported as such
     size = np.maximum(np.abs(one), np.finfo(float).tiny)
     distance = np.abs(other - one) / size
     if float(np.median(distance)) > 10.0 ** (1 - LEAST_DIGITS) * np.sqrt(2):
