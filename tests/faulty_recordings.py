@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from bayes_impedance.quality.checks import Finding, check_recordings
+from bayes_impedance.quality.checks import check_recordings
+from bayes_impedance.quality.findings import Finding
 from bayes_impedance.recordings.files import Recordings, Subject
 
 Complex = npt.NDArray[np.complex128]

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayes_impedance.errors import InputError
 
 if TYPE_CHECKING:
-    from bayes_impedance.quality.checks import Finding
+    from bayes_impedance.quality.findings import Finding
     from bayes_impedance.recordings.files import Recordings
 
 
@@ -20,12 +21,15 @@ def check_dataset(
     Raises
     ------
     InputError
-        If it cannot be read, or its network or the given one describes it as another quantity than impedance.
+        If it cannot be read, recordings are copies of one another, or its network or the given one describes it as
+        another quantity than impedance.
     """
     from bayes_impedance.quality.checks import check_recordings, describe
+    from bayes_impedance.quality.copies import require_distinct
     from bayes_impedance.recordings.files import read_recordings
 
     recordings = read_recordings(dataset).in_memory()
+    require_distinct(replace(recordings, title=str(dataset)))
     require_quantity(recordings, network)
     return describe(recordings), recordings.warnings, check_recordings(recordings)
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from bayes_impedance.commands.jobs import FitOptions
     from bayes_impedance.diagnosis import Diagnosis
     from bayes_impedance.population.fit import PopulationFit
-    from bayes_impedance.quality.checks import Finding
+    from bayes_impedance.quality.findings import Finding
     from bayes_impedance.recordings.files import Recordings
     from bayes_impedance.results.model_before import ModelBefore
     from bayes_impedance.results.result import Result

@@ -37,12 +37,15 @@ def import_dataset(options: argparse.Namespace, progress: Progress) -> Imported:
     from bayes_impedance.intake import import_recordings
     from bayes_impedance.intake.importing import BESIDE
     from bayes_impedance.intake.persons import covariates_of_subjects
+    from bayes_impedance.quality.copies import require_distinct
     from bayes_impedance.recordings.files import METADATA_FILE, RECORDINGS_FILES, SUBJECTS_FILE, write_recordings
 
     require_sources(options.sources)
     settings = settings_of(options)
     imported = import_recordings(options.sources, settings, progress)
-    require_quantity(replace(imported.recordings, title=str(options.sources[0])), None)
+    named = replace(imported.recordings, title=str(options.sources[0]))
+    require_quantity(named, None)
+    require_distinct(named)
     beside = imported.beside()
     if options.subjects is not None:
         content, told = covariates_of_subjects(options.subjects, imported.recordings.names, settings.table)

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from bayes_impedance.diagnosis import Diagnosis
     from bayes_impedance.population.fit import FitSettings
     from bayes_impedance.population.given_prior import GivenPrior
-    from bayes_impedance.quality.checks import Finding
+    from bayes_impedance.quality.findings import Finding
     from bayes_impedance.recordings.files import Recordings
     from bayes_impedance.results.result import Result
     from bayes_impedance.runtime.progress import Progress
@@ -298,11 +298,13 @@ def diagnose_dataset(
 
 
 def _read(dataset: Path, options: FitOptions) -> tuple[Recordings, Clock]:
+    from bayes_impedance.quality.copies import require_distinct
     from bayes_impedance.recordings.files import read_recordings
 
     clock = Clock()
     with clock.measure("read"):
         recordings = selected(read_recordings(dataset), options)
+        require_distinct(replace(recordings, title=str(dataset)))
         require_quantity(recordings, options.network)
         return recordings, clock
 

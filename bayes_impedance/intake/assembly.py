@@ -20,6 +20,7 @@ from bayes_impedance.recordings.driving_point import sentence, verdict_of
 from bayes_impedance.recordings.metadata import DRIVING_POINT, HERTZ
 from bayes_impedance.recordings.plausibility import is_conjugate, is_turned
 from bayes_impedance.recordings.repetitions import MINIMUM_COMMON, MINIMUM_POINTS
+from bayes_impedance.recordings.shorter_grid import shorter_grids
 from bayes_impedance.runtime.user_table import shown
 from bayes_impedance.units import HIGHEST_HZ, LARGEST_IMPEDANCE, LOWEST_HZ, SMALLEST_IMPEDANCE
 
@@ -78,6 +79,7 @@ def assemble(
             )
         except ValueError as error:
             raise InputError(f"{own[0].source}: {error}") from None
+    notes += [f"{people[name][0].source}: subject {shown(name)}: {what}" for name, what in shorter_grids(subjects)]
     if HERTZ not in believed:
         notes += _required_hertz(spectra[0], subjects)
     places = [] if DRIVING_POINT in believed else [verdict_of(one.frequency_hz, one.mean) for one in subjects]

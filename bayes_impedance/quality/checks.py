@@ -7,9 +7,8 @@ The interpretation of a finding is left to the user, and no data are removed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
-from typing import Literal
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,55 +16,16 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.network.notation import parse
 from bayes_impedance.quality import point_anomalies
 from bayes_impedance.quality.curve_anomalies import duplicates, odd_subjects, repetition_spreads, suspect_units
+from bayes_impedance.quality.findings import COMMON, COMMON_MINIMUM, Event, Finding, group, of_all
+from bayes_impedance.quality.kramers_kronig import Violation, violations
 from bayes_impedance.quality.late_channel import late_channel
 from bayes_impedance.quality.marks import Mark, marks
-from bayes_impedance.quality.negative_real_part import Explanation, explain, sentence
+from bayes_impedance.quality.negative_real_part import explain, sentence
 from bayes_impedance.quality.place import doubts_of_place
 from bayes_impedance.recordings.dataset import Recordings, Subject
 
-COMMON = 0.5
-"""Fraction of recordings above which an event at the same place is attributed to the apparatus and reported once. By
-choice: subjects do not share such events."""
-COMMON_MINIMUM = 4
-"""Fewest recordings for this rule. By choice: of three recordings two are more than half, which may be chance."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Finding:
-    """One result of the checks that should be inspected.
-
-    Attributes
-    ----------
-    id : str
-        Kind: reading, network, mark, not_passive, jump, outlier, duplicate_subject, odd_subject, repetition_spread,
-        transfer, lag, phase_in_radians, magnitude_in_db, one_subject, one_repetition.
-    severity : {"note", "warning"}
-        A note says what cannot be estimated; a warning says what may be wrong.
-    subject, repetition : str or None
-        The recording concerned; None if the finding concerns all.
-    frequency_hz : (float, float) or None
-        Band in Hz; None if the finding concerns the whole curve.
-    message : str
-        One sentence with a remedy.
-    """
-
-    id: str
-    severity: Literal["note", "warning"]
-    subject: str | None
-    repetition: str | None
-    frequency_hz: tuple[float, float] | None
-    message: str
-
-
-@dataclass(frozen=True)
-class _Event:
-    """One fault at one place of one recording, before events are grouped into findings."""
-
-    subject: str
-    repetition: str
-    band_hz: tuple[float, float]
-    detail: str
-    because: Explanation | None = None
+_EXPLAIN_PARTS = ("not_passive", "jump", "lag", "phase_conjugated", "phase_in_radians", "magnitude_in_db")
+"""Findings of faults that also part the real from the imaginary part: one fault is reported once."""
 
 
 def check_recordings(recordings: Recordings) -> tuple[Finding, ...]:
@@ -94,14 +54,18 @@ def check_recordings(recordings: Recordings) -> tuple[Finding, ...]:
     curves = [*map(_mark_finding, found), *_check_curves(recordings)]
     # A jump in one repetition makes the repetitions differ, which is not a second fault.
     jumped = {finding.subject for finding in curves if finding.id == "jump"}
+    whole = [
+        *_check_place(recordings, any(finding.id == "not_passive" for finding in curves)),
+        *_check_units(recordings),
+    ]
     findings = [
         *read,
         *curves,
         *_check_duplicates(recordings),
         *_check_odd_subjects(recordings),
         *(finding for finding in _check_repetition_spread(recordings) if finding.subject not in jumped),
-        *_check_place(recordings, any(finding.id == "not_passive" for finding in curves)),
-        *_check_units(recordings),
+        *whole,
+        *_check_parts(recordings, [*curves, *whole]),
         *_check_size(recordings),
     ]
     return tuple(sorted(findings, key=lambda finding: finding.severity == "note"))
@@ -144,15 +108,10 @@ def describe(recordings: Recordings) -> dict[str, object]:
     }
 
 
-def _of_all(kind: str, message: str, subject: str | None = None) -> Finding:
-    """A warning of whole curves, of everybody unless a subject is given."""
-    return Finding(id=kind, severity="warning", subject=subject, repetition=None, frequency_hz=None, message=message)
-
-
 def _check_reading(recordings: Recordings) -> Iterator[Finding]:
     """What was changed, dropped or not used when the files were read."""
     for warning in recordings.warnings:
-        yield _of_all("reading", warning)
+        yield of_all("reading", warning)
 
 
 def _check_network(recordings: Recordings) -> Iterator[Finding]:
@@ -161,7 +120,7 @@ def _check_network(recordings: Recordings) -> Iterator[Finding]:
         parse(recordings.network or "m1")
     except InputError as error:
         message = f"dataset.toml: the network cannot be used ({error}); correct it"
-        yield _of_all("network", message)
+        yield of_all("network", message)
 
 
 def _mark_finding(mark: Mark) -> Finding:
@@ -186,92 +145,38 @@ def _mark_finding(mark: Mark) -> Finding:
 
 def _check_curves(recordings: Recordings) -> Iterator[Finding]:
     """Search every recording for outliers, jumps and stretches that are not passive."""
-    outliers: list[_Event] = []
-    jumps: list[_Event] = []
-    stretches: list[_Event] = []
+    outliers: list[Event] = []
+    jumps: list[Event] = []
+    stretches: list[Event] = []
     for subject in recordings.subjects:
         f, names = subject.frequency_hz, subject.repetitions
         off = point_anomalies.outliers(f, subject.z)
         clean = point_anomalies.without(f, subject.z, off)
         found, step = point_anomalies.jumps(f, clean)
         for j, i in np.argwhere(off).tolist():
-            outliers.append(_Event(subject.name, names[j], (float(f[i]), float(f[i])), ""))
+            outliers.append(Event(subject.name, names[j], (float(f[i]), float(f[i])), ""))
         for j, i in np.argwhere(found).tolist():
             size = f"a factor of {np.exp(step[j, i].real):.3g} and {np.rad2deg(step[j, i].imag):.3g} deg"
-            jumps.append(_Event(subject.name, names[j], (float(f[i]), float(f[i + 1])), size))
+            jumps.append(Event(subject.name, names[j], (float(f[i]), float(f[i + 1])), size))
         for j, runs in enumerate(point_anomalies.not_passive(f, clean)):
             because = explain(f, clean[j]) if runs else None
             for first, last in runs:
                 part = float(np.mean(clean[j, first : last + 1].real / np.abs(clean[j, first : last + 1])))
                 band = float(f[first]), float(f[last])
-                stretches.append(_Event(subject.name, names[j], band, f"{part:.2g}", because))
+                stretches.append(Event(subject.name, names[j], band, f"{part:.2g}", because))
     total = sum(len(subject.repetitions) for subject in recordings.subjects)
-    yield from _group("not_passive", stretches, total, lambda _: "all", _not_passive_message)
-    yield from _group("jump", jumps, total, lambda event: event.band_hz, _jump_message)
-    yield from _group("outlier", outliers, total, lambda event: event.band_hz, _outlier_message)
+    yield from group("not_passive", stretches, total, lambda _: "all", _not_passive_message)
+    yield from group("jump", jumps, total, lambda event: event.band_hz, _jump_message)
+    yield from group("outlier", outliers, total, lambda event: event.band_hz, _outlier_message)
 
 
-def _group(
-    kind: str,
-    events: list[_Event],
-    total: int,
-    place: Callable[[_Event], object],
-    message: Callable[[str, str, list[_Event]], str],
-) -> Iterator[Finding]:
-    """Make one finding of events that most recordings share, and one for each remaining recording.
-
-    Parameters
-    ----------
-    kind : str
-        `Finding.id`.
-    events : list of _Event
-    total : int
-        Number of recordings.
-    place : callable
-        Key of an event's place; events with equal keys count as the same.
-    message : callable
-        Makes the finding's text from the recordings concerned, the band, and the events.
-    """
-    by_place: dict[object, list[_Event]] = {}
-    for event in events:
-        by_place.setdefault(place(event), []).append(event)
-    rest: dict[tuple[str, str], list[_Event]] = {}
-    for same in by_place.values():
-        recordings = {(event.subject, event.repetition) for event in same}
-        if total >= COMMON_MINIMUM and len(recordings) > COMMON * total:
-            band = _hull(same)
-            whose = f"{len(recordings)} of {total} recordings"
-            text = (
-                f"{message(whose, _band(band), same)}; so many at once indicate a fault of the rig, not of the subjects"
-            )
-            yield Finding(id=kind, severity="warning", subject=None, repetition=None, frequency_hz=band, message=text)
-            continue
-        for event in same:
-            rest.setdefault((event.subject, event.repetition), []).append(event)
-    for (subject, repetition), own in rest.items():
-        band = _hull(own)
-        text = message(f'subject "{subject}", repetition "{repetition}"', _band(band), own)
-        yield Finding(
-            id=kind, severity="warning", subject=subject, repetition=repetition, frequency_hz=band, message=text
-        )
-
-
-def _hull(events: list[_Event]) -> tuple[float, float]:
-    return min(event.band_hz[0] for event in events), max(event.band_hz[1] for event in events)
-
-
-def _band(band_hz: tuple[float, float]) -> str:
-    low, high = (f"{value:.4g}" for value in band_hz)
-    return f"at {low} Hz" if low == high else f"between {low} and {high} Hz"
-
-
-def _not_passive_message(whose: str, where: str, events: list[_Event]) -> str:
+def _not_passive_message(whose: str, where: str, events: list[Event]) -> str:
     worst = min(events, key=lambda event: float(event.detail)).detail
     by_recording = {(e.subject, e.repetition): e.because for e in events if e.because is not None}
     return sentence(whose, where, worst, list(by_recording.values()))
 
 
-def _jump_message(whose: str, where: str, events: list[_Event]) -> str:
+def _jump_message(whose: str, where: str, events: list[Event]) -> str:
     places = {event.band_hz for event in events}
     count = "a jump" if len(places) == 1 else f"{len(places)} jumps"
     size = f" by {events[0].detail}" if len(events) == 1 else ""
@@ -281,7 +186,7 @@ def _jump_message(whose: str, where: str, events: list[_Event]) -> str:
     )
 
 
-def _outlier_message(whose: str, where: str, events: list[_Event]) -> str:
+def _outlier_message(whose: str, where: str, events: list[Event]) -> str:
     places = {event.band_hz for event in events}
     count = "1 point is far from its" if len(places) == 1 else f"{len(places)} points are far from their"
     return (
@@ -341,30 +246,56 @@ def _check_place(recordings: Recordings, explained: bool) -> Iterator[Finding]:
     late = None if explained else late_channel(recordings)
     for kind, found in (("transfer", doubts_of_place(recordings)), ("lag", late)):
         if found is not None:
-            yield _of_all(kind, found[1], found[0])
+            yield of_all(kind, found[1], found[0])
 
 
 def _check_units(recordings: Recordings) -> Iterator[Finding]:
     suspects = suspect_units(recordings.subjects, recordings.polar)
     if "phase_conjugated" in suspects:
-        yield _of_all(
+        yield of_all(
             "phase_conjugated",
             "the phase agrees with the slope of the magnitude only if its sign is reversed; these seem to be "
             "complex conjugates, from the convention exp(-jwt) or from an analyser that subtracts phases the other "
             "way: change the sign of the imaginary part or of the phase",
         )
     if "phase_in_radians" in suspects:
-        yield _of_all(
+        yield of_all(
             "phase_in_radians",
             "the phases lie within 3.2 deg although such magnitudes have much larger ones; "
             "if the column phase_deg is in radians, multiply it by 180/pi",
         )
     if "magnitude_in_db" in suspects:
-        yield _of_all(
+        yield of_all(
             "magnitude_in_db",
             "the slope of the magnitude agrees with the phase only if the magnitude is in dB; "
             "if it is, convert the column to 10^(dB/20)",
         )
+
+
+def _check_parts(recordings: Recordings, found: Sequence[Finding]) -> Iterator[Finding]:
+    """Real and imaginary part that do not belong together, where nothing that was found explains it."""
+    explaining = {finding.subject for finding in found if finding.id in _EXPLAIN_PARTS}
+    if None in explaining:
+        return
+    rest = [subject for subject in recordings.subjects if subject.name not in explaining]
+    violating, tested = violations(rest)
+    if tested >= COMMON_MINIMUM and len(violating) > COMMON * tested:
+        worst = max(violating, key=lambda one: one.misfit)
+        whose = f'{len(violating)} of {tested} subjects (the worst: subject "{worst.subject}")'
+        more = "; so many at once indicate a fault of the rig or of the export, not of the subjects"
+        yield of_all("kramers_kronig", _parts_message(whose, worst) + more)
+        return
+    for one in violating:
+        yield of_all("kramers_kronig", _parts_message(f'subject "{one.subject}"', one), one.subject)
+
+
+def _parts_message(whose: str, one: Violation) -> str:
+    return (
+        f"{whose}: real and imaginary part do not belong together: they are {one.misfit:.2g} of |z| away from any "
+        "linear system that is causal and stays the same during the sweep (Kramers-Kronig relations), with noise of "
+        f"{one.noise:.2g}; look for drift during the sweep, for a part or phase that was scaled, shifted by rows or "
+        "turned"
+    )
 
 
 def _check_size(recordings: Recordings) -> Iterator[Finding]:

@@ -27,6 +27,9 @@ IntArray = npt.NDArray[np.int64]
 ComplexArray = npt.NDArray[np.complex128]
 Cells = npt.NDArray[Any]
 
+_FEWEST_ROWS = 8
+"""Fewest rows above the last one, the header included, by whose cells the length of its last cell is judged. By choice:
+lengths of fewer numbers vary by chance."""
 _SEPARATOR_NAMES = {";": "semicolons", "\t": "tabs", "|": "bars"}
 
 
@@ -90,6 +93,7 @@ def parse_csv(data: bytes, file: str, known: Collection[str]) -> Table:
     header = [name.lower() if name.lower() in known else name for name in header]
     _check_header(header, records, file)
     width = np.fromiter(map(len, records), dtype=np.int64, count=len(records))
+    _check_end(records, width, len(header), data[-1:] in (b"\n", b"\r"), file)
     _check_width(width, len(header), file)
     row = np.flatnonzero(width)[1:]
     cells = np.array([records[i] for i in row], dtype=object).reshape(row.size, len(header))
@@ -136,6 +140,37 @@ def _check_header(header: list[str], records: list[list[str]], file: str) -> Non
     for name in named:
         if named.count(name) > 1:
             raise InputError(f'{file}, row 1: column "{name}" appears twice; rename or delete one of the two')
+
+
+def _check_end(records: list[list[str]], width: IntArray, expected: int, ended: bool, file: str) -> None:
+    """Refuse a last row that is shorter than all others, as of a file that was cut.
+
+    Parameters
+    ----------
+    records : list of list of str
+    width : ndarray of int
+        Cells of each.
+    expected : int
+        Columns.
+    ended : bool
+        Whether the last line has an end.
+    file : str
+        Name to use in messages.
+    """
+    *others, last = np.flatnonzero(width).tolist()
+    remedy = "the file is cut short: export or copy it again, complete the row, or delete it"
+    # If other rows are short, too, the file was not cut but written so, and the first of them is named.
+    if others and width[last] < expected and np.all(width[others] == expected):
+        raise InputError(f"{file}, row {last + 1}: the last row has only {width[last]} of {expected} cells; {remedy}")
+    if ended or len(others) < _FEWEST_ROWS or width[last] != expected:
+        return
+    final = records[last][-1]
+    least = min(len(records[i][-1]) for i in others[1:])
+    if least and len(final) <= least / 2:
+        said = f"the last cell is {shown(final)}" if final else "the last cell is empty"
+        raise InputError(
+            f"{file}, row {last + 1}: {said}, without an end of the line, and all above are longer; {remedy}"
+        )
 
 
 def _check_width(width: IntArray, expected: int, file: str) -> None:

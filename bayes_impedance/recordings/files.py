@@ -28,6 +28,7 @@ from bayes_impedance.recordings.out_of_core import StoredRows, StoredSubject
 from bayes_impedance.recordings.parquet import SUFFIX, parquet_table, partitions
 from bayes_impedance.recordings.plausibility import Plausibility
 from bayes_impedance.recordings.repetitions import is_conjugated, signed_factor, subjects_of
+from bayes_impedance.recordings.shorter_grid import shorter_grids
 from bayes_impedance.runtime.atomic_files import write_together
 from bayes_impedance.runtime.input_files import LARGEST_DESCRIPTION, read_bytes
 
@@ -108,6 +109,7 @@ def read_recordings(path: str | os.PathLike[str]) -> Recordings:
             *metadata.warnings,
             *reading.plausibility.remarks(metadata, str(metadata_file)),
             *reading.of_subjects,
+            *reading.shorter(),
         ),
         polar=reading.polar,
         convention=metadata.convention,
@@ -148,6 +150,7 @@ class _Reading:
         self.file, self.metadata, self.covariates, self.circumstances = file, metadata, covariates, circumstances
         self.subjects: list[Subject] = []
         self.named: dict[str, str] = {}
+        self.ended: dict[str, str] = {}
         self.of_table: list[str] = []
         self.said: set[str] = set()
         self.of_subjects: list[str] = []
@@ -171,6 +174,8 @@ class _Reading:
         used, starts = np.unique(table.subject, return_index=True)
         for i, row in zip(used, np.minimum.reduceat(table.row, starts) if used.size else (), strict=True):
             self.named[table.subject_names[i]] = f"{table.file}, row {row}"
+        for i, row in zip(used, np.maximum.reduceat(table.row, starts) if used.size else (), strict=True):
+            self.ended[table.subject_names[i]] = f"{table.file}, row {row}"
         self.first_row = self.first_row or int(table.row[:1].sum())
         self.rows += table.z.size
         for own, rows, warning in subjects_of(table, self.metadata, self.covariates):
@@ -212,6 +217,11 @@ class _Reading:
         """Refuse tables without any usable row."""
         if not self.rows:
             raise InputError(f"{self.file}: no partition has a row with a finite number in every column; fill them in")
+
+    def shorter(self) -> Iterator[str]:
+        """Remarks on subjects whose frequencies end before those of everybody else."""
+        for name, what in shorter_grids(self.subjects):
+            yield f'{self.ended[name]}: subject "{name}" ends here: {what}'
 
     def match_covariates(self, file: str) -> tuple[str, ...]:
         """Refuse subjects without covariates; warn of covariates without recordings."""

@@ -17,7 +17,7 @@ from bayes_impedance.commands.finished_fit import examined_result, write_extende
 from bayes_impedance.commands.jobs import FitOptions
 from bayes_impedance.commands.result_folders import FIT_FILES, PICTURE_FOLDER
 from bayes_impedance.diagnosis import examine as examining
-from bayes_impedance.quality.checks import Finding
+from bayes_impedance.quality.findings import Finding
 from bayes_impedance.results import model_before, predictive
 from bayes_impedance.results import result as results
 from bayes_impedance.runtime.clock import Clock

@@ -155,6 +155,7 @@ TABLES: dict[str, str | bytes] = {
     "html": "<!DOCTYPE html><html><body>404</body></html>\n",
     "json": json.dumps(TRUTH),
     "short row": GOOD + "C,3,5,1\n",
+    "cut in the last row": GOOD.rstrip("\n").rpartition(",")[0],
     "long row": GOOD + "C,3,5,1,1,1\n",
     "gzip cut short": gzip.compress(GOOD.encode())[:40],
     "gzip with rubbish behind": gzip.compress(GOOD.encode()) + b"rubbish",

@@ -15,8 +15,8 @@ Z = impedance()
 @pytest.fixture
 def people(tmp_path: Path) -> list[str]:
     """Files of four persons."""
-    text = table({"f": FREQUENCY, "z_re": Z.real, "z_im": Z.imag})
     for name in ("01", "02", "03", "04"):
+        text = table({"f": FREQUENCY, "z_re": Z.real * int(name), "z_im": Z.imag})
         (tmp_path / f"{name}.csv").write_text(text, encoding="utf-8")
     return sorted(map(str, tmp_path.glob("*.csv")))
 

@@ -69,16 +69,16 @@ def test_guesses_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
 
 
 def test_files_of_persons_and_their_repetitions(tmp_path: Path) -> None:
-    for person in ("A", "B"):
+    for person, size in (("A", 1.0), ("B", 1.5)):
         for repetition in (1, 2):
-            text = table({"f": F, "z_re": Z.real * repetition, "z_im": Z.imag})
+            text = table({"f": F, "z_re": Z.real * repetition * size, "z_im": Z.imag})
             (tmp_path / f"{person}_{repetition}_cold.csv").write_text(text, encoding="utf-8")
     pattern = r"(?P<subject>[^_]+)_(?P<repetition>\d)_(?P<room>\w+)"
     files = sorted(map(str, tmp_path.glob("*.csv")))
     assert main(["import", *files, "-o", str(tmp_path / "out"), "--subject-from-name", pattern]) == 0
     subjects = read_recordings(tmp_path / "out").subjects
     assert [(s.name, s.repetitions) for s in subjects] == [("A", ("1", "2")), ("B", ("1", "2"))]
-    np.testing.assert_allclose(subjects[1].z[1].real, 2 * Z.real)
+    np.testing.assert_allclose(subjects[1].z[1].real, 3 * Z.real)
     noted = (tmp_path / "out" / "repetitions.csv").read_text(encoding="utf-8")
     assert noted.splitlines()[:2] == ["subject,repetition,room", "A,1,cold"]
 
@@ -87,7 +87,8 @@ def test_long_tables_zero_hertz_gaps_and_sweeps_up_and_down(tmp_path: Path, caps
     f = np.concatenate([[0.0], F, F[::-1]])
     z = np.concatenate([[1.0], Z, Z[::-1] * 1.5])
     rows = [f"007,{a!r},{b.real!r},{b.imag!r}" for a, b in zip(f.tolist(), z.tolist(), strict=True)]
-    text = "\n".join(["person,freq,z_re,z_im", *rows, "008,5.0,,", *(r.replace("007", "008") for r in rows[1:26])])
+    other = [f"008,{a!r},{2 * b.real!r},{b.imag!r}" for a, b in zip(f[1:26].tolist(), z[1:26].tolist(), strict=True)]
+    text = "\n".join(["person,freq,z_re,z_im", *rows, "008,5.0,,", *other])
     (tmp_path / "all.csv").write_text(text, encoding="utf-8")
     assert main(["import", str(tmp_path / "all.csv"), "-o", str(tmp_path / "out")]) == 0
     first, second = read_recordings(tmp_path / "out").subjects

@@ -14,7 +14,7 @@ from strategies import networks, repeatable
 
 from bayes_impedance.network.notation import parse
 from bayes_impedance.network.schematic import schematic
-from bayes_impedance.quality.checks import Finding
+from bayes_impedance.quality.findings import Finding
 from bayes_impedance.report import REPORT_FILE, write_report
 
 FINDINGS = (

@@ -1,0 +1,78 @@
+"""Files that were cut: an incomplete last row is an error, a person whose frequencies end early a remark."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from datasets import HEADER, dataset
+
+from bayes_impedance.commands.cli import main
+from bayes_impedance.errors import InputError
+from bayes_impedance.quality.checks import check_recordings
+from bayes_impedance.recordings.files import read_recordings
+
+FREQUENCIES = (5, 10, 20, 40, 80, 160)
+
+
+def rows(who: str, *frequencies: int) -> str:
+    scale = 1 + ord(who) / 100
+    return "".join(f"{who},1,{f},{scale * 2:.5f},{scale * (f * 0.02 - 60 / f):.5f}\n" for f in frequencies)
+
+
+WHOLE = HEADER + "".join(rows(who, *FREQUENCIES) for who in "ABC")
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (WHOLE.rstrip("\n").rpartition(",")[0], "the last row has only 4 of 5 cells"),
+        (WHOLE.rstrip("\n").rpartition(",")[0] + "\n", "the last row has only 4 of 5 cells"),
+        (WHOLE.rstrip("\n").rpartition(",")[0] + ",", "the last cell is empty"),
+        (WHOLE.rstrip("\n")[:-5], 'the last cell is "4.'),
+        (WHOLE + "C", "the last row has only 1 of 5 cells"),
+    ],
+)
+def test_an_incomplete_last_row_is_refused(tmp_path: Path, content: str, words: str) -> None:
+    with pytest.raises(InputError) as caught:
+        read_recordings(dataset(tmp_path, content))
+    row = content.rstrip("\n").count("\n") + 1
+    assert f"recordings.csv, row {row}: {words}" in str(caught.value)
+    assert "the file is cut short: export or copy it again" in str(caught.value)
+
+
+def test_a_last_row_without_an_end_is_read(tmp_path: Path) -> None:
+    assert len(read_recordings(dataset(tmp_path, WHOLE.rstrip("\n")))) == 3
+    assert read_recordings(tmp_path).warnings == ()
+
+
+def test_a_person_whose_frequencies_end_early_is_remarked_on(tmp_path: Path) -> None:
+    content = HEADER + rows("A", *FREQUENCIES) + rows("B", *FREQUENCIES[:4]) + rows("C", *FREQUENCIES)
+    (told,) = read_recordings(dataset(tmp_path, content)).warnings
+    assert 'recordings.csv, row 11: subject "B" ends here: the frequencies end at 40 Hz after 4' in told
+    assert "2 others have the same and go on, 6 to 160 Hz" in told
+    assert "export or copy it again" in told
+    assert told in [finding.message for finding in check_recordings(read_recordings(tmp_path))]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        HEADER + rows("A", *FREQUENCIES) + rows("B", *FREQUENCIES[:4]),  # of two, either may be meant
+        HEADER + rows("A", *FREQUENCIES) + rows("B", *FREQUENCIES[1:]) + rows("C", *FREQUENCIES),  # no first part
+        HEADER + rows("A", *FREQUENCIES) + rows("B", *FREQUENCIES[:4]) + rows("C", *FREQUENCIES[:4]),  # most end there
+    ],
+)
+def test_other_grids_are_not_remarked_on(tmp_path: Path, content: str) -> None:
+    assert read_recordings(dataset(tmp_path, content)).warnings == ()
+
+
+def test_import_remarks_on_it_too(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    for who, count in (("A", 6), ("B", 4), ("C", 6)):
+        lines = (HEADER + rows(who, *FREQUENCIES[:count])).splitlines()
+        text = "\n".join(",".join(line.split(",")[2:]) for line in lines) + "\n"
+        (tmp_path / f"{who}.csv").write_text(text, encoding="utf-8")
+    files = [str(tmp_path / f"{who}.csv") for who in "ABC"]
+    assert main(["import", *files, "-o", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr()
+    assert 'B.csv: subject "B": the frequencies end at 40 Hz after 4' in said.out + said.err
