@@ -74,10 +74,11 @@ def once(some: list[PersonResiduals]) -> list[PersonResiduals]:
     return [replace(p, model=p.model[:1], sd=p.sd[:1], white=p.white[:1], basis=p.basis[:1]) for p in some]
 
 
-@pytest.mark.parametrize(("line", "periods"), [(50.0, 5.0), (60.0, 10.0)])
-def test_hum_is_found_where_everybody_was_recorded_once(line: float, periods: float) -> None:
-    size = 0.25
-    found = [find_skirts(once(people(300 + seed, line, size, periods, n=36))) for seed in range(6)]
+@pytest.mark.parametrize(
+    ("line", "periods", "size", "n"), [(50.0, 5.0, 0.25, 36), (60.0, 10.0, 0.25, 36), (50.0, 5.0, 0.6, 12)]
+)
+def test_hum_is_found_where_everybody_was_recorded_once(line: float, periods: float, size: float, n: int) -> None:
+    found = [find_skirts(once(people(300 + seed, line, size, periods, n=n))) for seed in range(6)]
     hums = [hum for hum in found if hum is not None]
     assert len(hums) >= 5
     assert {(hum.line_hz, hum.coherent, hum.harmonics[0]) for hum in hums} == {(line, False, 1)}
@@ -85,9 +86,10 @@ def test_hum_is_found_where_everybody_was_recorded_once(line: float, periods: fl
     assert sum(hum.q05 <= amplitude <= hum.q95 for hum in hums) >= 4
 
 
-def test_uneven_noise_and_bumps_elsewhere_are_no_hum_where_everybody_was_recorded_once() -> None:
-    assert sum(find_skirts(once(people(400 + seed, n=36))) is not None for seed in range(30)) <= 1
-    found = [find_skirts(once(people(500 + seed, 41.0, 0.06, n=36))) for seed in range(4)]
+@pytest.mark.parametrize("n", [9, 18, 36])
+def test_uneven_noise_and_bumps_elsewhere_are_no_hum_where_everybody_was_recorded_once(n: int) -> None:
+    assert sum(find_skirts(once(people(400 + seed, n=n))) is not None for seed in range(30)) <= 1
+    found = [find_skirts(once(people(500 + seed, 41.0, 0.06, n=n))) for seed in range(4)]
     assert found == [None] * 4
 
 
@@ -97,15 +99,16 @@ def resonating(person: PersonResiduals, size: float, at_hz: float) -> PersonResi
     return replace(person, white=person.white + np.concatenate([wrong.real, wrong.imag], axis=1))
 
 
+@pytest.mark.parametrize("n", [9, 18, 36])
 @pytest.mark.parametrize(("spread", "size"), [(0.0, 0.5), (0.1, 0.5), (0.2, 0.2)])
 def test_a_resonance_that_the_network_lacks_is_no_hum_where_everybody_was_recorded_once(
-    spread: float, size: float
+    spread: float, size: float, n: int
 ) -> None:
     rng = np.random.default_rng(5)
     found = []
     for seed in range(4):
-        some = once(people(600 + seed, n=36))
-        at = 50.0 * np.exp(spread * rng.normal(size=36))
+        some = once(people(600 + seed, n=n))
+        at = 50.0 * np.exp(spread * rng.normal(size=n))
         found.append(find_skirts([resonating(p, size, f) for p, f in zip(some, at, strict=True)]))
     assert found == [None] * 4
 
