@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from drawn_posteriors import posterior_of
 from persons_with_draws import REFERENCE_COVARIANCE, N, P, contrasts_of, gaussian_draws, parameters, people
 
 from bayes_impedance import FINGERTIP, simulate_recordings
-from bayes_impedance.mcmc.ensemble import SamplerSettings
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
-from bayes_impedance.population import fit as fitting
 from bayes_impedance.population.coordinates_gradient import pulled_back
 from bayes_impedance.population.exponentials import normalise_rows
-from bayes_impedance.population.fit import FitSettings, fit_population
 from bayes_impedance.population.importance_likelihood import ImportanceLikelihood
 from bayes_impedance.population.likelihood_gradient import likelihood_gradient
 from bayes_impedance.population.parameters import Coordinates
@@ -98,26 +96,6 @@ def test_weights_are_normalised_and_negligible_ones_are_zero():
     normalise_rows(values)
     assert np.abs(values - exact / exact.sum()).max() < 1e-6
     assert np.array_equal(values[0, 0] == 0, [False, False, False, True, True])
-
-
-class StopError(Exception):
-    """Ends a fit when the posterior has been made."""
-
-
-def posterior_of(recordings, monkeypatch, **settings):
-    """The posterior with draws, of a fit that goes no further."""
-    found = []
-
-    def sampled(posterior, settings, drawing, sampling, executor, clock, progress, checkpoint):
-        posterior.draw(drawing, executor, progress)
-        found.append(posterior)
-        raise StopError
-
-    monkeypatch.setattr(fitting, "sampled", sampled)
-    quick = FitSettings(draws=256, sampler=SamplerSettings(ensembles=2, burn_in=(20, 20)), **settings)
-    with pytest.raises(StopError):
-        fit_population(recordings, settings=quick, seed=3)
-    return found[0]
 
 
 def with_a_delay():

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from drawn_posteriors import posterior_of
 from scipy.optimize import least_squares
-from test_likelihood_gradient import posterior_of
 
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
