@@ -3,8 +3,7 @@ r"""Cross-validation of an explanation: on people, and on frequencies of the sam
 **People** are divided at random into folds. Population, shared parameters and mean coefficients are estimated without a
 fold, and the evidence of the people in it is computed under that population, their own elements integrated out.
 
-**Frequencies.** The band (of one person without its ends) is divided into blocks. All parameters are estimated without
-a block, and
+**Frequencies.** The band is divided into blocks. All parameters are estimated without a block, and
 
 .. math:: \ln p(z_\text{block} \mid z_\text{rest}) = \ell_i(\text{all}) - \ell_i(\text{rest})
 
@@ -29,12 +28,6 @@ from bayes_impedance.person.likelihood import Likelihood
 
 BLOCKS = 8
 """Blocks of the band. By choice: a block of a three-decade sweep is then 0.4 decades, wider than a resonance."""
-
-_KEPT_AT_ENDS = 0.5
-"""What is never held out of one person at either end of the band, in widths of a block. By choice: a prediction there
-would be an extrapolation, at which every model fails whose parameters are seen at that end alone. Without the highest
-block of a fuel cell's spectrum the inductance of its leads is any number, and lost 77 nats though it had gained 46. Of
-several people the ends are held out too: otherwise a ripple in 14 people was called a resonator and a delay."""
 
 _ROUNDS = 12
 """Largest number of rounds of a refit without a fold or a block, which begins at the fit with it, near its end. By
@@ -123,9 +116,7 @@ def _blocks(refitter: Refitter, fit: Refit) -> np.ndarray:
     density = np.zeros((len(refitter.data), BLOCKS))
     low = np.log(min(d.omega[0] for d in refitter.data))
     high = np.log(max(d.omega[-1] for d in refitter.data))
-    kept_at_ends = _KEPT_AT_ENDS if refitter.one_person else 0.0
-    margin = kept_at_ends * (high - low) / (BLOCKS + 2 * kept_at_ends)
-    edges = np.linspace(low + margin, high - margin + 1e-9, BLOCKS + 1)
+    edges = np.linspace(low, high + 1e-9, BLOCKS + 1)
     for k in range(BLOCKS):
         kept = [_without(d, edges[k], edges[k + 1]) for d in refitter.data]
         rest = Refitter(kept, refitter.executor, refitter.one_person)

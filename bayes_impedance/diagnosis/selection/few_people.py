@@ -2,8 +2,7 @@ r"""A further effect in the recordings of few people, from whom no standard erro
 
 An effect of the body has a mean, a dispersion and often a shape, and these can be estimated only from several people.
 An effect of the measurement chain is one number for everybody, and one recording of enough frequencies can determine
-two of them: a low-pass and a lag. With one person, or one specimen, nothing differs between people, and the same holds
-of any effect. The question is then how many of the residuals are independent. Where the better
+two of them: a low-pass and a lag. The question is then how many of the residuals are independent. Where the better
 model leaves structure, neighbouring residuals are correlated, and so are those of all repetitions, but a difference of
 log evidence counts them as independent. With the whitened residuals :math:`w_{jf}` of J repetitions, their mean
 :math:`\bar w_f` and its autocorrelation :math:`\rho_k` k points apart,
@@ -17,8 +16,7 @@ model, exceeds :data:`~bayes_impedance.diagnosis.selection.compare.LEAST_GAIN`, 
 that were held out better than the model without it does.
 
 In a motor's recordings a lag of 0.1 ms gained 76 to 3000 nats, which division by kappa reduces to 43 to 67. A high-pass
-that the motor does not have then gained 55 nats, which it reduces to 2.6. One spectrum of a fuel cell, of which two RC
-arcs leave 15 %, needs an inductance (42 nats, reduced to 5) and two power laws (209 and 132, reduced to 41 and 43).
+that the motor does not have then gained 55 nats, which it reduces to 2.6.
 """
 
 from __future__ import annotations

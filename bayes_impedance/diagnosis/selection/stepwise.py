@@ -37,8 +37,7 @@ MOST_ADDITIONS = 4
 
 _PEOPLE_PER_ADDITION = 8
 """People required per addition, which has a mean, a dispersion and often a shape to be estimated. By choice. With fewer
-only effects of the measurement chain are added, which are one number for everybody, and with one person, of whom
-everything is one number, any effect (:mod:`.few_people`)."""
+only effects of the measurement chain are added, which are one number for everybody (:mod:`.few_people`)."""
 
 _REPEATS = 3
 """Largest number of times that a step is repeated because the model without the addition had not converged. By
@@ -143,7 +142,7 @@ def _forward(
     while number <= most:
         progress("looking for what is missing", number, most + 1)
         few = number >= of_any_kind
-        possible = of_the_chain if few and not refitter.one_person else effects
+        possible = of_the_chain if few else effects
         residuals = tuple(person_residuals(fit, names, executor))
         if begin is None:
             screening = screen(fit, residuals, possible, seed, executor)

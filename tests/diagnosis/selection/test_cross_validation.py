@@ -199,8 +199,7 @@ def test_a_blocks_predictive_density_is_the_evidence_with_it_less_that_without()
     before, after = fits
     gained = held_out(refitter, before, after, seed=1)
     omega = np.log(experiment.data[0].omega)
-    # Half a block at either end is never held out of one person: blocks there are -1 and BLOCKS.
-    block = np.floor((BLOCKS + 1) * (omega - omega[0]) / (omega[-1] - omega[0]) - 0.5).astype(int)
+    block = np.minimum((BLOCKS * (omega - omega[0]) / (omega[-1] - omega[0])).astype(int), BLOCKS - 1)
     everything = np.ones(omega.size, dtype=bool)
     exact = [sum(log_marginal(fit, everything) - log_marginal(fit, block != k) for k in range(BLOCKS)) for fit in fits]
     assert exact[1] - exact[0] > 20
