@@ -96,10 +96,10 @@ def _copies_on_grid(subjects: Sequence[Subject]) -> list[list[tuple[str, str]]]:
     z = np.concatenate([subject.z for subject in subjects])
     level = np.log(np.maximum(np.abs(z), np.finfo(float).tiny)).mean(axis=1)
     order = np.argsort(level, kind="stable")
+    stops = np.searchsorted(level[order], level[order] + _NEAR, "right")
     group = np.arange(len(labels))
     for place, i in enumerate(order.tolist()):
-        stop = int(np.searchsorted(level[order], level[i] + _NEAR, "right"))
-        for j in order[place + 1 : stop].tolist():
+        for j in order[place + 1 : stops[place]].tolist():
             if group[i] != group[j] and _are_copies(z[i], z[j]):
                 group[group == max(group[i], group[j])] = min(group[i], group[j])
     together = [np.flatnonzero(group == k) for k in np.unique(group)]

@@ -44,7 +44,8 @@ from bayes_impedance.diagnosis.fit.normal_equations import (
     sums,
     weights,
 )
-from bayes_impedance.diagnosis.fit.outliers_alone import ends_of_outliers, starts_of_the_only_person
+from bayes_impedance.diagnosis.fit.only_person import settled_alone
+from bayes_impedance.diagnosis.fit.outliers_alone import ends_of_outliers
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood
 from bayes_impedance.person.marginal_likelihood import LEAST_RHO
@@ -54,10 +55,6 @@ from bayes_impedance.population.em_state import PRIOR_PERSONS, SMALLEST_DISPERSI
 _LONGEST_STEP, _LONGEST_SHARE = 1.0, 0.3
 """Largest step of the additions, in prior standard deviations or units of the coefficient, and as a share of it if that
 is more: a filter in the middle of the band has 100 units. By choice."""
-
-_BEST_COPIES = 3
-"""Best ends of the only person that are fitted with the additions free. By choice: while these are held, a right valley
-may lie a little behind."""
 
 _ALONE_TRIES = 3
 """Starts of a round in which people who are described much worse than most are searched alone. By choice."""
@@ -167,14 +164,15 @@ class Refitter:
     def settle(self, fit: Refit, seed: int, tries: int = 6, rounds: int = 3, hold: bool = False) -> Refit:
         """Look for better optima of every person, from the median person and from draws, until none is found.
 
-        One person in a local optimum looks like missing physics.
+        One person in a local optimum looks like missing physics. The only person is searched in another way
+        (:mod:`.only_person`).
 
         Parameters
         ----------
         fit : Refit
         seed : int
         tries : int
-            Starts per person and round.
+            Starts per person and round, of a population.
         rounds : int
             Largest number of rounds.
         hold : bool
@@ -182,7 +180,7 @@ class Refitter:
         """
         rng = np.random.default_rng(seed)
         if self.one_person:
-            return self._only_person_settled(fit, rng, rounds, hold)
+            return settled_alone(self, fit, rng, rounds, hold)
         varying = ~fit.model.shared
         n = len(self.data)
         for _ in range(rounds):
@@ -204,20 +202,6 @@ class Refitter:
             if not np.any(best_evidence > fit.evidence):
                 break
             fit = self.fit(fit.model, best_u, fit.population, hold_population=hold, hold_additions=hold)
-        return fit
-
-    def _only_person_settled(self, fit: Refit, rng: np.random.Generator, rounds: int, hold: bool) -> Refit:
-        """The same with one person, who is everybody: as many copies as there are starts are fitted at once."""
-        for _ in range(rounds):
-            starts = np.repeat(starts_of_the_only_person(fit, rng), len(fit.u), axis=0)
-            many = Refitter(self.data * (len(starts) // len(fit.u)), self.executor, one_person=True)
-            ends = many.fit(fit.model, starts, fit.population, 15, hold_population=True, hold_additions=True)
-            best = np.argsort(-np.nan_to_num(ends.evidence, nan=-np.inf), kind="stable")[:_BEST_COPIES]
-            again = [self.fit(fit.model, ends.u[ends.owner == k], fit.population, hold_additions=hold) for k in best]
-            better = max(again, key=lambda other: float(np.nan_to_num(other.evidence[0], nan=-np.inf)))
-            if not better.evidence[0] > fit.evidence[0] + 0.2:
-                break
-            fit = better
         return fit
 
     def _objective(self, chi: np.ndarray, v: np.ndarray, persons: np.ndarray, population: Population) -> np.ndarray:

@@ -7,11 +7,6 @@ explanation was chosen. So these people are searched from starts that are spread
 population, by the bounded and by the exact error, under a prior of the same width. A thorough search also begins at the
 person's own optimum with only those elements drawn that lie outside of this spread. The population's evidence decides
 whether the optimum that is found replaces the old one.
-
-With one person there is no population to begin around. An effect whose fit begins where the network without it has
-left the elements then stays in that network's valley: a springpot beside the tissue gained 630 nats with a skin that
-was two hundred times too compliant, and 875 with the right one. So the only person is searched with the effect in the
-network, from random starts and with one element changed at a time, as the network alone was.
 """
 
 from __future__ import annotations
@@ -42,16 +37,6 @@ _MOST = 0.25
 
 _HELD = 1e-4
 """Prior width that holds shared parameters at their values. By choice: far below their standard errors."""
-
-_ANYWHERE, _SPREAD = 64, 2.5
-"""Random starts of the only person, and the standard deviation of their log elements: that of a network's search."""
-
-_CHANGES = (-4.0, -2.0, 2.0, 4.0)
-"""Changes of one log element from where the only person is. By choice: a wrong model leaves single elements wrong."""
-
-_APART, _VALLEYS = 0.3, 8
-"""Difference of a log element from which two ends are in different valleys, that of common solutions of a network; and
-largest number of valleys that are tried, by choice."""
 
 _FIRST_STEPS, _STEPS = 4, 40
 """Largest numbers of steps of the exact search, from all starts and from the best. By choice, the second as in the
@@ -123,40 +108,3 @@ def search_alone(
         ends, values, _ = all_modes(fit.model.kernel, one, near[best], centre, precision, _STEPS)
         start[np.ix_(rows, np.flatnonzero(varying))] = ends[int(np.argmin(values))][varying]
     return start
-
-
-def starts_of_the_only_person(fit: Refit, rng: np.random.Generator) -> np.ndarray:
-    """Starts of the only person's parameters, shape (S, P).
-
-    Where searches of the first recording with all parameters free have ended, one for each valley; and where the fit is
-    with one element changed.
-
-    Parameters
-    ----------
-    fit : Refit
-        Of one person.
-    rng : Generator
-    """
-    model, data = fit.model, fit.data[0]
-    n, size = model.n_elements, fit.u.shape[1]
-    centre, sd = fit.u[0].copy(), np.empty(size)
-    own = ~model.shared
-    centre[own], sd[own] = fit.population.mu, np.sqrt(np.diag(fit.population.covariance))
-    centre[n:], sd[n:] = [p.centre for p in model.parameters], [p.prior_sd for p in model.parameters]
-    one = replace(
-        data, z=data.z[:1], weight=data.weight[:1], deviations=np.zeros((1, size)), count=data.count / len(data.z)
-    )  # fmt: skip
-    starts = np.tile(fit.u[0], (_ANYWHERE, 1))
-    starts[:, :n] = centre[:n] + _SPREAD * rng.normal(size=(_ANYWHERE, n))
-    changed = np.tile(fit.u[0], (n * len(_CHANGES), 1))
-    changed[np.arange(len(changed)), np.repeat(np.arange(n), len(_CHANGES))] += np.tile(_CHANGES, n)
-    starts = np.concatenate([fit.u[:1], changed, starts])
-    precision = np.diag(sd**-2.0)
-    near, values, _ = all_modes(model.kernel, one, starts, centre, precision, _FIRST_STEPS)
-    best = np.argsort(values, kind="stable")[: 2 * _STARTS]
-    ends, values, _ = all_modes(model.kernel, one, near[best], centre, precision, _STEPS)
-    distinct: list[np.ndarray] = []
-    for k in np.argsort(values, kind="stable"):
-        if np.isfinite(values[k]) and all(np.abs(ends[k, :n] - other[:n]).max() > _APART for other in distinct):
-            distinct.append(ends[k])
-    return np.concatenate([distinct[:_VALLEYS], changed])

@@ -221,6 +221,12 @@ def test_only_effects_are_registered() -> None:
 # Coefficients and shapes
 
 
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_a_share_that_a_fit_has_driven_to_its_end_can_be_begun_from(share: float) -> None:
+    exponent = Coefficient("exponent", "", "logit", (0.5,))
+    assert exponent.value(exponent.unbounded(share, SCALES), SCALES) == pytest.approx(share, abs=1e-8)
+
+
 @pytest.mark.parametrize("effect", registered(), ids=own_name)
 def test_values_and_unbounded_parameters_are_inverse(effect: Effect) -> None:
     for coefficient in effect.coefficients:
