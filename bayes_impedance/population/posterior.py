@@ -366,8 +366,9 @@ class Posterior:
             range_of(self.point.fits, self.coordinates.prior, self.point.between_repetitions),
         )
         # Each mode is looked for where the last was found. The prior alone has a precision of one in most coordinates.
+        self.rough_draws = n_draws  # all of them, until the variance says how many suffice
         self.mode, self.normal_covariance = normal_approximation(
-            self.log_probability, self.mode, self.normal_covariance, 0.5
+            self.log_probability, self.gradient, self.mode, self.normal_covariance, 0.5
         )
 
     def _shared_approximation(self) -> tuple[np.ndarray, np.ndarray]:
