@@ -174,7 +174,8 @@ def _priors(candidates: Sequence[_Candidate], recordings: Recordings, options: F
         checked_model(recordings, within_rig(recordings, c.network), options.covariates).kernel.elements
         for c in candidates
     ]
-    unknown = sorted(set(options.prior.elements) - {name for names in elements for name in names})
+    named = {*options.prior.elements, *(name for own in options.prior.order for name in own)}
+    unknown = sorted(named - {name for names in elements for name in names})
     if unknown:
         raise InputError(f"--priors: {shown(unknown[0])} is in none of the networks; leave it out")
     return [options.prior.only(names) for names in elements]

@@ -44,7 +44,7 @@ def pulled_back(
     scaled = gradient.covariance * tau[:, None, :]  # S D
     on_tau = 2 * np.einsum("wpq,wqp->wp", scaled, parameters.correlation)
     parts = [
-        gradient.mu[:, free] * prior.centre_sds[free] - centre,
+        coordinates.centres.slope(centre, gradient.mu[:, free]),
         on_tau[:, free] * coordinates.dispersion_slope(persons, coordinates.bend_persons)
         + coordinates.dispersion_prior_slope(persons, coordinates.bend_persons),
     ]

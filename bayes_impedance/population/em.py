@@ -30,6 +30,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.parameters import LOG
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.mode import Mode
@@ -37,6 +38,7 @@ from bayes_impedance.population.calibrated import inseparable_given
 from bayes_impedance.population.contrasts import Contrasts
 from bayes_impedance.population.e_step import PersonFit, contrasts_of
 from bayes_impedance.population.em_state import State, equations_of, refitted
+from bayes_impedance.population.order import Order, arranged
 from bayes_impedance.population.prior import Prior
 from bayes_impedance.population.shared import Pooling
 from bayes_impedance.population.starting_fits import FirstFits
@@ -200,7 +202,7 @@ def estimate(
         state.restore(kept)
         rounds, moved, rivals = int(kept["rounds"]), float(kept["moved"]), tuple(kept["rivals"].tolist())
     elif len(first.common) > 1 and not one_person:
-        begun, rivals = _best_common(pooling.kernel.elements, state_from, data, first, progress)
+        begun, rivals = _best_common(pooling.kernel, prior.order, state_from, data, first, progress)
         state = state_from(begun, data)
     else:
         state = state_from(first.theta, data)
@@ -222,6 +224,9 @@ def estimate(
         state.iterate(state.means[:, None, :] + np.swapaxes(spread, 1, 2))
         moved = _AT_REST
         keep()
+    if prior.order:
+        state.iterate(None)  # standard errors need everybody's fit under the population as it now is
+        state.exchange(arranged(prior.order, pooling.kernel, *state.found()))
     state.iterate(None)
     progress("population estimate", _MAX_ROUNDS, _MAX_ROUNDS)
     outcomes = state.fits.gathered(_outcome)
@@ -230,8 +235,13 @@ def estimate(
     limits = np.array([DETERMINED_SD if p.link == LOG else DETERMINED_BOUNDED for p in kernel.parameters])
     shared_sd = np.sqrt(np.diag(state.shared_covariance(with_prior=False))) if pooling.names else np.zeros(0)
     shared_sd = np.where(unseen[pooling.shared], np.inf, shared_sd)
+    data_sd = np.where(unseen[pooling.varying], np.inf, state.data_sd())
+    mu, mu_sd = state.mu, state.mu_sd()
+    if not one_person and np.any(seen := data_sd < limits[pooling.varying]):
+        mu = mu.copy()
+        mu[seen] = state.prior.of(np.flatnonzero(seen)).order.nearest(mu[seen], mu_sd[seen])
     return Estimate(
-        mu=state.mu,
+        mu=mu,
         slopes=state.slopes,
         covariance=state.covariance,
         between_repetitions=state.rho,
@@ -240,8 +250,8 @@ def estimate(
         scale=np.array([scale for scale, _, _ in outcomes]),
         converged=np.array([converged for _, converged, _ in outcomes]),
         deviations=tuple(deviations for _, _, deviations in outcomes),
-        mu_sd=state.mu_sd(),
-        data_sd=np.where(unseen[pooling.varying], np.inf, state.data_sd()),
+        mu_sd=mu_sd,
+        data_sd=data_sd,
         limits=limits[pooling.varying],
         pooling=pooling,
         shared=state.phi,
@@ -279,7 +289,8 @@ def _outcome(fit: PersonFit) -> tuple[float, bool, np.ndarray]:
 
 
 def _best_common(
-    elements: Sequence[str],
+    kernel: Kernel,
+    order: Order,
     state_from: Callable[[np.ndarray, Kept], State],
     data: Kept,
     first: FirstFits,
@@ -289,10 +300,11 @@ def _best_common(
 
     If persons start in different optima, the estimated population spans all of them, and its inflated dispersion then
     holds each person in the optimum it started from. So each common solution is tried as a population of its own, on
-    thinned data, and the one with the highest evidence is taken.
+    thinned data, and the one with the highest evidence is taken: of those that are in the order of the prior, if any
+    of them is.
     """
     thinned = data.each(methodcaller("thinned", _TRIAL_POINTS))
-    found, ends = [], []
+    found, ends, ordered = [], [], []
     for c, theta in enumerate(first.common):
         state = state_from(theta, thinned)
         for k in range(_TRIAL_ROUNDS):
@@ -301,11 +313,14 @@ def _best_common(
                 state.align()
         found.append(state.log_evidence())
         ends.append(state.theta)
+        middle = np.median(state.theta, axis=0)
+        best = arranged(order, kernel, middle, np.ones(middle.size))
+        ordered.append(bool(order.obeyed(middle[best])))
         progress("common solutions", c + 1, len(first.common))
-    order = np.argsort(found)[::-1]
-    middles = [_by_kind(elements, np.median(end, axis=0)) for end in ends]
-    others = [k for k in order[1:] if np.abs(middles[k] - middles[order[0]]).max() > 0.3]
-    return ends[order[0]], tuple(float(found[order[0]] - found[k]) for k in others)
+    ranked = [k for k in np.argsort(found)[::-1] if ordered[k] or not any(ordered)]
+    middles = [_by_kind(kernel.elements, np.median(end, axis=0)) for end in ends]
+    others = [k for k in ranked[1:] if np.abs(middles[k] - middles[ranked[0]]).max() > 0.3]
+    return ends[ranked[0]], tuple(float(found[ranked[0]] - found[k]) for k in others)
 
 
 def _by_kind(elements: Sequence[str], theta: np.ndarray) -> np.ndarray:

@@ -150,6 +150,28 @@ class State:
         self.fits = self.data.each(_restored, snapshot["theta"], snapshot["scale"].tolist(), *own)
         self.begun = True  # snapshots are taken after an iteration
 
+    def exchange(self, arrangement: np.ndarray) -> None:
+        """Give equal parts of the network each other's values, in everybody and in the population (after an iteration).
+
+        Parameters
+        ----------
+        arrangement : ndarray of int, shape (P,)
+            Parameter k takes the value of parameter ``arrangement[k]``; shared ones of shared ones.
+        """
+        own = np.searchsorted(self.pooling.varying, arrangement[self.pooling.varying])
+        kept = self.snapshot()
+        columns = ["theta", "deviations", "expanded", "rho"] + ["mu"] * (not self.fixed)
+        kept |= {name: kept[name][..., own] for name in columns}
+        kept["phi"] = kept["phi"][np.searchsorted(self.pooling.shared, arrangement[self.pooling.shared])]
+        if not self.fixed:
+            kept |= {"slopes": kept["slopes"][own], "covariance": kept["covariance"][np.ix_(own, own)]}
+        self.restore(kept)
+
+    def found(self) -> tuple[np.ndarray, np.ndarray]:
+        """Central values of all parameters and their standard errors, (P,) each: of one person, the person's own."""
+        centres = self.theta[0] if self.fixed else self.pooling.whole(self.mu, self.phi)
+        return centres, self.pooling.whole(self.mu_sd(), np.ones(self.phi.size))
+
     @property
     def means(self) -> np.ndarray:
         """Population mean of each person, shape (N, P)."""

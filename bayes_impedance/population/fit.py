@@ -324,16 +324,18 @@ def _one_person(
     mode, likelihood = point.modes[0], point.likelihoods[0]
     ridge = find_ridge(kernel, likelihood, mode.theta, mode.scale, point.between_repetitions)
     sd = np.sqrt(np.diag(np.linalg.inv(mode.precision)))
+    start = (prior.order.nearest(mode.theta, sd) - mode.theta) / sd
 
     def log_probability(u: np.ndarray) -> np.ndarray:
         theta = mode.theta + sd * u
         offset = np.linalg.solve(prior.factor, (theta - prior.centre).T)
-        return np.asarray(marginal_log_likelihood(kernel, likelihood, ridge, theta) - 0.5 * np.sum(offset**2, axis=0))
+        value = marginal_log_likelihood(kernel, likelihood, ridge, theta) - 0.5 * np.sum(offset**2, axis=0)
+        return np.where(prior.order.obeyed(theta), value, -np.inf)
 
     with clock.measure("population"):
         chains = sample(
             log_probability,
-            np.zeros(sd.size),
+            start,
             0.5 * np.ones(sd.size),
             settings.sampler,
             sampler_seed,

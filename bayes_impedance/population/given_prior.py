@@ -13,6 +13,14 @@ As a file of TOML, in which everything is optional:
     scale = 0.4                # standard deviation of its natural logarithm
     dispersion = 0.3           # of this element
 
+Of elements that could be mistaken for each other, such as those of two branches that are written alike, it may say
+which population's central value is the lowest, the next one and so on (:mod:`bayes_impedance.population.order`), before
+the tables of elements:
+
+.. code-block:: toml
+
+    order = [["n1", "n2"], ["r3", "r4", "r5"]]
+
 What is not given keeps its default (:mod:`bayes_impedance.population.natural_scales`). The scale of a parameter is that
 on which it is estimated: the natural logarithm of an element, the logit of an exponent, the value itself of a signed
 parameter, in its unit.
@@ -24,7 +32,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
@@ -33,11 +41,14 @@ import numpy as np
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.parameters import SIGNED
+from bayes_impedance.population.order import order_in
+from bayes_impedance.population.ordered_centres import Centres
 from bayes_impedance.population.prior import Prior
 from bayes_impedance.runtime.input_files import read_toml
 from bayes_impedance.runtime.user_table import UserTable, hint, number_in, shown, text_in
 
-_KEYS = ("elements", "concentration", "dispersion", "slope")
+_NUMBERS = ("concentration", "dispersion", "slope")
+_KEYS = ("elements", *_NUMBERS, "order")
 _ELEMENT_KEYS = ("centre", "unit", "scale", "dispersion")
 LARGEST_SCALE = 10.0
 """Largest standard deviation of a logarithm: a factor of twenty thousand either way. By choice: a wider prior says
@@ -93,17 +104,24 @@ class GivenPrior:
         Scale of the half-normal priors of all dispersions that are not given for an element.
     slope : float, optional
         Standard deviation of the effect of one standard deviation of a covariate on a log element.
+    order : sequence of sequence of str
+        Lists of elements of one kind whose central values increase; of one person, the person's own values. An element
+        may be in one list only.
+    file : str
+        Where it was read from, for messages; it takes no part in comparisons.
 
     Raises
     ------
     InputError
-        If a number is not in its range.
+        If a number is not in its range, or a list of the order is none.
     """
 
     elements: Mapping[str, ElementPrior] = field(default_factory=dict)
     concentration: float | None = None
     dispersion: float | None = None
     slope: float | None = None
+    order: Sequence[Sequence[str]] = ()
+    file: str = field(default="", compare=False, repr=False)
 
     def __post_init__(self) -> None:
         for name, value in self.elements.items():
@@ -111,14 +129,19 @@ class GivenPrior:
                 raise InputError(f"prior: elements[{shown(name)}] is {shown(value)}, but must be an ElementPrior")
         # In one order, because checkpoints know a fit by the text of its settings.
         object.__setattr__(self, "elements", dict(sorted(self.elements.items())))
-        for name in ("concentration", "dispersion", "slope"):
+        for name in _NUMBERS:
             value = getattr(self, name)
             if value is not None:
                 number_in(value, f"prior: {name}", above=0)
+        object.__setattr__(self, "order", _lists(self.order))
 
     def text(self) -> str:
         """As JSON, from which :meth:`of_text` makes the same prior."""
-        return json.dumps(asdict(self))
+        content = asdict(self)
+        del content["file"]
+        if not self.order:
+            del content["order"]
+        return json.dumps(content)
 
     @classmethod
     def of_text(cls, text: str) -> GivenPrior | None:
@@ -131,7 +154,12 @@ class GivenPrior:
 
     def only(self, names: Collection[str]) -> GivenPrior:
         """What it says of some of the elements, and of all of them."""
-        return replace(self, elements={name: own for name, own in self.elements.items() if name in names})
+        order = [[name for name in own if name in names] for own in self.order]
+        return replace(
+            self,
+            elements={name: own for name, own in self.elements.items() if name in names},
+            order=[own for own in order if len(own) > 1],
+        )
 
     def applied(self, prior: Prior, kernel: Kernel, unit: str) -> Prior:
         """Replace what is given.
@@ -148,8 +176,15 @@ class GivenPrior:
         Raises
         ------
         InputError
-            If an element is not in the network or is the calibration's, or its unit or value is impossible.
+            If an element is not in the network or is the calibration's, its unit or value is impossible, or the order
+            cannot be.
         """
+        try:
+            return self._applied(prior, kernel, unit)
+        except InputError as error:
+            raise InputError(f"{self.file}: {error}" if self.file else str(error)) from None
+
+    def _applied(self, prior: Prior, kernel: Kernel, unit: str) -> Prior:
         centre, sd = prior.centre.copy(), prior.centre_sds.copy()
         dispersion = prior.dispersion_sds.copy() if self.dispersion is None else np.full(centre.size, self.dispersion)
         for name, own in self.elements.items():
@@ -176,14 +211,17 @@ class GivenPrior:
                 if parameter.shared:
                     raise InputError(f"prior: {name} is the same for everybody and has no dispersion; leave it out")
                 dispersion[row] = own.dispersion / size
-        return replace(
+        result = replace(
             prior,
             centre=centre,
             centre_sd=sd,
             dispersion_sd=dispersion,
             concentration=self.concentration or prior.concentration,
             slope_sd=self.slope or prior.slope_sd,
+            order=order_in(self.order, kernel, self.file or "prior"),
         )
+        Centres(result).require_possible()
+        return result
 
 
 def read_prior(file: str | os.PathLike[str]) -> GivenPrior:
@@ -206,7 +244,28 @@ def read_prior(file: str | os.PathLike[str]) -> GivenPrior:
             elements={
                 name: ElementPrior(**{key: row.get(key, None) for key in _ELEMENT_KEYS}) for name, row in rows.items()
             },
-            **{key: table.get(key, None) for key in _KEYS[1:]},
+            **{key: table.get(key, None) for key in _NUMBERS},
+            order=table.get("order", ()),
+            file=str(file),
         )
     except InputError as error:
         raise InputError(f"{file}: {error}") from None
+
+
+def _lists(given: object) -> tuple[tuple[str, ...], ...]:
+    """Lists of two or more names, each name once."""
+    form = 'lists of two or more elements, the lowest first, such as [["n1", "n2"]]'
+    if isinstance(given, str) or not isinstance(given, Sequence):
+        raise InputError(f"prior: order is {shown(given)}, but must be {form}")
+    for own in given:
+        if isinstance(own, str) or not isinstance(own, Sequence) or len(own) < 2:
+            raise InputError(f"prior: order has {shown(own)} in it, but must be {form}")
+        for name in own:
+            text_in(name, "prior: an element in order")
+    names = [name for own in given for name in own]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise InputError(
+            f"prior: order names {shown(twice[0])} twice; write what belongs together as one list, the lowest first"
+        )
+    return tuple(tuple(own) for own in given)

@@ -13,7 +13,8 @@ with covariates x standardised. The default priors need no knowledge of unit or 
 * correlations C ~ LKJ(2), through partial correlations (Lewandowski, Kurowicka and Joe 2009): in a P-dimensional
   C-vine the partial correlation of level j is Beta(b, b) on (-1, 1) with :math:`b = \eta + (P - 2 - j)/2`.
 
-**Coordinates.** The sampled distribution should be close to normal. Centres are standardised. A dispersion with a
+**Coordinates.** The sampled distribution should be close to normal. Centres are standardised, or have
+a distance from the one below (:mod:`bayes_impedance.population.ordered_centres`). A dispersion with a
 half-normal prior is the absolute value of a normal variable, which is sampled with its sign: the posterior density is
 an even, smooth function of it. Where the data cannot distinguish a dispersion from zero it is close to a normal
 distribution about zero, of the width to which the data limit the dispersion; a logarithm, or the probit of the prior
@@ -26,9 +27,11 @@ linear below the bend and logarithmic above. Partial correlations are transforme
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from bayes_impedance.population.ordered_centres import Centres
 from bayes_impedance.population.prior import Prior
 
 _SMALLEST = 1e-9
@@ -153,6 +156,11 @@ class Coordinates:
             len(self.shared_free),
         )
 
+    @cached_property
+    def centres(self) -> Centres:
+        """The map of the free centres to their coordinates."""
+        return Centres(self.prior.of(np.array(self.free, dtype=int)))
+
     @property
     def n_dimensions(self) -> int:
         """Length D of the vector."""
@@ -167,7 +175,7 @@ class Coordinates:
         centre, persons, repetitions, slopes, partial, shared = self.blocks(vector)
         w, p, free = vector.shape[0], self.n_elements, list(self.free)
         mu = np.tile(self.held_mu, (w, 1))
-        mu[:, free] = self.prior.centre[free] + self.prior.centre_sds[free] * centre
+        mu[:, free] = self.centres.values(centre)
         tau = np.tile(self.held_dispersion, (w, 1))
         tau[:, free] = self._dispersion(persons, self.bend_persons)
         rho = np.zeros((w, p))
@@ -218,7 +226,9 @@ class Coordinates:
     def log_prior(self, vector: np.ndarray) -> np.ndarray:
         """Log prior density of sampled vectors, shape (W, D), up to a constant: shape (W,)."""
         centre, persons, repetitions, slopes, partial, shared = self.blocks(vector)
-        value = -0.5 * sum(np.sum(block**2, axis=-1) for block in (centre, slopes, shared))
+        value = self.centres.log_prior(centre)
+        for block in (slopes, shared):
+            value = value - 0.5 * np.sum(block**2, axis=-1)
         value = value + self._log_prior_of(persons, self.bend_persons)
         if self.repetitions:
             value = value + self._log_prior_of(repetitions, self.bend_repetitions)
@@ -248,7 +258,7 @@ class Coordinates:
         free = list(self.free)
         tau = np.sqrt(np.diag(covariance))[free]
         parts = [
-            (mu[free] - self.prior.centre[free]) / self.prior.centre_sds[free],
+            self.centres.coordinates(mu[free]),
             self._coordinate(tau, self.bend_persons),
         ]
         if self.repetitions:
@@ -264,10 +274,12 @@ class Coordinates:
 
     @property
     def even(self) -> np.ndarray:
-        """Coordinates whose sign has no meaning, those of dispersions: bool, shape (D,)."""
+        """Coordinates whose sign has no meaning, of dispersions and of ordered centres: bool, shape (D,)."""
         centre, persons, repetitions, *_ = self.sizes
-        position = np.arange(self.n_dimensions)
-        return np.asarray((position >= centre) & (position < centre + persons + repetitions))
+        result = np.zeros(self.n_dimensions, dtype=bool)
+        result[:centre] = self.centres.even
+        result[centre : centre + persons + repetitions] = True
+        return result
 
     def _dispersion(self, u: np.ndarray, bend: np.ndarray | None) -> np.ndarray:
         s = np.abs(u) if bend is None else bend[list(self.free)] * np.sinh(np.abs(u))

@@ -220,8 +220,7 @@ class Posterior:
         """
         mu, covariance, slopes = self.point.mu, self.covariance, self.point.slopes
         rounds = seed.spawn(len(_MORE_DRAWS))
-        few = self._few  # persons times draws is kept about constant
-        n_persons = self.repetitions.size
+        few, n_persons = self._few, self.repetitions.size  # persons times draws is kept about constant
         reach, holds = widening(n_persons), True
         self.mode = starting_point(self.coordinates, self.point, self.covariance, self.repetitions)
         scale = starting_scale(self.coordinates, self.point, self.shared_covariance, self.repetitions)

@@ -7,11 +7,12 @@ calibration: their means are then correlated, and their prior is narrow.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from bayes_impedance.errors import InputError
+from bayes_impedance.population.order import Order
 from bayes_impedance.runtime.user_table import number_in
 
 
@@ -36,6 +37,8 @@ class Prior:
     informed : ndarray of bool, shape (P,), optional
         Parameters of which the prior is knowledge from other recordings, such as calibration runs: they are estimated
         whatever these recordings say of them. None if not given.
+    order : Order
+        Which prior means are below which others: where they are not, the density is zero.
     """
 
     centre: np.ndarray
@@ -45,6 +48,7 @@ class Prior:
     slope_sd: float = 1.0
     correlation: np.ndarray | None = None
     informed: np.ndarray | None = None
+    order: Order = field(default_factory=Order)
 
     def __post_init__(self) -> None:
         centre = np.asarray(self.centre)
@@ -76,6 +80,7 @@ class Prior:
             dispersion_sd=self.dispersion_sds[columns],
             correlation=None if self.correlation is None else self.correlation[np.ix_(columns, columns)],
             informed=None if self.informed is None else self.informed[columns],
+            order=self.order.of(columns),
         )
 
     @property

@@ -59,6 +59,8 @@ def draw_prior(
         held_shared=np.zeros(common.size) if common.size else None,
     )
     vector = rng.normal(size=(n, coordinates.n_dimensions))
+    if coordinates.centres.order:
+        vector[:, :v] = coordinates.centres.drawn(n, rng)
     if correlated and v > 1:
         # Partial correlations are Beta(b, b) on (-1, 1), and their coordinates atanh of them.
         partial = 2 * rng.beta(coordinates.levels(), coordinates.levels(), size=(n, v * (v - 1) // 2)) - 1

@@ -173,6 +173,7 @@ def _prior(fit: PopulationFit) -> dict[str, Any]:
         },
         "concentration": prior.concentration,
         "slope": prior.slope_sd,
+        "order": [list(names) for names in prior.order.names],
     }
 
 

@@ -13,6 +13,7 @@ from bayes_impedance.network.notation import parse
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.population.em import DETERMINED_BOUNDED, DETERMINED_SD, Estimate, _best_common, estimate, moved_to
 from bayes_impedance.population.em_state import SMALLEST_DISPERSION, State
+from bayes_impedance.population.order import Order
 from bayes_impedance.population.prior import Prior
 from bayes_impedance.population.shared import Pooling
 from bayes_impedance.population.starting_fits import FirstFits
@@ -296,9 +297,17 @@ def test_the_common_solution_of_highest_evidence_is_taken_and_an_exchange_is_no_
         assert len(thinned.gathered()) == 3
         return Trial(theta, evidences[tuple(theta[0])])
 
-    begun, rivals = _best_common(("r1", "r2"), state_from, data, first, lambda *_: None)  # type: ignore[arg-type]
+    def best(network: str, order: Order) -> tuple[np.ndarray, tuple[float, ...]]:
+        return _best_common(Kernel(parse(network)), order, state_from, data, first, lambda *_: None)  # type: ignore[arg-type]
+
+    begun, rivals = best("r1|r2", Order())
     np.testing.assert_array_equal(begun, common[1])
     assert rivals == (4.0,)
+    # Where the two cannot be exchanged and their order is given, only what is in this order is a solution.
+    rising, falling = (Order(chains=(pair,), names=(("r1", "r2"),)) for pair in ((0, 1), (1, 0)))
+    np.testing.assert_array_equal(best("r1-(r2|m1=1.0)", rising)[0], common[2])
+    np.testing.assert_array_equal(best("r1-(r2|m1=1.0)", falling)[0], common[1])
+    np.testing.assert_array_equal(best("r1|r2", rising)[0], common[1])
 
 
 def test_modes_follow_a_population_that_is_moved() -> None:
