@@ -37,6 +37,7 @@ def parser_of_commands() -> argparse.ArgumentParser:
     run = commands.add_parser("run", help="everything: check, fit, pictures and one report")
     _dataset(run)
     _fit_arguments(run)
+    _beside(run)
     _with(run)
 
     imports = commands.add_parser("import", help="signals or other programs' files to a dataset")
@@ -50,6 +51,7 @@ def parser_of_commands() -> argparse.ArgumentParser:
     fit = commands.add_parser("fit", help="fit only: result.nc and summary.json")
     _dataset(fit)
     _fit_arguments(fit)
+    _beside(fit)
     _with(fit)
 
     compare = commands.add_parser(
@@ -82,6 +84,7 @@ def parser_of_commands() -> argparse.ArgumentParser:
     report = commands.add_parser("report", help="pictures and report of a finished fit")
     report.add_argument("out", type=Path, metavar="OUT", help="folder that 'run' or 'fit' has written")
     report.add_argument("--dataset", type=Path, help="the recordings, to list the findings of 'check'")
+    _beside(report)
     _overwrite(report)
 
     export = commands.add_parser("export", help="design inputs from a finished fit: users, transfer, SPICE, stability")
@@ -195,6 +198,16 @@ def _fit_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--resume", action="store_true", help="continue a fit that was interrupted")
     _overwrite(parser)
     _worker_arguments(parser)
+
+
+def _beside(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--beside",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="lay published values beside those of the fit, such as pen_grip_x; repeatable",
+    )
 
 
 def _diagnose_arguments(parser: argparse.ArgumentParser) -> None:

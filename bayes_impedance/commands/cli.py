@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from bayes_impedance.commands.arguments import parser_of_commands
+from bayes_impedance.commands.beside_lines import beside_lines
 from bayes_impedance.commands.progress_bars import Bars
 from bayes_impedance.commands.slope_lines import slope_lines
 from bayes_impedance.commands.terminal import complain, prepare_streams, sentence_of, tell
@@ -182,7 +183,7 @@ def _report(options: argparse.Namespace) -> int:
     from bayes_impedance.commands.jobs import report_result
 
     with Bars() as bars:
-        result = report_result(options.out, bars, options.dataset, options.overwrite)
+        result = report_result(options.out, bars, options.dataset, options.overwrite, _beside(options))
     return _finish(result, f"report: {options.out / 'report.html'}")
 
 
@@ -319,7 +320,15 @@ def _fit_options(options: argparse.Namespace) -> Any:
         overwrite=options.overwrite,
         plain=plain,
         prior=None if options.priors is None else read_prior(options.priors),
+        beside=_beside(options),
     )
+
+
+def _beside(options: argparse.Namespace) -> tuple[str, ...]:
+    """Names of published sets, each of which exists."""
+    from bayes_impedance.datasets.published_sets import published_set
+
+    return tuple(published_set(name).name for name in getattr(options, "beside", ()))
 
 
 # -------------------------------------------------------------------- text
@@ -356,7 +365,7 @@ def _finish(result: Result, last: str) -> int:
     if any(_is_marked(element) for element in summary["elements"].values()):
         tell("* may be wrong by more than its interval because of the misfit that is named above")
     tell("dispersions are standard deviations of the natural logarithm")
-    for line in slope_lines(summary):
+    for line in (*slope_lines(summary), *beside_lines(summary)):
         tell(line)
     if summary.get("prior", {}).get("given"):
         tell("with the prior that was given (--priors)")

@@ -87,6 +87,8 @@ class FitOptions:
         Describe that network too, or the dataset's own if `network` extends it, for the report.
     prior : GivenPrior or None
         What replaces the default prior.
+    beside : tuple of str
+        Published sets (:func:`bayes_impedance.datasets.published_values`) that are laid beside the fit.
     """
 
     network: str | None = None
@@ -102,6 +104,7 @@ class FitOptions:
     plain: str | None = None
     with_before: bool = True
     prior: GivenPrior | None = None
+    beside: tuple[str, ...] = ()
 
     @property
     def threads(self) -> int:
@@ -170,7 +173,9 @@ def run_dataset(
     return result
 
 
-def report_result(out: Path, progress: Progress, dataset: Path | None = None, overwrite: bool = False) -> Result:
+def report_result(
+    out: Path, progress: Progress, dataset: Path | None = None, overwrite: bool = False, beside: Sequence[str] = ()
+) -> Result:
     """Pictures and report of a finished fit, from its files alone.
 
     Parameters
@@ -182,6 +187,8 @@ def report_result(out: Path, progress: Progress, dataset: Path | None = None, ov
         The recordings, if the report is to list their anomalies.
     overwrite : bool
         Replace pages that this package did not write.
+    beside : sequence of str
+        Published sets that are laid beside the fit, in place of those that it was made with.
 
     Raises
     ------
@@ -191,6 +198,8 @@ def report_result(out: Path, progress: Progress, dataset: Path | None = None, ov
     from bayes_impedance.results.result import load_result
 
     result = load_result(out)
+    if beside:
+        result.summary["beside"] = list(beside)
     findings: Sequence[Finding] = ()
     if dataset is not None:
         from bayes_impedance.quality.checks import check_recordings
@@ -341,6 +350,7 @@ def _fit(
                 executor=executor,
             )
             result = examined_result(fit, options, clock, executor, progress, findings, helper, before)
+        result.summary["beside"] = list(options.beside)
         remove(out, (*stale, *FIT_FILES))
         save_result(result, out)
     discard(checkpoint)

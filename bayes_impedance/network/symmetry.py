@@ -50,6 +50,22 @@ def exchanges(network: Network) -> tuple[dict[str, str], ...]:
     return tuple(found)
 
 
+def corresponding(one: Network, other: Network) -> dict[str, str] | None:
+    """Names of the parameters of one network by those of another that is the same but for names, labels and order.
+
+    >>> from bayes_impedance.network.notation import parse
+    >>> corresponding(parse("(n1|r1)-m1"), parse("m2-skin:(r3|n3)"))
+    {'m1': 'm2', 'n1': 'n3', 'r1': 'r3'}
+
+    Returns
+    -------
+    dict of str to str, or None
+        None if the networks differ. Of equal parts (:func:`exchanges`) any may correspond to any.
+    """
+    mine, theirs = _form(one), _form(other)
+    return dict(zip(mine.names, theirs.names, strict=True)) if mine.key == theirs.key else None
+
+
 def _form(node: Network) -> _Form:
     parts = [_form(part) for part in node.parts]
     if isinstance(node, Parallel | Series):

@@ -15,6 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol
 
+from bayes_impedance.datasets.beside import beside
 from bayes_impedance.network.notation import parse
 from bayes_impedance.network.schematic import schematic
 from bayes_impedance.network.spellings import circuit_of
@@ -112,6 +113,7 @@ def _context(result: Result, findings: list[FindingLike], pictures: Mapping[str,
         "elements": fit_tables.element_rows(result),
         "correlations": fit_tables.correlation_rows(result),
         "slopes": fit_tables.slope_rows(result),
+        "beside": beside(result.summary, result.summary.get("beside", ())),
         "before": result.summary.get("before", {}).get("network", ""),
         "before_and_after": [] if result.problems else fit_tables.before_and_after(result),
         "error_unit": unit,

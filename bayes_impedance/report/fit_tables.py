@@ -379,6 +379,7 @@ def command(result: Result) -> str:
     if summary["covariance"] != "full":
         parts.append(f"--covariance {summary['covariance']}")
     parts += ["--priors FILE"] if result.attributes.get("prior") else []
+    parts += [f"--beside {name}" for name in result.summary.get("beside", ())]
     parts += [f"--covariate {quote(str(name))}" for name in result.coords.get("covariate", [])]
     selected = json.loads(result.attributes.get("selected_subjects") or "[]")
     parts += [f"--subject {quote(str(name))}" for name in selected]
