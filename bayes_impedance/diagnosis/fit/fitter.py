@@ -42,7 +42,6 @@ from bayes_impedance.diagnosis.fit.normal_equations import (
     marginal,
     quadratic,
     sums,
-    weights,
 )
 from bayes_impedance.diagnosis.fit.only_person import settled_alone
 from bayes_impedance.diagnosis.fit.outliers_alone import ends_of_outliers
@@ -57,7 +56,13 @@ _LONGEST_STEP, _LONGEST_SHARE = 1.0, 0.3
 is more: a filter in the middle of the band has 100 units. By choice."""
 
 _ALONE_TRIES = 3
-"""Starts of a round in which people who are described much worse than most are searched alone. By choice."""
+"""Starts of a round in which people who are described much worse than most are searched alone, as long as that finds
+better optima. By choice. Of 125 people of a battery's recordings who were searched three times around one population,
+the second or the third search was better in 2, by 0.5 and 2.1."""
+
+
+_DAMPING = 1e-3
+"""Of a person's first step, relative to the curvature. By choice."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +72,12 @@ class _Blocks:
     inverse: np.ndarray  # A^-1, (M, V, V)
     pull: np.ndarray  # b, (M, V)
     precision: np.ndarray  # K, (N, V, V)
-    log_determinant: np.ndarray  # (N,)
+
+    def log_determinants(self, owner: np.ndarray, population: Population) -> np.ndarray:
+        """Sum of ln|A R| over a person's recordings and ln|K T|, shape (N,)."""
+        log_a = -np.linalg.slogdet(self.inverse)[1] + 2 * np.sum(np.log(_rho(population)))
+        outer = np.linalg.slogdet(self.precision)[1] + np.linalg.slogdet(population.covariance)[1]
+        return np.asarray(np.bincount(owner, log_a, minlength=len(self.precision)) + outer)
 
 
 class Refitter:
@@ -89,6 +99,7 @@ class Refitter:
         self.one_person = one_person
         self.stack = Stack.of(self.data)
         self.owner = self.stack.owner
+        self.counts = counts(self.data)
         self.repeated = any(d.z.shape[0] > 1 for d in self.data)
 
     def subset(self, people: np.ndarray) -> Refitter:
@@ -127,12 +138,17 @@ class Refitter:
         u = u.copy()
         population = replace(population, covariance=with_dispersions(model, population.covariance, population.mu))
         persons = _means(u[:, varying], self.owner, n)
-        damping = np.full(n, 1e-3)
+        damping = np.full(n, _DAMPING)
         equations = equations_at(model, self.stack, u, self.executor)
         settled = False
+        moving = np.ones(n, dtype=bool)
         hold_population = hold_population or self.one_person
+        alone = hold_population and not self.one_person and (hold_additions or not model.parameters)
         for _ in range(rounds):
-            u, persons, equations, damping, moved = self._move_people(model, u, persons, equations, population, damping)
+            u, persons, equations, damping, steps = self._move_people(
+                model, u, persons, equations, population, damping, moving
+            )
+            moved = float(steps.max())
             if model.parameters and not hold_additions:
                 u, persons, population, equations, step = self._move_additions(model, u, persons, population, equations)
                 moved = max(moved, step)
@@ -147,9 +163,11 @@ class Refitter:
             if moved < tolerance and drift < tolerance:
                 settled = True
                 break
+            if alone:  # nothing that a person depends on changes any more; a step may be short because it is damped
+                moving &= ~((steps < tolerance) & (damping <= _DAMPING))
         blocks = self._blocks(model, equations, u, persons, population, np.zeros(n))
         value = self._objective(equations.chi, u[:, varying], persons, population)
-        evidence = -value - 0.5 * blocks.log_determinant
+        evidence = -value - 0.5 * blocks.log_determinants(self.owner, population)
         return Refit(
             model=model,
             data=self.data,
@@ -186,6 +204,7 @@ class Refitter:
         for _ in range(rounds):
             best_u, best_evidence = fit.u.copy(), fit.evidence.copy()
             factor = np.linalg.cholesky(fit.population.covariance)
+            hopeful = np.ones(n, dtype=bool)
             for k in range(tries):
                 start = fit.u.copy()
                 if k == 0:  # of most people: the median is not drawn away by those in another optimum
@@ -194,9 +213,10 @@ class Refitter:
                     draw = fit.population.mu + rng.normal(size=(n, factor.shape[0])) @ factor.T
                     start[:, varying] = draw[self.owner]
                 if k < _ALONE_TRIES:
-                    start = ends_of_outliers(fit, start, rng)
+                    start = ends_of_outliers(fit, start, rng, self.executor, hopeful)
                 trial = self.fit(fit.model, start, fit.population, 15, hold_population=True, hold_additions=True)
                 better = trial.evidence > best_evidence + 0.2
+                hopeful &= better
                 best_evidence = np.where(better, trial.evidence, best_evidence)
                 best_u = np.where(better[self.owner, None], trial.u, best_u)
             if not np.any(best_evidence > fit.evidence):
@@ -207,7 +227,7 @@ class Refitter:
     def _objective(self, chi: np.ndarray, v: np.ndarray, persons: np.ndarray, population: Population) -> np.ndarray:
         """Negative log posterior of each person, shape (N,)."""
         total = np.bincount(self.owner, chi, minlength=len(self.data))
-        value = (SCALE_SHAPE + counts(self.data)) * np.log(SCALE_SHAPE + 0.5 * total)
+        value = (SCALE_SHAPE + self.counts) * np.log(SCALE_SHAPE + 0.5 * total)
         delta = (v - persons[self.owner]) / _rho(population)
         value = value + 0.5 * np.bincount(self.owner, np.sum(delta**2, axis=1), minlength=len(self.data))
         offset = persons - population.mu
@@ -223,7 +243,8 @@ class Refitter:
         damping: np.ndarray,
     ) -> _Blocks:
         varying = ~model.shared
-        w = weights(self.data, equations.chi)[self.owner]
+        total = np.bincount(self.owner, equations.chi, minlength=len(self.data))
+        w = ((SCALE_SHAPE + self.counts) / (SCALE_SHAPE + 0.5 * total))[self.owner]
         h = w[:, None, None] * equations.information[:, varying][:, :, varying]
         r = _rho(population) ** -2.0
         a = h + np.diag(r)
@@ -233,12 +254,7 @@ class Refitter:
         pull = -w[:, None] * equations.gradient[:, varying] - r * (u[:, varying] - persons[self.owner])
         kept = np.diag(r) - r[:, None] * inverse * r
         precision = np.linalg.inv(population.covariance) + sums(kept, self.owner, len(self.data))
-        log_a = np.linalg.slogdet(a)[1] - np.sum(np.log(r))
-        log_determinant = np.bincount(self.owner, log_a, minlength=len(self.data))
-        log_determinant = (
-            log_determinant + np.linalg.slogdet(precision)[1] + np.linalg.slogdet(population.covariance)[1]
-        )
-        return _Blocks(inverse, pull, precision, log_determinant)
+        return _Blocks(inverse, pull, precision)
 
     def _move_people(
         self,
@@ -248,10 +264,11 @@ class Refitter:
         equations: Equations,
         population: Population,
         damping: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray, Equations, np.ndarray, float]:
-        """A step of each person's parameters, shortened where it would increase the objective.
+        people: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray, Equations, np.ndarray, np.ndarray]:
+        """A step of the parameters of some people (bool, (N,)), shortened where it would increase the objective.
 
-        The last value returned is the largest step, in standard deviations.
+        The last value returned is the length of each person's step, in standard deviations; shape (N,).
         """
         varying, n = ~model.shared, len(self.data)
         before = self._objective(equations.chi, u[:, varying], persons, population)
@@ -265,14 +282,14 @@ class Refitter:
         step_u = free + np.einsum("mpq,mq->mp", blocks.inverse, r * step_v[self.owner])
         part = np.minimum(1.0, 2.0 / np.maximum(_most(np.abs(step_u).max(axis=1), self.owner, n), 1e-12))
         trial_u, trial_v, trial = u.copy(), persons.copy(), equations
-        moving = np.ones(n, dtype=bool)
+        moving = people
         for _ in range(5):
             rows = np.flatnonzero(moving[self.owner])
             trial_u[np.ix_(rows, varying)] = u[np.ix_(rows, varying)] + (part[self.owner, None] * step_u)[rows]
             trial_v[moving] = (persons + part[:, None] * step_v)[moving]
             trial = equations_at(model, self.stack, trial_u, self.executor, moving, trial)
             after = self._objective(trial.chi, trial_u[:, varying], trial_v, population)
-            worse = ~(after <= before + 1e-6)
+            worse = moving & ~(after <= before + 1e-6)
             damping = np.where(worse, np.minimum(10 * damping, 1e6), damping)
             damping = np.where(moving & ~worse, np.maximum(damping / 3, 1e-9), damping)
             if not worse.any():
@@ -284,7 +301,7 @@ class Refitter:
             trial_u[rows], trial_v[moving] = u[rows], persons[moving]
             trial = trial.with_rows(rows, equations)
         length = np.sqrt(np.maximum(np.einsum("np,npq,nq->n", step_v, blocks.precision, step_v), 0.0))
-        return trial_u, trial_v, trial, damping, float(length.max())
+        return trial_u, trial_v, trial, damping, np.where(people, length, 0.0)
 
     def _move_additions(
         self, model: Model, u: np.ndarray, persons: np.ndarray, population: Population, equations: Equations
@@ -333,7 +350,7 @@ class Refitter:
 
     def _misfit(self, chi: np.ndarray) -> float:
         total = np.bincount(self.owner, chi, minlength=len(self.data))
-        value = np.sum((SCALE_SHAPE + counts(self.data)) * np.log(SCALE_SHAPE + 0.5 * total))
+        value = np.sum((SCALE_SHAPE + self.counts) * np.log(SCALE_SHAPE + 0.5 * total))
         return float(value) if np.isfinite(value) else np.inf
 
     def _maximise(

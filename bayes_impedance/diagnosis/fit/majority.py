@@ -56,7 +56,9 @@ def _moved(refitter: Refitter, fit: Refit, movers: np.ndarray) -> Refit:
     population = Population(mu, covariance, fit.population.rho)
     u, evidence = fit.u, fit.evidence
     rng = np.random.default_rng(0)  # for starts alone
-    for begin in (start, search_alone(fit, start, np.flatnonzero(movers), population, rng, thorough=True)):
+    people = np.flatnonzero(movers)
+    alone = search_alone(fit, start, people, population, rng, thorough=True, executor=refitter.executor)
+    for begin in (start, alone):
         trial = refitter.fit(fit.model, begin, population, _ROUNDS, hold_population=True, hold_additions=True)
         better = movers & (trial.evidence > evidence)
         u = np.where(better[fit.owner, None], trial.u, u)

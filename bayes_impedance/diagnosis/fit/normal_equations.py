@@ -278,41 +278,48 @@ def _integrated(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     r"""Sums over people of D - D_c W D_c^T, of h - D_c W h_c, and of h_c W h_c / 2 - ln|1 + D_cc T| / 2.
 
-    With S the square root of T and :math:`L L^T = 1 + S D_{cc} S`, :math:`W = S L^{-T} L^{-1} S`.
+    One coefficient is integrated out after the other: with d its column and D its diagonal element of what is left,
+    :math:`D \to D - d d^T \tau^2 / (1 + D\tau^2)`. Those with the same dispersion everywhere on the grid come first,
+    once for the whole grid.
     """
-    n_grid, n, size, n_varying = tau.shape[0], h.shape[0], h.shape[1], varying.size
+    n_grid, n, size = tau.shape[0], h.shape[0], h.shape[1]
     precision, right, value = np.zeros((n_grid, size, size)), np.zeros((n_grid, size)), np.zeros(n_grid)
-    factor, rows = np.zeros((n_varying, n_varying)), np.empty((n_varying, size + 1))
-    for g in range(n_grid):
-        for i in range(n):
-            for v in range(n_varying):
-                a, s = varying[v], tau[g, varying[v]]
-                for w in range(v + 1):
-                    total = s * tau[g, varying[w]] * d[i, a, varying[w]]
-                    if v == w:
-                        total += 1.0
-                    for k in range(w):
-                        total -= factor[v, k] * factor[w, k]
-                    factor[v, w] = np.sqrt(total) if v == w else total / factor[w, w]
-                for c in range(size + 1):
-                    entry = s * (d[i, c, a] if c < size else h[i, a])
-                    for k in range(v):
-                        entry -= factor[v, k] * rows[k, c]
-                    rows[v, c] = entry / factor[v, v]
-                value[g] += 0.5 * rows[v, size] ** 2 - np.log(factor[v, v])
-            for a in range(size):
-                right[g, a] += h[i, a]
-                for v in range(n_varying):
-                    right[g, a] -= rows[v, a] * rows[v, size]
-                for b in range(size):
-                    precision[g, a, b] += d[i, a, b]
-                    for v in range(n_varying):
-                        precision[g, a, b] -= rows[v, a] * rows[v, b]
+    common, left, row = np.empty((size, size + 1)), np.empty((size, size + 1)), np.empty(size + 1)
+    changes = np.array([np.any(tau[:, a] != tau[0, a]) for a in varying])
+    same, others = varying[~changes], varying[changes]
+    for i in range(n):
+        common[:, :size], common[:, size] = d[i], h[i]
+        known = 0.0
+        for a in same:
+            known += _without(common, row, a, tau[0, a])
+        for g in range(n_grid):
+            left[:] = common
+            value[g] += known
+            for a in others:
+                value[g] += _without(left, row, a, tau[g, a])
+            for b in range(size):
+                for c in range(size):
+                    precision[g, b, c] += left[b, c]
+                right[g, b] += left[b, size]
     return precision, right, value
 
 
+@compiled
+def _without(left: np.ndarray, row: np.ndarray, a: int, tau: float) -> float:
+    """Integrate a coefficient out of a person's D and h, side by side (A, A + 1), in place; what it adds to the log."""
+    size = left.shape[0]
+    row[:] = left[a]
+    shrunk = 1 / (1 + tau**2 * row[a])
+    for b in range(size):
+        factor = tau**2 * shrunk * row[b]
+        for c in range(size + 1):
+            left[b, c] -= factor * row[c]
+    for c in range(size):
+        left[a, c] = left[c, a] = shrunk * row[c]
+    left[a, size] = shrunk * row[size]
+    return 0.5 * tau**2 * shrunk * row[size] ** 2 + 0.5 * np.log(shrunk)  # type: ignore[no-any-return]
+
+
 def sums(values: np.ndarray, owner: np.ndarray, n: int) -> np.ndarray:
-    """Sums over the recordings of each person: (M, ...) to (N, ...)."""
-    total = np.zeros((n, *values.shape[1:]))
-    np.add.at(total, owner, values)
-    return total
+    """Sums over the recordings of each person, who has at least one: (M, ...) to (N, ...), person by person."""
+    return np.asarray(np.add.reduceat(values, np.searchsorted(owner, np.arange(n)), axis=0))
