@@ -13,6 +13,8 @@ MOST_CURVES, _MOST_POINTS = 12, 60
 """Most curves of a picture, and most points of a curve. By choice: a page with many such pictures stays small."""
 MOST_ROWS = 10
 """Most rows of a table that is a preview. By choice: what pandas shows of the ends of a long table."""
+_LONGEST = 120
+"""Most characters of one text in the line of an object. By choice: the line then fits a screen."""
 _CELL = "text-align:left;padding:2px 8px;vertical-align:top"
 
 
@@ -23,6 +25,11 @@ def number(value: object) -> str:
     if isinstance(value, int):
         return str(value)
     return f"{value:.3g}" if math.isfinite(value) else "–"
+
+
+def short(text: str) -> str:
+    """Text for a line that says what an object is: its beginning, if it is long."""
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
 
 
 def interval(entry: Mapping[str, Any]) -> str:

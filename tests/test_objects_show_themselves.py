@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from html import escape
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -13,16 +15,22 @@ from diagnoses_by_hand import make_diagnosis
 from results_by_hand import make_result as result_by_hand
 
 from bayes_impedance import display
+from bayes_impedance.classical.methods import compare_methods
 from bayes_impedance.design import population_of
+from bayes_impedance.design.answer import design_answer
+from bayes_impedance.design.loop.device import PHANTOM, Section
 from bayes_impedance.diagnosis.verdict_tables import COLUMNS
+from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import PAPER_NETWORK, parse
 from bayes_impedance.population.fit import PopulationFit, fit_population
 from bayes_impedance.population.simulate import simulate_recordings
+from bayes_impedance.quality.findings import Finding
 from bayes_impedance.recordings.files import read_recordings, write_recordings
 from bayes_impedance.results.leave_one_out import leave_one_out
 from bayes_impedance.results.network_comparison import Entry, NetworkComparison
 from bayes_impedance.results.predictive import predict
 from bayes_impedance.results.result import load_result, make_result, save_result
+from bayes_impedance.units import rounded
 
 LONGEST = 300
 """Characters of a line that says what an object is."""
@@ -141,6 +149,58 @@ def test_comparisons(fit: PopulationFit) -> None:
     assert list(comparison.to_dataframe()["elpd"]) == [left_out.total[0]] * 2
     shown(left_out)
     shown(comparison)
+
+
+@pytest.mark.parametrize(
+    "kernel",
+    [
+        Kernel(parse(PAPER_NETWORK)),
+        Kernel(parse("delay[d1*](m1|p1^a1)")),
+        Kernel(parse("m1|r1|n1")).holding({"r1": 0.0}),
+        Kernel(parse("|".join(f"m{i}" for i in range(100)))),
+    ],
+    ids=["paper", "wrapped", "held", "long"],
+)
+def test_kernels(kernel: Kernel) -> None:
+    html = shown(kernel)
+    assert f"{len(kernel.elements)} parameters" in repr(kernel)
+    assert all(f">{name}<" in html for name in kernel.elements)
+
+
+def test_findings() -> None:
+    everywhere = Finding(
+        id="lag", severity="note", subject=None, repetition=None, frequency_hz=None, message="A <lag>."
+    )
+    one = replace(everywhere, id="jump", severity="warning", subject="P01", repetition="2", frequency_hz=(50.0, 61.25))
+    assert repr(everywhere) == "<Finding lag (note): all subjects>"
+    assert repr(one) == "<Finding jump (warning): P01, repetition 2, 50 to 61.25 Hz>"
+    assert "A &lt;lag&gt;." in shown(one)
+    assert one != everywhere
+    shown(replace(one, subject="x" * 1000))
+
+
+def test_devices_and_their_answers(fit: PopulationFit) -> None:
+    html = shown(PHANTOM)
+    assert repr(PHANTOM) == "<Device PHANTOM 1.0, one axis: 3 section(s), 1000 Hz>"
+    assert "m1 = 0.072, r1 = 0.005" in html
+    assert "Diolaiti" in html
+    assert "ratio = 2" in shown(replace(PHANTOM, sections=(*PHANTOM.sections, Section("lever", "", {"ratio": 2.0}))))
+    population = population_of(make_result(fit, predict(fit, n_draws=50, n_replicates=20), {}))
+    answer = design_answer(population, population.draw(5, seed=1), PHANTOM, damping=2.0, grid=3)
+    html = shown(answer)
+    assert f"{rounded(answer.limit.stiffness)} N/m for 99 % of users at B = 2 N s/m" in repr(answer)
+    assert display.number(answer.limit.mean_user) in html
+    assert escape(answer.sentence) in html
+
+
+def test_comparisons_of_methods(fit: PopulationFit) -> None:
+    result = make_result(fit, predict(fit, n_draws=50, n_replicates=20), {})
+    comparison = compare_methods(fit.recordings, result)
+    html = shown(comparison)
+    assert all(escape(method.label) in html for method in comparison.methods)
+    assert f"{len(comparison.methods)} methods, 6 subjects" in repr(comparison)
+    assert ">yes<" in html
+    assert "withheld" in shown(replace(comparison, problems=("withheld",)))
 
 
 def test_paths_may_be_text(fit: PopulationFit, tmp_path: Path) -> None:

@@ -34,6 +34,7 @@ from bayes_impedance.classical.normality import MINIMUM_PEOPLE, Normality, norma
 from bayes_impedance.classical.passivity import Passivity, check_passivity
 from bayes_impedance.classical.system_identification import identify
 from bayes_impedance.classical.vector_fitting import vector_fit
+from bayes_impedance.display import heading, joined, lines, short, table
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Network, parse
@@ -134,6 +135,19 @@ class MethodComparison:
     normality: Normality | None
     mapping: NetworkMapping
     problems: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return f"<MethodComparison of {short(self.title)}: {len(self.methods)} methods, {len(self.observed)} subjects>"
+
+    def _repr_html_(self) -> str:
+        frame = self.to_dataframe()
+        units = frame.attrs["units"]
+        columns = ["method", *(f"{name} in {unit}" for name, unit in units.items()), "passive"]
+        rows = [
+            (row["label"], *(float(row[name]) for name in units), _yes_or_no(row["positive_real"]))
+            for _, row in frame.iterrows()
+        ]
+        return joined(heading(repr(self).strip("<>")), lines(self.problems), table(columns, rows))
 
     def method(self, id: str) -> Method:
         """The method with this id.
@@ -347,6 +361,11 @@ class _Bench:
 
 def _without_nan(values: dict[str, float]) -> dict[str, float | None]:
     return {k: v if np.isfinite(v) else None for k, v in values.items()}
+
+
+def _yes_or_no(value: object) -> str | None:
+    """Of a truth value that may be missing (pandas.NA)."""
+    return ("yes" if value else "no") if isinstance(value, bool | np.bool_) else None
 
 
 def _polar(magnitude: np.ndarray, phase_deg: np.ndarray) -> np.ndarray:

@@ -175,7 +175,7 @@ def _fit_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME",
-        help="covariate on which the elements may depend; repeatable",
+        help="covariate or column of text on which elements may depend, or interaction (age_y:sex); repeatable",
     )
     parser.add_argument(
         "--priors", type=Path, metavar="TOML", help="prior of elements, dispersions and correlations (default: broad)"

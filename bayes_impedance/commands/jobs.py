@@ -140,7 +140,7 @@ def fit_dataset(dataset: Path, out: Path, options: FitOptions, resume: bool, pro
     WorkerError
         If processes or a cluster's workers fail repeatedly; samples drawn so far are kept for `resume`.
     """
-    recordings, clock = _read(dataset, options)
+    recordings, options, clock = _read(dataset, options)
     pages = page_files() if (out / PICTURE_FOLDER).exists() or (out / REPORT_FILE).exists() else []
     with fit_folder(out, [*FIT_FILES, *pages], recordings, options, resume):
         return _fit(recordings, out, options, clock, progress, pages, _findings(recordings))
@@ -163,7 +163,7 @@ def run_dataset(
     helper : Executor, optional
         Another process, which draws some of the pictures.
     """
-    recordings, clock = _read(dataset, options)
+    recordings, options, clock = _read(dataset, options)
     pages = page_files()
     with fit_folder(out, [*FIT_FILES, *pages], recordings, options, resume):
         findings = _findings(recordings)
@@ -252,8 +252,9 @@ def diagnose_dataset(
     """
     from bayes_impedance.recordings.files import read_recordings
 
-    recordings = _with_covariates(selected(read_recordings(dataset), options).in_memory(), options.covariates)
-    claimed = None if simulation is None else read_recordings(simulation).in_memory()
+    recordings, options = with_terms_of(selected(read_recordings(dataset), options).in_memory(), options)
+    recordings = _with_covariates(recordings, options.covariates)
+    claimed = None if simulation is None else with_terms_of(read_recordings(simulation).in_memory(), options)[0]
     if claimed is not None and claimed.unit != recordings.unit:
         raise InputError(
             f"{simulation}: the unit is {claimed.unit}, but that of {dataset} is {recordings.unit}; convert one of them"
@@ -306,7 +307,7 @@ def diagnose_dataset(
     return diagnosis
 
 
-def _read(dataset: Path, options: FitOptions) -> tuple[Recordings, Clock]:
+def _read(dataset: Path, options: FitOptions) -> tuple[Recordings, FitOptions, Clock]:
     from bayes_impedance.quality.copies import require_distinct
     from bayes_impedance.recordings.files import read_recordings
 
@@ -315,7 +316,8 @@ def _read(dataset: Path, options: FitOptions) -> tuple[Recordings, Clock]:
         recordings = selected(read_recordings(dataset), options)
         require_distinct(replace(recordings, title=str(dataset)))
         require_quantity(recordings, options.network)
-        return recordings, clock
+        recordings, options = with_terms_of(recordings, options)
+        return recordings, options, clock
 
 
 def _fit(
@@ -375,6 +377,14 @@ def _with_covariates(recordings: Recordings, names: Sequence[str]) -> Recordings
             for s in recordings.subjects
         ),
     )
+
+
+def with_terms_of(recordings: Recordings, options: FitOptions) -> tuple[Recordings, FitOptions]:
+    """Recordings and options with the covariates that categories and interactions stand for."""
+    from bayes_impedance.population.covariate_terms import with_terms
+
+    recordings, names = with_terms(recordings, options.covariates)
+    return recordings, replace(options, covariates=names)
 
 
 def selected(recordings: Recordings, options: FitOptions) -> Recordings:

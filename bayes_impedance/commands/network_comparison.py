@@ -10,7 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayes_impedance.commands.jobs import FitOptions, fit_dataset, selected
+from bayes_impedance.commands.jobs import FitOptions, fit_dataset, selected, with_terms_of
 from bayes_impedance.commands.proposed_network import proposed_network
 from bayes_impedance.commands.result_folders import FIT_FILES, interrupted, remove
 from bayes_impedance.errors import InputError
@@ -72,7 +72,7 @@ def compare_networks(
     from bayes_impedance.results.leave_one_out import FEWEST_PEOPLE, leave_one_out
     from bayes_impedance.results.network_comparison import Entry, NetworkComparison
 
-    recordings = selected(read_recordings(dataset), options).in_memory()
+    recordings, options = with_terms_of(selected(read_recordings(dataset), options).in_memory(), options)
     if len(recordings.subjects) < FEWEST_PEOPLE:
         raise InputError(
             f"{dataset}: networks are compared by how well each person is predicted from the others; give two or more "

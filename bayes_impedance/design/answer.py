@@ -20,6 +20,7 @@ from bayes_impedance.design.loop.stability import (
 )
 from bayes_impedance.design.loop.transparency import Transparency, transparency
 from bayes_impedance.design.users import UserPopulation, Users
+from bayes_impedance.display import heading, joined, lines, number, short, table
 from bayes_impedance.runtime.progress import Progress
 from bayes_impedance.units import rounded
 
@@ -56,6 +57,24 @@ class DesignAnswer:
     limit: Limit
     reason: Reason
     transparency: Transparency | None
+
+    def __repr__(self) -> str:
+        limit = self.limit
+        return (
+            f"<DesignAnswer for {short(self.map.device.name)}: {rounded(limit.stiffness)} N/m for "
+            f"{100 * limit.share:g} % of users at B = {limit.damping:g} N s/m>"
+        )
+
+    def _repr_html_(self) -> str:
+        limit = self.limit
+        rows = [
+            (f"{100 * limit.share:g} % of users", limit.stiffness, f"{number(limit.low)} to {number(limit.high)}"),
+            (f"worst of {len(limit.each)} users", float(limit.each[limit.worst]), None),
+            ("mean user", limit.mean_user, None),
+            ("classical bound", limit.classical, None),
+        ]
+        limits = table(["limit of the stiffness", "N/m", "90 % interval"], rows)
+        return joined(heading(repr(self).strip("<>")), lines([self.sentence]), limits)
 
     @property
     def sentence(self) -> str:

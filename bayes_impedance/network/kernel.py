@@ -34,6 +34,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from bayes_impedance.display import joined, lines, short, table
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.operations import N_PARAMETERS, Operation
 from bayes_impedance.network.parameters import Parameter
@@ -274,6 +275,18 @@ class Kernel:
         self.held, self.scales = dict(held or {}), dict(scales or {})
         self.elements = tuple(name for name in parameter_names(network, operations) if name not in self.held)
         self.program = compile_network(network, operations, self.held, self.scales)
+
+    def __repr__(self) -> str:
+        return f"<Kernel of {short(str(self.network))}: {len(self.elements)} parameters>"
+
+    def _repr_html_(self) -> str:
+        rows = [(p.name, p.quantity.name, p.link, "everybody" if p.shared else "each person") for p in self.parameters]
+        added = [name for name in self.elements if name not in {row[0] for row in rows}]
+        more = [f"of operations: {', '.join(added)}"] if added else []
+        more += [f"held: {', '.join(self.held)}"] if self.held else []
+        return joined(
+            self.network._repr_html_(), table(["parameter", "quantity", "scale", "the same for"], rows), lines(more)
+        )
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

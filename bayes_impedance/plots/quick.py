@@ -15,7 +15,7 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.plots.access import frequency, is_electrical, needed, observed
 from bayes_impedance.plots.style import BLUE, INK, INNER, ORANGE, OUTER, line_alpha
 from bayes_impedance.recordings.files import Recordings
-from bayes_impedance.results.person_curves import person_band
+from bayes_impedance.results.person_curves import fitted_curve, person_band, without_number
 from bayes_impedance.results.result import Result
 
 if TYPE_CHECKING:
@@ -97,6 +97,8 @@ def plot_person(
 ) -> tuple[Axes, Axes]:
     """One person's recordings with the network of that person's own elements, median and 90 % band.
 
+    Where the recordings do not determine an element, the result holds no draws of it, and the curve has no band.
+
     Parameters
     ----------
     result : Result
@@ -113,10 +115,16 @@ def plot_person(
     Raises
     ------
     InputError
-        If the subject is not in the result, or elements of the network have no number.
+        If the subject is not in the result, or it is of a version that kept neither draws nor curves.
     """
-    f = frequency(result)
-    band = person_band(result, subject, f)
+    f, lost = frequency(result), without_number(result)
+    if lost:
+        z = fitted_curve(result, subject)
+        fits = (np.abs(z)[None], np.angle(z, deg=True)[None])
+        label = f"own network (no band: {', '.join(lost)} not determined)"
+    else:
+        band = person_band(result, subject, f)
+        fits, label = (band.magnitude, band.phase_deg), "own network, 90 %"
     upper, lower = _pair(ax)
     if recordings is None:
         own = [str(name) for name in result.coords["subject"]].index(subject)
@@ -125,11 +133,12 @@ def plot_person(
     else:
         (person,) = recordings.select([subject]).subjects
         magnitude, phase, grid = np.abs(person.z), np.angle(person.z, deg=True), person.frequency_hz
-    for axes, rows, fitted in ((upper, magnitude, band.magnitude), (lower, phase, band.phase_deg)):
+    for axes, rows, fitted in ((upper, magnitude, fits[0]), (lower, phase, fits[1])):
         for i, row in enumerate(rows):
             axes.plot(grid, row, ".", color=BLUE, ms=4, label=None if i else f"{subject}, recorded")
-        axes.fill_between(f, fitted[0], fitted[-1], color=ORANGE, alpha=0.35, lw=0)
-        axes.plot(f, fitted[2], color=ORANGE, lw=1.5, label="own network, 90 %")
+        if not lost:
+            axes.fill_between(f, fitted[0], fitted[-1], color=ORANGE, alpha=0.35, lw=0)
+        axes.plot(f, fitted[len(fitted) // 2], color=ORANGE, lw=1.5, label=label)
     upper.legend()
     _name_axes(upper, lower, _unit(result))
     return upper, lower

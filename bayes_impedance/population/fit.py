@@ -36,6 +36,7 @@ from bayes_impedance.person.absolute_density import deviations_of, log_constant
 from bayes_impedance.person.marginal_likelihood import find_ridge, marginal_log_likelihood
 from bayes_impedance.person.noise import NoiseModel
 from bayes_impedance.population.calibrated import known_of, prior_of, within_rig
+from bayes_impedance.population.covariate_terms import with_terms
 from bayes_impedance.population.dependence import dependent
 from bayes_impedance.population.diagnostics import Diagnostics, assess
 from bayes_impedance.population.em import Estimate, estimate
@@ -76,7 +77,7 @@ class FitSettings:
         ``full`` (elements are correlated between persons) or ``diagonal``, which is also used if the number of persons
         is less than the number of elements plus two.
     covariates : tuple of str
-        Names of covariates on which the mean log elements depend linearly.
+        Covariates, columns of text and interactions (``age_y:sex``) on which the mean log elements depend linearly.
     draws : int
         Draws for each person, a power of two.
     sampler : SamplerSettings
@@ -219,7 +220,8 @@ def fit_population(
 
     checkpoint = None if checkpoint is None else Path(checkpoint)
     settings = settings or FitSettings()
-    settings = replace(settings, sampler=replace(settings.sampler, workers=workers))
+    recordings, terms = with_terms(recordings, settings.covariates)
+    settings = replace(settings, covariates=terms, sampler=replace(settings.sampler, workers=workers))
     model = checked_model(recordings, within_rig(recordings, network), settings.covariates)
     kernel, covariates = model.kernel, model.covariates
     one = len(recordings.subjects) == 1
@@ -324,7 +326,6 @@ def _one_person(
     mode, likelihood = point.modes[0], point.likelihoods[0]
     ridge = find_ridge(kernel, likelihood, mode.theta, mode.scale, point.between_repetitions)
     sd = np.sqrt(np.diag(np.linalg.inv(mode.precision)))
-    start = (prior.order.nearest(mode.theta, sd) - mode.theta) / sd
 
     def log_probability(u: np.ndarray) -> np.ndarray:
         theta = mode.theta + sd * u
@@ -335,7 +336,7 @@ def _one_person(
     with clock.measure("population"):
         chains = sample(
             log_probability,
-            start,
+            (prior.order.nearest(mode.theta, sd) - mode.theta) / sd,
             0.5 * np.ones(sd.size),
             settings.sampler,
             sampler_seed,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +13,7 @@ from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Network
 from bayes_impedance.network.parameters import values_of
 from bayes_impedance.population.calibrated import within_rig
+from bayes_impedance.population.covariate_terms import with_terms
 from bayes_impedance.population.fit import FitSettings, prior_for, too_few_for_correlations
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.prior import Prior
@@ -105,6 +106,8 @@ def sample_prior(
         If there is no network, or the prior does not belong to it.
     """
     settings = settings or FitSettings()
+    recordings, terms = with_terms(recordings, settings.covariates)
+    settings = replace(settings, covariates=terms)
     model = checked_model(recordings, within_rig(recordings, network), settings.covariates)
     one = len(recordings.subjects) == 1
     pooling = Pooling(model.kernel) if one else Pooling.of(model.kernel)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
+from bayes_impedance.display import heading, joined, lines, short
 from bayes_impedance.quality.negative_real_part import Explanation
 
 COMMON = 0.5
@@ -40,6 +41,15 @@ class Finding:
     repetition: str | None
     frequency_hz: tuple[float, float] | None
     message: str
+
+    def __repr__(self) -> str:
+        where = [self.subject or "all subjects"]
+        where += [f"repetition {self.repetition}"] if self.repetition is not None else []
+        where += ["{:.4g} to {:.4g} Hz".format(*self.frequency_hz)] if self.frequency_hz is not None else []
+        return f"<Finding {self.id} ({self.severity}): {short(', '.join(where))}>"
+
+    def _repr_html_(self) -> str:
+        return joined(heading(repr(self).strip("<>")), lines([self.message]))
 
 
 @dataclass(frozen=True)

@@ -38,6 +38,7 @@ import numpy as np
 
 from bayes_impedance.display import MOST_ROWS, heading, joined, table
 from bayes_impedance.errors import InputError
+from bayes_impedance.population.covariate_terms import with_terms
 from bayes_impedance.population.diagnostics import PARETO_LIMIT
 from bayes_impedance.population.fit import FitSettings, fit_population
 from bayes_impedance.population.held_out_person import held_out_log_densities
@@ -180,6 +181,7 @@ def refit_without(
     """
     elpd, refitted = left_out.elpd.copy(), left_out.refitted.copy()
     recordings, seed = with_noise(recordings, result), int(result.attributes["seed"])
+    recordings, _ = with_terms(recordings, settings.covariates)  # of everybody, also of whom is left out
     for i in who:
         others = recordings.select([name for k, name in enumerate(recordings.names) if k != i])
         own = None if checkpoints is None else checkpoints / f"without_{i + 1}"

@@ -13,6 +13,7 @@ from results_by_hand import make_result
 from bayes_impedance.errors import InputError
 from bayes_impedance.plots import plot_bode, plot_nyquist, plot_person, plot_predictive_check
 from bayes_impedance.recordings.dataset import Recordings, Subject
+from bayes_impedance.results.person_curves import person_band
 from bayes_impedance.results.result import Result
 
 
@@ -88,8 +89,26 @@ def test_a_person_is_shown_with_the_own_network() -> None:
     np.testing.assert_allclose(other.lines[0].get_ydata(), np.abs(recorded().subjects[2].z[0]))
     with pytest.raises(InputError, match='"P2" is not in the result'):
         plot_person(result, "P2")
+
+
+@pytest.mark.parametrize("lost", [("n3",), tuple(make_result().elements)])
+def test_a_person_is_shown_without_a_band_where_an_element_is_not_determined(lost: tuple[str, ...]) -> None:
+    result = make_result(unidentified=lost)
+    upper, lower = plot_person(result, "P02")
+    kept = result.groups["constant_data"]
+    z = kept["person_curve_re"][2] + 1j * kept["person_curve_im"][2]
+    np.testing.assert_array_equal(upper.lines[1].get_ydata(), np.abs(z))
+    np.testing.assert_array_equal(lower.lines[1].get_ydata(), np.angle(z, deg=True))
+    assert not upper.collections
+    assert f"no band: {', '.join(lost)} not determined" in str(upper.lines[1].get_label())
+    assert len(plot_person(result, "P02", recorded())[0].lines) == 2
+    with pytest.raises(InputError, match='"P2" is not in the result'):
+        plot_person(result, "P2")
     with pytest.raises(InputError, match="do not determine n3"):
-        plot_person(make_result(unidentified=("n3",)), "P02")
+        person_band(make_result(unidentified=("n3",)), "P02", np.array([10.0]))
+    del kept["person_curve_re"]
+    with pytest.raises(InputError, match="fit it again"):
+        plot_person(result, "P02")
 
 
 def test_a_predictive_check_compares_quantiles_over_people() -> None:

@@ -41,6 +41,7 @@ from pathlib import Path
 import numpy as np
 
 from bayes_impedance.design.circuits.state_space import Realisation, realise
+from bayes_impedance.display import heading, joined, lines, number, short, table
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.elements import kind_of
 from bayes_impedance.network.notation import Parallel, parse
@@ -150,6 +151,18 @@ class Device:
                 f"device '{self.name}': its first section must be beside the actuator and contain its mass, for "
                 "instance m1|r1"
             )
+
+    def __repr__(self) -> str:
+        return f"<Device {short(self.name)}: {len(self.sections)} section(s), {1 / self.period_s:.4g} Hz>"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (s.arrangement, s.network or "-", ", ".join(f"{name} = {number(v)}" for name, v in s.values.items()))
+            for s in self.sections
+        ]
+        time = f"period {number(self.period_s)} s, delay {number(self.delay_s)} s"
+        sections = table(["section", "network", "values in SI units"], rows)
+        return joined(heading(repr(self).strip("<>")), sections, lines([time, *filter(None, [self.source])]))
 
     @property
     def damping(self) -> float:
