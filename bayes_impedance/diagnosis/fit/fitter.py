@@ -60,7 +60,6 @@ _ALONE_TRIES = 3
 better optima. By choice. Of 125 people of a battery's recordings who were searched three times around one population,
 the second or the third search was better in 2, by 0.5 and 2.1."""
 
-
 _DAMPING = 1e-3
 """Of a person's first step, relative to the curvature. By choice."""
 
