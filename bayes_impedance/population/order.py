@@ -14,7 +14,6 @@ import numpy as np
 
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.kernel import Kernel
-from bayes_impedance.network.parameters import SIGNED
 from bayes_impedance.network.symmetry import exchanges
 from bayes_impedance.runtime.user_table import hint, shown
 
@@ -136,7 +135,7 @@ def order_in(given: Sequence[Sequence[str]], kernel: Kernel, where: str) -> Orde
         parameters = [kernel.parameters[k] for k in chain]
         first = parameters[0]
         for other in parameters:
-            if other.shared or other.link == SIGNED:
+            if other.shared:
                 raise InputError(
                     f"order: {other.name} is the same for everybody (*), but an order is of what differs between "
                     "people; leave it out"

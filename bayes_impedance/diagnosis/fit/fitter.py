@@ -42,6 +42,7 @@ from bayes_impedance.diagnosis.fit.normal_equations import (
     marginal,
     quadratic,
     sums,
+    weights_of,
 )
 from bayes_impedance.diagnosis.fit.only_person import settled_alone
 from bayes_impedance.diagnosis.fit.outliers_alone import ends_of_outliers
@@ -242,8 +243,7 @@ class Refitter:
         damping: np.ndarray,
     ) -> _Blocks:
         varying = ~model.shared
-        total = np.bincount(self.owner, equations.chi, minlength=len(self.data))
-        w = ((SCALE_SHAPE + self.counts) / (SCALE_SHAPE + 0.5 * total))[self.owner]
+        w = weights_of(self.owner, self.counts, equations.chi)[self.owner]
         h = w[:, None, None] * equations.information[:, varying][:, :, varying]
         r = _rho(population) ** -2.0
         a = h + np.diag(r)

@@ -81,8 +81,13 @@ def owners(data: Sequence[Likelihood]) -> np.ndarray:
 
 def weights(data: Sequence[Likelihood], chi: np.ndarray) -> np.ndarray:
     """1/scale^2 of each person's noise from the recordings' chi-squares, shape (N,)."""
-    total = np.bincount(owners(data), chi, minlength=len(data))
-    return np.asarray((SCALE_SHAPE + counts(data)) / (SCALE_SHAPE + 0.5 * total))
+    return weights_of(owners(data), counts(data), chi)
+
+
+def weights_of(owner: np.ndarray, numbers: np.ndarray, chi: np.ndarray) -> np.ndarray:
+    """The same from each recording's person (M,) and each person's number of complex values (N,)."""
+    total = np.bincount(owner, chi, minlength=numbers.size)
+    return np.asarray((SCALE_SHAPE + numbers) / (SCALE_SHAPE + 0.5 * total))
 
 
 def counts(data: Sequence[Likelihood]) -> np.ndarray:
