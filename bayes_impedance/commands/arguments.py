@@ -71,6 +71,13 @@ def parser_of_commands() -> argparse.ArgumentParser:
         help="two or more, each of them a network in quotation marks, a text file with a network, the folder of a "
         "finished fit of the same recordings, or the verdict.json of a diagnosis (the network with what was missing)",
     )
+    compare.add_argument(
+        "--distributions",
+        nargs="+",
+        choices=("normal", "student_t"),
+        metavar="NAME",
+        help="compare these distributions of people, normal and student_t, for each network (default: the dataset's)",
+    )
     compare.add_argument("--result", type=Path, metavar="FOLDER", help="use this finished fit of the same recordings")
     compare.add_argument(
         "--full", dest="quick", action="store_false", help="as many draws as 'run' (default: fewer, as with --quick)"
@@ -169,6 +176,12 @@ def _fit_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("full", "diagonal"),
         default="full",
         help="covariance of the elements between persons (default: full)",
+    )
+    parser.add_argument(
+        "--distribution",
+        choices=("normal", "student_t"),
+        default="normal",
+        help="of people's log elements: student_t has heavier tails, its degrees of freedom inferred (default: normal)",
     )
     parser.add_argument(
         "--covariate",

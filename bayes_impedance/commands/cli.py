@@ -8,9 +8,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from bayes_impedance.commands.arguments import parser_of_commands
-from bayes_impedance.commands.beside_lines import beside_lines
 from bayes_impedance.commands.progress_bars import Bars
-from bayes_impedance.commands.slope_lines import slope_lines
+from bayes_impedance.commands.result_text import tell_result
 from bayes_impedance.commands.terminal import complain, prepare_streams, sentence_of, tell
 from bayes_impedance.errors import BusyError, InputError, WorkerError
 
@@ -72,7 +71,7 @@ def _fit(options: argparse.Namespace) -> int:
 
 
 def _compare(options: argparse.Namespace) -> int:
-    if options.networks is not None:
+    if options.networks is not None or options.distributions is not None:
         return _compare_networks(options)
     from bayes_impedance.commands.comparison import compare_dataset
     from bayes_impedance.network.spellings import in_both
@@ -114,13 +113,14 @@ def _compare_networks(options: argparse.Namespace) -> int:
     from bayes_impedance.commands.network_comparison import compare_networks, lines_of
 
     for name in ("network", "result"):
-        if getattr(options, name) is not None:
+        if options.networks is not None and getattr(options, name) is not None:
             raise InputError(
                 f"--{name} and --networks exclude each other: give it as one of the networks of --networks"
             )
     with Bars() as bars:
+        given, kinds = options.networks or (), options.distributions or ()
         comparison = compare_networks(
-            options.dataset, options.out, options.networks, _fit_options(options), options.resume, bars
+            options.dataset, options.out, given, _fit_options(options), options.resume, bars, kinds
         )
     for line in lines_of(comparison):
         tell(line)
@@ -320,6 +320,7 @@ def _fit_options(options: argparse.Namespace) -> Any:
         overwrite=options.overwrite,
         plain=plain,
         prior=None if options.priors is None else read_prior(options.priors),
+        distribution=options.distribution,
         beside=_beside(options),
     )
 
@@ -335,63 +336,9 @@ def _beside(options: argparse.Namespace) -> tuple[str, ...]:
 
 
 def _finish(result: Result, last: str) -> int:
-    """Print the result: problems first, then remarks, then the table."""
-    from bayes_impedance.network.spellings import in_both
-
-    summary = result.summary
-    for problem in summary["problems"]:
-        tell(f"NOT RELIABLE: {problem}")
-    misfit = summary["adequacy"]["misfit"]
-    for sentence in misfit:
-        tell(f"MISFIT: {sentence}")
-    for finding in summary["findings"]:
-        tell(f"warning: {finding}")
-    for remark in summary["remarks"]:
-        if remark not in misfit:
-            tell(f"note: {remark}")
-    tell()
-    tell(f"{summary['subjects']} subject(s), network {in_both(summary['network'], summary['unit'])}")
-    tell()
-    tell(f"{'':6}{'unit':9}{'central value (90 %)':32}{'between persons':24}between repetitions")
-    for name, element in summary["elements"].items():
-        if not element["identified"]:
-            tell(f"{name:6}{element['unit']:9}not determined by these recordings")
-            continue
-        cells = [_interval(element["central"], ".3g")]
-        cells += [_interval(element[f"dispersion_between_{level}"], ".2f") for level in ("persons", "repetitions")]
-        marked = name + ("*" if _is_marked(element) else "")
-        tell(f"{marked:6}{element['unit']:9}{cells[0]:32}{cells[1]:24}{cells[2]}".rstrip())
-    tell()
-    if any(_is_marked(element) for element in summary["elements"].values()):
-        tell("* may be wrong by more than its interval because of the misfit that is named above")
-    tell("dispersions are standard deviations of the natural logarithm")
-    for line in (*slope_lines(summary), *beside_lines(summary)):
-        tell(line)
-    if summary.get("prior", {}).get("given"):
-        tell("with the prior that was given (--priors)")
-    tell()
-    tell(f"{'error of one curve for all (eq. 5)':36}{'|z|, ' + summary['unit']:>16}{'phase, deg':>14}")
-    for key, label in (
-        ("population_network", "population network"),
-        ("lookup_mean", "look-up table of the mean"),
-        ("lookup_median", "look-up table of the median"),
-    ):
-        error = summary["errors"][key]
-        tell(f"{label:36}{error['delta_magnitude']:16.3g}{error['delta_phase_deg']:14.3g}")
-    tell()
-    tell(f"{last}")
-    return FAILED if summary["problems"] else DONE
-
-
-def _interval(values: dict[str, float | None], style: str) -> str:
-    if values["median"] is None:
-        return "-"
-    return "{} ({} to {})".format(*(format(values[k], style) for k in ("median", "q05", "q95")))
-
-
-def _is_marked(element: dict[str, Any]) -> bool:
-    """Whether a number is shown that depends on the misfit: what is withheld needs no mark."""
-    return bool(element["marked"] and element["central"]["median"] is not None)
+    """Print the result, and tell whether its numbers may be used."""
+    tell_result(result, last)
+    return FAILED if result.summary["problems"] else DONE
 
 
 def _is_range(value: object) -> bool:

@@ -89,6 +89,8 @@ class FitOptions:
         What replaces the default prior.
     beside : tuple of str
         Published sets (:func:`bayes_impedance.datasets.published_values`) that are laid beside the fit.
+    distribution : str
+        Of people's log elements: ``normal`` or ``student_t``.
     """
 
     network: str | None = None
@@ -105,6 +107,7 @@ class FitOptions:
     with_before: bool = True
     prior: GivenPrior | None = None
     beside: tuple[str, ...] = ()
+    distribution: str = "normal"
 
     @property
     def threads(self) -> int:
@@ -116,7 +119,8 @@ class FitOptions:
         from bayes_impedance.population.fit import QUICK_SETTINGS, FitSettings
 
         base = QUICK_SETTINGS if self.quick else FitSettings()
-        return FitSettings(self.covariance, self.covariates, base.draws, base.sampler, self.prior)
+        own = {name: getattr(self, name) for name in ("covariance", "covariates", "prior", "distribution")}
+        return replace(base, **own)
 
 
 def fit_dataset(dataset: Path, out: Path, options: FitOptions, resume: bool, progress: Progress) -> Result:

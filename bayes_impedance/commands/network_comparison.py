@@ -37,15 +37,22 @@ TABLES = ("networks.json", "networks.csv")
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A network as it was named: its notation, or its finished result."""
+    """A network as it was named: its notation and the distribution of people, or its finished result."""
 
     given: str
     network: str
     result: Result | None
+    distribution: str
 
 
 def compare_networks(
-    dataset: Path, out: Path, given: Sequence[str], options: FitOptions, resume: bool, progress: Progress
+    dataset: Path,
+    out: Path,
+    given: Sequence[str],
+    options: FitOptions,
+    resume: bool,
+    progress: Progress,
+    distributions: Sequence[str] = (),
 ) -> NetworkComparison:
     """Fit each network, leave people out, and write ``networks.json`` and ``networks.csv``.
 
@@ -56,12 +63,16 @@ def compare_networks(
         Folder for the tables; the fits are written to ``out/1``, ``out/2``, ... in the order given.
     given : sequence of str
         For each network its notation, a text file that holds it, the verdict of a diagnosis (its network with what was
-        missing), or the folder of a finished fit of the same recordings.
+        missing), or the folder of a finished fit of the same recordings. If none is given, the network of the options
+        or of the recordings.
     options : FitOptions
         Of all fits that are made; their `network` is not used.
     resume : bool
         Take the fits that are finished, and continue one that was interrupted.
     progress : callable
+    distributions : sequence of str
+        With which each network that is not a finished fit is fitted, one after the other; that of the options if none
+        is given.
 
     Raises
     ------
@@ -78,7 +89,9 @@ def compare_networks(
             f"{dataset}: networks are compared by how well each person is predicted from the others; give two or more "
             "people"
         )
-    candidates = [_candidate(text, recordings, options, dataset) for text in given]
+    given = given or [options.network or recordings.network or ""]
+    kinds = distributions or (options.distribution,)
+    candidates = [own for text in given for own in _candidates(text, recordings, options, dataset, kinds)]
     _require_different(candidates)
     priors = _priors(candidates, recordings, options)
     folders = [out / str(k) if c.result is None else Path(c.given) for k, c in enumerate(candidates, start=1)]
@@ -88,7 +101,13 @@ def compare_networks(
     entries = []
     with output_folder(out, TABLES, options.overwrite):
         for k, (candidate, folder) in enumerate(zip(candidates, folders, strict=True), start=1):
-            own = replace(options, network=candidate.network, prior=priors[k - 1], with_before=False)
+            own = replace(
+                options,
+                network=candidate.network,
+                prior=priors[k - 1],
+                with_before=False,
+                distribution=candidate.distribution,
+            )
             result = candidate.result or (_finished(folder, recordings, own) if resume else None)
             if result is None:
                 result = fit_dataset(dataset, folder, own, resume, progress)
@@ -110,14 +129,17 @@ def compare_networks(
 # -------------------------------------------------------------------- what is named
 
 
-def _candidate(text: str, recordings: Recordings, options: FitOptions, dataset: Path) -> _Candidate:
+def _candidates(
+    text: str, recordings: Recordings, options: FitOptions, dataset: Path, distributions: Sequence[str]
+) -> list[_Candidate]:
     from bayes_impedance.network.notation import parse
     from bayes_impedance.population.requirements import checked_model
 
     result, network = None, text
     if os.path.isdir(text):
         result = _result_of(Path(text), recordings, dataset)
-        return _Candidate(text, result.summary["network_as_written"], result)
+        distribution = result.attributes.get("distribution", "normal")
+        return [_Candidate(text, result.summary["network_as_written"], result, distribution)]
     if os.path.isfile(text):
         network = _network_in(Path(text))
     try:
@@ -127,7 +149,7 @@ def _candidate(text: str, recordings: Recordings, options: FitOptions, dataset: 
             raise InputError(f"{error} (and there is no file or folder of this name)") from None
         raise InputError(f"{text}: {error}") from None
     checked_model(recordings, network, options.covariates)
-    return _Candidate(text, network, None)
+    return [_Candidate(text, network, None, distribution) for distribution in distributions]
 
 
 def _network_in(file: Path) -> str:
@@ -154,10 +176,12 @@ def _require_different(candidates: Sequence[_Candidate]) -> None:
     from bayes_impedance.network.notation import parse
 
     if len(candidates) < 2:
-        raise InputError("--networks: give two or more, separated by blanks, each in quotation marks")
-    known: dict[str, str] = {}
+        raise InputError(
+            "--networks: give two or more, separated by blanks, each in quotation marks; or one and two --distributions"
+        )
+    known: dict[tuple[str, str], str] = {}
     for c in candidates:
-        identity = os.path.realpath(c.given) if c.result is not None else str(parse(c.network))
+        identity = (os.path.realpath(c.given) if c.result is not None else str(parse(c.network))), c.distribution
         if identity in known:
             raise InputError(f"--networks: {shown(c.given)} and {shown(known[identity])} are the same; leave one out")
         known[identity] = c.given
@@ -207,7 +231,8 @@ def _finished(folder: Path, recordings: Recordings, options: FitOptions) -> Resu
         "data_sha256": recordings.sha256,
         "covariance": "diagonal" if few else options.covariance,
     }
-    same = all(attributes[name] == value for name, value in wanted.items())
+    same = attributes.get("distribution", "normal") == options.distribution
+    same = same and all(attributes[name] == value for name, value in wanted.items())
     same = same and _names(result) == recordings.names and _settings_of(result).covariates == options.covariates
     same = same and summary["sampler"]["ensembles"] == settings.sampler.ensembles
     same = same and attributes.get("prior", "") == ("" if options.prior is None else options.prior.text())
@@ -224,7 +249,13 @@ def _settings_of(result: Result) -> FitSettings:
     base = QUICK_SETTINGS if quick else FitSettings()
     covariates = tuple(str(name) for name in result.coords.get("covariate", ()))
     prior = GivenPrior.of_text(result.attributes.get("prior", ""))
-    return FitSettings(result.attributes["covariance"], covariates, base.draws, base.sampler, prior)
+    return replace(
+        base,
+        covariance=result.attributes["covariance"],
+        covariates=covariates,
+        prior=prior,
+        distribution=result.attributes.get("distribution", "normal"),
+    )
 
 
 def _with_refits(

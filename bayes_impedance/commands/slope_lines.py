@@ -1,9 +1,16 @@
-"""The slopes of covariates as lines for the terminal."""
+"""What stands below the table of elements in the terminal: what dispersions are, and the slopes of covariates."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
+
+
+def dispersion_line(summary: Mapping[str, Any]) -> str:
+    """What dispersions are; a Student t population has scales in place of standard deviations between persons."""
+    if summary.get("distribution") is None:
+        return "dispersions are standard deviations of the natural logarithm"
+    return "dispersions of the natural logarithm: between persons scales of a Student t, else standard deviations"
 
 
 def slope_lines(summary: Mapping[str, Any]) -> list[str]:

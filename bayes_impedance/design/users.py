@@ -13,6 +13,9 @@ A user is the body alone (:mod:`bayes_impedance.design.body`): what belongs to t
 its columns out of the posterior, which integrates over them. A parameter of the body that is the same for everybody,
 such as the exponent ``a1*`` of a power law, has no spread in a population but may differ between populations.
 
+In a population with heavier tails theta follows the multivariate t distribution with scale matrix
+:math:`\Sigma + B B^T` and the degrees of freedom of the posterior draw (:mod:`bayes_impedance.population.heavy_tails`).
+
 :class:`UserPopulation` keeps the posterior's draws of :math:`(\mu, \Sigma)`. By importance weights
 (:meth:`UserPopulation.weights`) one set of users serves as a sample from each of these populations. So probabilities
 have credible intervals without drawing new users for each population.
@@ -34,6 +37,8 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Network, parse
 from bayes_impedance.network.parameters import Parameter
+from bayes_impedance.population.heavy_tails import drawn_factors, log_t
+from bayes_impedance.results.meanings import TAIL
 from bayes_impedance.results.result import Result
 
 if TYPE_CHECKING:
@@ -45,6 +50,12 @@ PERCENTILES = (0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
 _MIXED = 2000
 """Most posterior draws in the mixture for the users' weights. By choice: computing time against its Monte-Carlo
 error."""
+
+
+_TAILS = (
+    "People follow a Student t distribution, from which users are drawn; the covariance, representative users and the "
+    "random draws of circuits are those of the normal distribution with its scales."
+)
 
 
 @dataclass(frozen=True)
@@ -155,7 +166,9 @@ class UserPopulation:
     removed : tuple of str
         What was taken out of the fitted network because it belongs to the rig.
     note : str
-        The same as a sentence; empty if nothing was taken out.
+        The same as a sentence, and what is to be known of heavier tails; empty if nothing is to be said.
+    tail : ndarray, shape (S,), optional
+        Reciprocal degrees of freedom of a Student t population; normal if not given.
     """
 
     network: Network
@@ -167,6 +180,7 @@ class UserPopulation:
     band_hz: tuple[float, float] | None = None
     removed: tuple[str, ...] = ()
     note: str = ""
+    tail: np.ndarray | None = None
 
     @property
     def shared(self) -> tuple[str, ...]:
@@ -184,7 +198,10 @@ class UserPopulation:
 
     @property
     def covariance(self) -> np.ndarray:
-        """Covariance of a new user's u: between persons plus posterior covariance of mu, shape (P, P)."""
+        """Covariance of a new user's u: between persons plus posterior covariance of mu, shape (P, P).
+
+        Of a Student t population: with its scale matrix in place of the covariance, which may be infinite.
+        """
         away = self.mu - self.mu.mean(axis=0)
         between = np.mean(self.factor @ np.swapaxes(self.factor, 1, 2), axis=0)
         return np.asarray(between + away.T @ away / len(away))
@@ -213,7 +230,10 @@ class UserPopulation:
             raise InputError(f"{number} users cannot be drawn: ask for at least one")
         rng = np.random.default_rng(seed)
         rows = np.linspace(0, len(self.mu) - 1, number).astype(int)
-        theta = self.mu[rows] + np.einsum("spq,sq->sp", self.factor[rows], rng.normal(size=(number, self.mu.shape[1])))
+        normal = rng.normal(size=(number, self.mu.shape[1]))
+        if self.tail is not None:
+            normal *= drawn_factors(self.tail[rows], (number,), rng)[:, None]
+        theta = self.mu[rows] + np.einsum("spq,sq->sp", self.factor[rows], normal)
         if repetitions:
             theta = theta + self.between_repetitions[rows] * rng.normal(size=theta.shape)
         width = len(str(number))
@@ -255,7 +275,10 @@ class UserPopulation:
         free = [i for i, e in enumerate(self.network.elements) if e not in same]
         factor = self.factor[row][np.ix_(free, free)]
         white = solve_triangular(factor, (users.u[:, free] - self.mu[row, free]).T, lower=True)
-        return np.asarray(-0.5 * np.sum(white**2, axis=0) - np.sum(np.log(np.diag(factor))))
+        square, constant = np.sum(white**2, axis=0), np.sum(np.log(np.diag(factor)))
+        if self.tail is not None:
+            return np.asarray(log_t(square, self.tail[row], len(free)) - constant)
+        return np.asarray(-0.5 * square - constant)
 
 
 def population_of(
@@ -318,6 +341,7 @@ def population_of(
         raise InputError("the fit's elements have a covariance that is not positive definite: fit again") from None
     factor[:, same, :] = 0.0
     frequency = np.asarray(result.coords["frequency_hz"], dtype=float)
+    tail = posterior.get(TAIL)
     return UserPopulation(
         network=network,
         unit=str(result.attributes["unit"]),
@@ -327,7 +351,8 @@ def population_of(
         fixed=tuple(assume),
         band_hz=(float(frequency[0]), float(frequency[-1])),
         removed=body.removed,
-        note=body.note,
+        note=" ".join(filter(None, (body.note, "" if tail is None else _TAILS))),
+        tail=None if tail is None else np.asarray(tail).reshape(-1),
     )
 
 

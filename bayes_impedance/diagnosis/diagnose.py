@@ -296,7 +296,7 @@ def _measured(
     evidence: Evidence, extended: ExtendedNetwork, recordings: Recordings, job: _Job
 ) -> tuple[Evidence, PopulationFit | None]:
     """Evidence with parameters from the posterior of the population of the extended network; and that posterior."""
-    settings = FitSettings("diagonal" if job.diagonal else "full")
+    settings = FitSettings(covariance="diagonal" if job.diagonal else "full")
     if without := no_networks(evidence.final.model):
         because = f"{', '.join(without)} {_NOT_IN_NETWORK}."
         return replace(evidence, remarks=(*evidence.remarks, because)), None

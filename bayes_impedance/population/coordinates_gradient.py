@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from bayes_impedance.population.heavy_tails import tail_slope
 from bayes_impedance.population.likelihood_gradient import ParameterGradient
 from bayes_impedance.population.parameters import Coordinates, PopulationParameters
 
@@ -39,7 +40,7 @@ def pulled_back(
     ndarray, shape (W, D)
     """
     free, prior = np.array(coordinates.free, dtype=int), coordinates.prior
-    centre, persons, repetitions, slopes, partial, shared = coordinates.blocks(vector)
+    centre, persons, repetitions, slopes, partial, tail, shared = coordinates.blocks(vector)
     tau, factor = parameters.between_persons, parameters.correlation_cholesky
     scaled = gradient.covariance * tau[:, None, :]  # S D
     on_tau = 2 * np.einsum("wpq,wqp->wp", scaled, parameters.correlation)
@@ -58,6 +59,8 @@ def pulled_back(
         block = (slice(None), free[:, None], free)
         on_partial = _through_partial(on_factor[block], factor[block], np.tanh(partial))
         parts.append(on_partial - 2 * coordinates.levels() * np.tanh(partial))
+    if coordinates.tails:
+        parts.append(gradient.tail[:, None] * tail_slope(tail) - tail)
     if coordinates.shared_free:
         parts.append(gradient.shared[:, list(coordinates.shared_free)] @ coordinates.shared_factor - shared)
     return np.concatenate(parts, axis=1)

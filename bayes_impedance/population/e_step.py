@@ -98,6 +98,20 @@ def expect(
     return PersonFit(mode, deviations, likelihood.deviations, gradient, information)
 
 
+def expect_weighted(
+    kernel: Kernel,
+    precision: np.ndarray,
+    rho: np.ndarray,
+    likelihood: Likelihood,
+    before: Placed | PersonFit,
+    mean: np.ndarray,
+    starts: np.ndarray,
+    weight: float,
+) -> PersonFit:
+    """As :func:`expect`, under a population whose precision is multiplied by the person's weight."""
+    return expect(kernel, weight * precision, rho, likelihood, before, mean, starts)
+
+
 def _realigned(
     likelihood: Likelihood, mode: Mode, gradient: np.ndarray, information: np.ndarray, rho: np.ndarray
 ) -> np.ndarray:
@@ -160,11 +174,25 @@ class Sums:
     squares: dict[int, tuple[np.ndarray, int]]
 
 
-def sums(fits: Sequence[PersonFit], covariates: np.ndarray, centre: np.ndarray, rho: np.ndarray) -> Sums:
-    """Sums over persons whose fits were computed with the dispersion rho (P,) between repetitions."""
+def sums(
+    fits: Sequence[PersonFit],
+    covariates: np.ndarray,
+    weights: np.ndarray | None = None,
+    *,
+    centre: np.ndarray,
+    rho: np.ndarray,
+) -> Sums:
+    """Sums over persons, weighted (n,) if weights are given.
+
+    The fits were computed with the dispersion rho (P,) between repetitions.
+    """
     theta, design = _stacked(fits), np.hstack([np.ones((len(fits), 1)), covariates])
-    target = np.array([design.T @ (theta[:, e] - centre[e]) for e in range(centre.size)])
-    uncertainty = np.linalg.inv([f.mode.precision for f in fits]).sum(axis=0)
+    own = np.linalg.inv([f.mode.precision for f in fits])
+    counted = design
+    if weights is not None:
+        counted, own = weights[:, None] * design, weights[:, None, None] * own
+    target = np.array([counted.T @ (theta[:, e] - centre[e]) for e in range(centre.size)])
+    uncertainty = own.sum(axis=0)
     inverse_square = 1 / np.maximum(rho, 1e-3) ** 2
     squares = {}
     for j, group in contrasts_of(fits).items():
@@ -174,13 +202,20 @@ def sums(fits: Sequence[PersonFit], covariates: np.ndarray, centre: np.ndarray, 
         mean = np.einsum("npq,qn->np", posterior, group.gradient)
         square = mean**2 + np.diagonal(posterior, axis1=1, axis2=2)
         squares[j] = square.reshape(n, -1, rho.size).sum(axis=(0, 1)), n * size // rho.size
-    return Sums(design.T @ design, target, uncertainty, squares)
+    return Sums(counted.T @ design, target, uncertainty, squares)
 
 
-def spread(fits: Sequence[PersonFit], means: np.ndarray) -> np.ndarray:
-    """Sum of outer products of the persons' deviations from their population means (n, P), shape (P, P)."""
+def spread(fits: Sequence[PersonFit], means: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
+    """Sum of outer products of the persons' deviations from their population means (n, P), weighted (n,): (P, P)."""
     offset = _stacked(fits) - means
-    return np.asarray(offset.T @ offset)
+    return np.asarray((offset if weights is None else weights[:, None] * offset).T @ offset)
+
+
+def squared_distances(fits: Sequence[PersonFit], means: np.ndarray, precision: np.ndarray) -> np.ndarray:
+    """Expected squared distances of persons from their population means (n, P), for a population's precision: (n,)."""
+    offset = _stacked(fits) - means
+    uncertain = np.einsum("pq,nqp->n", precision, np.linalg.inv([f.mode.precision for f in fits]))
+    return np.asarray(np.einsum("np,pq,nq->n", offset, precision, offset) + uncertain)
 
 
 def evidence(fits: Sequence[PersonFit], rho: np.ndarray) -> float:

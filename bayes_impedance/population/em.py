@@ -7,6 +7,11 @@ Two steps alternate. Each person's posterior is approximated by a normal at its 
 * M: :math:`\mu = \overline{m_i}`, :math:`T = \overline{(m_i-\mu)(m_i-\mu)^T + C_i}`,
   :math:`\rho^2 = \overline{E\,d^2}` over the contrasts.
 
+In a population with heavier tails (:mod:`bayes_impedance.population.heavy_tails`) T becomes
+:math:`\lambda_i T` for person i, and :math:`E[1/\lambda_i] = (\nu+P)/(\nu+q_i)` is the person's weight in E and M,
+with q the expected squared distance (Lange, Little and Taylor 1989). The degrees of freedom maximise the density of the
+distances in each iteration (ECME of Liu and Rubin 1995).
+
 This is not the result: the normal approximation per person is wrong by a posterior standard deviation for weakly
 determined elements. But importance draws are proposed around it, and it shows which elements the recordings determine.
 Each person's fit stays in the process that computed it (:mod:`bayes_impedance.population.e_step`); an iteration sends
@@ -103,6 +108,10 @@ class Estimate:
     rounds : int
     rivals : tuple of float
         Differences in log evidence between this mode of the population and the other modes found.
+    tail : float, optional
+        Reciprocal degrees of freedom of a Student t population.
+    weights : ndarray, shape (N,), optional
+        Each person's weight in it.
     """
 
     mu: np.ndarray
@@ -124,6 +133,8 @@ class Estimate:
     shared_equations: Kept | None
     rounds: int
     rivals: tuple[float, ...]
+    tail: float | None = None
+    weights: np.ndarray | None = None
 
     @property
     def determined(self) -> np.ndarray:
@@ -139,6 +150,11 @@ class Estimate:
     def likelihoods(self) -> tuple[Likelihood, ...]:
         """Each person's likelihood at the estimated deviations of the repetitions, collected from the workers."""
         return tuple(d.moved(own) for d, own in zip(self.data.gathered(), self.deviations, strict=True))
+
+    @property
+    def stretches(self) -> np.ndarray:
+        """Factors on the covariance of the population from which each person is drawn, at least one: shape (N,)."""
+        return np.ones(self.scale.size) if self.weights is None else 1 / np.minimum(self.weights, 1.0)
 
     @property
     def contrasts(self) -> tuple[Contrasts, ...]:
@@ -164,6 +180,7 @@ def estimate(
     progress: Progress,
     one_person: bool = False,
     checkpoint: Path | None = None,
+    tails: bool = False,
 ) -> Estimate:
     """Expectation-maximisation until the population moves by less than 2 % of its standard errors.
 
@@ -188,12 +205,14 @@ def estimate(
         Leave the population at the broad prior and estimate only the dispersion between repetitions.
     checkpoint : Path, optional
         File that holds the latest iteration; an interrupted estimation continues from it.
+    tails : bool
+        Whether the population is a Student t.
     """
     n, p = len(first.theta), pooling.varying.size
     repeated = max(data.ask(_most_repetitions)) > 1
 
     def state_from(theta: np.ndarray, data: Kept) -> State:
-        return State(pooling, data, prior, covariates, correlated, theta, repeated, one_person)
+        return State(pooling, data, prior, covariates, correlated, theta, repeated, one_person, tails)
 
     rounds, moved, rivals = 0, np.inf, tuple[float, ...]()
     kept = None if checkpoint is None else load_arrays(checkpoint)
@@ -260,6 +279,8 @@ def estimate(
         shared_equations=state.shared_equations() if pooling.names else None,
         rounds=rounds,
         rivals=rivals,
+        tail=state.tail,
+        weights=state.weights,
     )
 
 
@@ -275,7 +296,8 @@ def moved_to(point: Estimate, shared: np.ndarray, means: np.ndarray, covariance:
     covariance : ndarray, shape (V, V)
     """
     precision, rho = np.linalg.inv(covariance), point.between_repetitions
-    fits = refitted(point.data, point.fits, point.pooling.at(shared), precision, rho, means)
+    kernel = point.pooling.at(shared)
+    fits = refitted(point.data, point.fits, kernel, precision, rho, means, weights=point.weights)
     equations = equations_of(point.data, fits, point.pooling, shared, precision, rho)
     return replace(point, fits=fits, shared=shared, shared_equations=equations)
 

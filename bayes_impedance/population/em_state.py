@@ -1,7 +1,8 @@
 r"""The state of the expectation-maximisation and one iteration of it.
 
 The equations are derived in :mod:`bayes_impedance.population.em`, those of the parameters that are the same for
-everybody in :mod:`bayes_impedance.population.shared`.
+everybody in :mod:`bayes_impedance.population.shared`, and the weights of persons in a population with heavier tails in
+:mod:`bayes_impedance.population.heavy_tails`.
 """
 
 from __future__ import annotations
@@ -23,12 +24,15 @@ from bayes_impedance.population.e_step import (
     begin,
     evidence,
     expect,
+    expect_weighted,
     information_of_elements,
     information_of_means,
     spread,
+    squared_distances,
     standard_errors,
     sums,
 )
+from bayes_impedance.population.heavy_tails import HEAVIEST, estimated_tail, weights_of
 from bayes_impedance.population.prior import Prior
 from bayes_impedance.population.shared import (
     Placed,
@@ -92,6 +96,10 @@ class State:
         Each person's starting point; of shared parameters the median is taken.
     repeated : bool
     one_person : bool
+    tails : bool
+        Whether the population is a Student t. Its degrees of freedom are then estimated along, and persons far from the
+        centre count less; shared parameters and common searches take everybody as equal, which moves only the point of
+        departure.
     """
 
     def __init__(
@@ -104,6 +112,7 @@ class State:
         theta: np.ndarray,
         repeated: bool,
         one_person: bool,
+        tails: bool = False,
     ) -> None:
         self.pooling, self.data = pooling, data
         self.prior = prior.of(pooling.varying) if pooling.names else prior
@@ -113,6 +122,8 @@ class State:
             theta = theta[:, pooling.varying]
         self.covariates, self.correlated = covariates, correlated
         self.n_persons = len(theta)
+        self.tail = 0.5 * HEAVIEST if tails else None  # the prior's median
+        self.weights = np.ones(self.n_persons) if tails else None
         self.mu = np.median(theta, axis=0)
         self.slopes = np.zeros((self.mu.size, covariates.shape[1]))
         deviation = 1.4826 * np.median(np.abs(theta - self.mu), axis=0)
@@ -138,6 +149,7 @@ class State:
             "deviations": np.concatenate(deviations),
             "expanded": np.concatenate(expanded),
             "repetitions": np.array([len(own) for own in deviations]),
+            **({} if self.weights is None else {"weights": self.weights, "tail": np.array(self.tail)}),
         }
 
     def restore(self, snapshot: Mapping[str, np.ndarray]) -> None:
@@ -148,6 +160,8 @@ class State:
         ends = np.cumsum(snapshot["repetitions"])[:-1]
         own = (np.split(snapshot[name], ends) for name in ("deviations", "expanded"))
         self.fits = self.data.each(_restored, snapshot["theta"], snapshot["scale"].tolist(), *own)
+        if "weights" in snapshot:
+            self.weights, self.tail = snapshot["weights"], float(snapshot["tail"])
         self.begun = True  # snapshots are taken after an iteration
 
     def exchange(self, arrangement: np.ndarray) -> None:
@@ -185,14 +199,25 @@ class State:
         if extra_starts is not None:
             starts = np.concatenate([means[:, None], extra_starts], axis=1)
         precision = np.linalg.inv(self.covariance)
-        self.fits = refitted(self.data, self.fits, self.pooling.at(self.phi), precision, self.rho, means, starts)
+        kernel = self.pooling.at(self.phi)
+        self.fits = refitted(self.data, self.fits, kernel, precision, self.rho, means, starts, self.weights)
         old_mu, old_covariance, old_rho = self.mu.copy(), self.covariance, self.rho
-        self._maximise(self.fits.ask(sums, self.prior.centre, self.rho, columns=[self.covariates]))
+        if self.weights is not None:
+            square = np.concatenate(self.fits.ask(squared_distances, precision, columns=[means]))
+            self.tail = estimated_tail(square, self.mu.size)
+            self.weights = weights_of(square, self.tail, self.mu.size)
+        sums_here = partial(sums, centre=self.prior.centre, rho=self.rho)
+        self._maximise(self.fits.ask(sums_here, columns=[self.covariates, *self._counted]))
         sd = np.sqrt(np.diag(old_covariance) / self.n_persons + 1e-12)
         shift = np.abs(self.mu - old_mu) / sd
         stretch = np.abs(np.log(np.diag(self.covariance) / np.diag(old_covariance)))
         wobble = np.abs(self.rho - old_rho) / np.maximum(self.rho, 0.01)
         return float(max(moved, np.max(shift), np.max(stretch), np.max(wobble)))
+
+    @property
+    def _counted(self) -> list[np.ndarray]:
+        """The persons' weights, if there are any, as columns of sums over persons."""
+        return [] if self.weights is None else [self.weights]
 
     def align(self) -> None:
         """Search the recordings of everybody who is described badly one by one (after an iteration, before another)."""
@@ -260,7 +285,9 @@ class State:
             solution = np.linalg.solve(design + np.diag(ridge), target[e])
             self.mu[e], self.slopes[e] = self.prior.centre[e] + solution[0], solution[1:]
         # A second pass over the persons: squaring the deviations from the new mean avoids cancellation.
-        square = _total(self.fits.ask(spread, columns=[self.means])) + _total(part.uncertainty for part in parts)
+        square = _total(self.fits.ask(spread, columns=[self.means, *self._counted])) + _total(
+            part.uncertainty for part in parts
+        )
         persons = PRIOR_PERSONS * self.prior.concentration / LKJ
         # The prior's scale of the dispersions limits what few persons and much noise would give.
         limit = np.maximum(self.prior.dispersion_sds, SMALLEST_DISPERSION) ** 2
@@ -280,8 +307,14 @@ class State:
     def log_evidence(self) -> float:
         """Laplace approximation of the log marginal likelihood of the population, with the prior of its centre."""
         sign, log_determinant = np.linalg.slogdet(self.covariance)
+        weighted = 0.0 if self.weights is None else 0.5 * self.mu.size * float(np.sum(np.log(self.weights)))
         prior = -self.prior.misfit(self.mu) - self.shared_prior.misfit(self.phi)
-        return prior + sum(self.fits.ask(evidence, self.rho)) - 0.5 * self.n_persons * float(sign * log_determinant)
+        return (
+            prior
+            + sum(self.fits.ask(evidence, self.rho))
+            - 0.5 * self.n_persons * float(sign * log_determinant)
+            + weighted
+        )
 
     def mu_sd(self) -> np.ndarray:
         """Approximate posterior standard deviation of mu, shape (P,)."""
@@ -306,10 +339,16 @@ def refitted(
     rho: np.ndarray,
     means: np.ndarray,
     starts: np.ndarray | None = None,
+    weights: np.ndarray | None = None,
 ) -> Kept:
-    """Everybody's fit under a population, from where they are and from further starting points (N, S, V)."""
+    """Everybody's fit under a population, from where they are and from further starting points (N, S, V).
+
+    If weights (N,) are given, the population's precision is multiplied by them.
+    """
     if starts is None:
         starts = np.empty((len(means), 0, means.shape[1]))
+    if weights is not None:
+        return data.each(partial(expect_weighted, kernel, precision, rho), fits, means, starts, weights)
     return data.each(partial(expect, kernel, precision, rho), fits, means, starts)
 
 

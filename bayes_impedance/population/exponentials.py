@@ -71,6 +71,47 @@ def sums_of_exponentials(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
     return peaks, totals, squares
 
 
+@_summing
+def _add_exponentials(row: np.ndarray, offset: np.float32, peaks: np.ndarray, total: np.ndarray) -> None:
+    """Add exp(row + offset - peaks) to the total, as in :func:`_exponentials`."""
+    for k in range(row.size):
+        y = (row[k] + offset - peaks[k]) * _LOG2_E
+        y = _LOWEST if y < _LOWEST else y
+        whole = np.floor(y + _HALF)
+        r = y - whole
+        value = ((((_C5 * r + _C4) * r + _C3) * r + _C2) * r + _C1) * r + _C0
+        total[k] += value * np.int32(np.int32(np.int32(whole) + _BIAS) << _MANTISSA).view(np.float32)
+
+
+@compiled
+def log_sums(values: np.ndarray, offsets: np.ndarray, result: np.ndarray) -> None:
+    """Logarithms of the sums over G of exp(values + offsets).
+
+    Parameters
+    ----------
+    values : ndarray of float32, shape (W, G, B, K)
+    offsets : ndarray of float32, shape (W, G, B)
+    result : ndarray of float32, shape (W, B, K)
+        Where the logarithms are written; nan where a value is not a number.
+    """
+    total = np.empty(values.shape[3], dtype=np.float32)
+    for w in range(values.shape[0]):
+        for n in range(values.shape[2]):
+            peaks = result[w, n]
+            for k in range(total.size):
+                total[k] = np.float32(0)
+                peaks[k] = values[w, 0, n, k] + offsets[w, 0, n]
+            for g in range(1, values.shape[1]):
+                row, offset = values[w, g, n], offsets[w, g, n]
+                for k in range(total.size):
+                    own = row[k] + offset
+                    peaks[k] = peaks[k] if peaks[k] > own else own  # a nan, once there, stays in the sum
+            for g in range(values.shape[1]):
+                _add_exponentials(values[w, g, n], offsets[w, g, n], peaks, total)
+            for k in range(total.size):
+                peaks[k] += np.log(total[k])
+
+
 _NOTHING = np.float32(-50)
 """Binary logarithm of a weight, relative to the largest, below which it is zero: less than rounding, and products with
 subnormal numbers take a hundred times longer."""

@@ -20,15 +20,14 @@ from __future__ import annotations
 import os
 from concurrent.futures import Executor
 from contextlib import nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
-from bayes_impedance.errors import InputError
-from bayes_impedance.mcmc.ensemble import QUICK, Chains, SamplerSettings, sample
+from bayes_impedance.mcmc.ensemble import Chains, sample
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Network
 from bayes_impedance.network.redundancy import Combination
@@ -40,13 +39,13 @@ from bayes_impedance.population.covariate_terms import with_terms
 from bayes_impedance.population.dependence import dependent
 from bayes_impedance.population.diagnostics import Diagnostics, assess
 from bayes_impedance.population.em import Estimate, estimate
-from bayes_impedance.population.given_prior import GivenPrior
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.posterior import Posterior
 from bayes_impedance.population.prior import Prior
 from bayes_impedance.population.recording_noise import initial_likelihoods, scaled_noise
 from bayes_impedance.population.requirements import CheckedModel, checked_model
 from bayes_impedance.population.sampling import sampled
+from bayes_impedance.population.settings import NORMAL, QUICK_SETTINGS, STUDENT_T, FitSettings
 from bayes_impedance.population.shared import Pooling
 from bayes_impedance.population.shown_fit import ShownFit
 from bayes_impedance.population.starting_fits import FirstFits, first_fits
@@ -57,6 +56,8 @@ from bayes_impedance.runtime.clock import Clock
 from bayes_impedance.runtime.executors import executor_of, map_persons
 from bayes_impedance.runtime.progress import Progress
 
+__all__ = ["IDENTIFIED_SD", "QUICK_SETTINGS", "FitSettings", "PopulationFit", "fit_population", "prior_for"]
+
 IDENTIFIED_SD = 1.0
 """A central value is reported if the posterior standard deviation of its logarithm is below this: a factor e. By
 choice: a higher limit reports values whose order of magnitude is uncertain."""
@@ -65,41 +66,6 @@ _POINT_ESTIMATE = "point_estimate.npz"
 _MOST_NUMBERS, _FEWEST_SETS = 30_000_000, 100
 """Most numbers of persons in a result, 0.24 GB in double precision, and fewest sets kept of each ensemble. By choice:
 memory against the number of posterior draws."""
-
-
-@dataclass(frozen=True)
-class FitSettings:
-    """Settings of a fit.
-
-    Attributes
-    ----------
-    covariance : str
-        ``full`` (elements are correlated between persons) or ``diagonal``, which is also used if the number of persons
-        is less than the number of elements plus two.
-    covariates : tuple of str
-        Covariates, columns of text and interactions (``age_y:sex``) on which the mean log elements depend linearly.
-    draws : int
-        Draws for each person, a power of two.
-    sampler : SamplerSettings
-    prior : GivenPrior, optional
-        What replaces the default prior (:mod:`~bayes_impedance.population.given_prior`).
-    """
-
-    covariance: str = "full"
-    covariates: tuple[str, ...] = ()
-    draws: int = 512
-    sampler: SamplerSettings = field(default_factory=SamplerSettings)
-    prior: GivenPrior | None = None
-
-    def __post_init__(self) -> None:
-        if self.covariance not in ("full", "diagonal"):
-            raise InputError(f"covariance is '{self.covariance}': choose 'full' or 'diagonal'")
-        if not isinstance(self.covariates, tuple) or not all(isinstance(name, str) for name in self.covariates):
-            raise InputError("covariates must be a tuple of names, such as ('age_y',)")
-
-
-QUICK_SETTINGS = FitSettings(draws=256, sampler=QUICK)
-"""By choice: fewer draws and shorter chains, faster but with a larger Monte-Carlo error."""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -225,6 +191,8 @@ def fit_population(
     model = checked_model(recordings, within_rig(recordings, network), settings.covariates)
     kernel, covariates = model.kernel, model.covariates
     one = len(recordings.subjects) == 1
+    if one:
+        settings = replace(settings, distribution=NORMAL)
     pooling = Pooling(kernel) if one else Pooling.of(kernel)  # one person's own and the same for all: no difference
     whole = Whole(pooling)
     if too_few_for_correlations(len(recordings.subjects), pooling.varying.size):
@@ -259,6 +227,7 @@ def fit_population(
                 progress,
                 one_person=one,
                 checkpoint=None if checkpoint is None else checkpoint / _POINT_ESTIMATE,
+                tails=settings.distribution == STUDENT_T,
             )
         if one:
             return _one_person(

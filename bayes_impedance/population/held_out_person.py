@@ -14,8 +14,9 @@ import numpy as np
 from bayes_impedance.person.importance_draws import widening
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.marginal_likelihood import LEAST_RHO
-from bayes_impedance.population.e_step import PersonFit, expect
+from bayes_impedance.population.e_step import PersonFit, expect, squared_distances
 from bayes_impedance.population.fit import PopulationFit
+from bayes_impedance.population.heavy_tails import weights_of
 from bayes_impedance.population.moved_dispersions import DispersionRange
 from bayes_impedance.population.posterior import FEWEST_DRAWS, RARELY
 from bayes_impedance.population.recording_noise import noise_of
@@ -29,6 +30,9 @@ other modes are tried as well."""
 _MOST_ROUNDS, _AT_REST = 30, 1e-3
 """Rounds in which mode and deviations are found in turn, at most, and the change of the deviations, relative to their
 dispersion, at which they end. By choice: the draws correct for what remains."""
+_REWEIGHTED = 3
+"""Times that the weight of a person in a population with tails, and the mode under it, are found in turn. By choice:
+the draws correct for what remains."""
 _MORE_DRAWS = 8
 """Times as many draws as the fit takes for each person. By choice: there is only one person here."""
 
@@ -53,12 +57,19 @@ def held_out_log_densities(fit: PopulationFit, person: Subject, seed: np.random.
     covariates = _standardised(fit, person)
     span = DispersionRange.of_draws(p.between_repetitions)
     rho = span.middle
+    stretch = 1.0  # of somebody far from the others
     mean = p.mu.mean(axis=0) + p.slopes.mean(axis=0) @ covariates
     covariance = p.covariance.mean(axis=0) + np.diag(rho**2) / len(person.repetitions)
     nothing = np.zeros((len(person.repetitions), elements))
     likelihood = Likelihood.make(person.frequency_hz, person.z, noise_of(person, None), nothing)
     searching, drawing, again = seed.spawn(3)
     found = _mode(fit, likelihood, mean, covariance, rho, searching)
+    if p.tail is not None:
+        precision, tail = np.linalg.inv(covariance), float(p.tail.mean())
+        for _ in range(_REWEIGHTED):
+            weight = weights_of(squared_distances([found], mean[None], precision), tail, elements)[0]
+            stretch = max(1 / weight, 1.0)
+            found = _mode(fit, likelihood, mean, stretch * covariance, rho, searching)
     wide = covariance * widening(len(fit.recordings.subjects)) ** 2
     for child, along_valley in ((drawing, False), (again, True)):
         part = part_of(
@@ -73,6 +84,7 @@ def held_out_log_densities(fit: PopulationFit, person: Subject, seed: np.random.
             [child],
             along_valley,
             span,
+            np.array([stretch]),
         )
         effective = part.marginal.terms(p, effective=True)[1]
         if np.quantile(effective, RARELY) >= FEWEST_DRAWS:

@@ -20,6 +20,9 @@ person's mean is shifted (:mod:`bayes_impedance.population.shared_draws`).
 The contrasts between repetitions have a closed form at each person's mode
 (:mod:`bayes_impedance.population.contrasts`); monomials in functions of rho are further columns, by which a draw away
 from the mode differs (:mod:`bayes_impedance.population.moved_dispersions`).
+
+A population with heavier tails is a mixture of normal ones (:mod:`bayes_impedance.population.heavy_tails`). Its weights
+of the same draws are the sums of theirs, a chunk of populations at a time.
 """
 
 from __future__ import annotations
@@ -31,13 +34,19 @@ import numpy as np
 
 from bayes_impedance.person.importance_draws import Draws
 from bayes_impedance.population.contrasts import Contrasts
-from bayes_impedance.population.exponentials import sums_of_exponentials
+from bayes_impedance.population.exponentials import log_sums, sums_of_exponentials
+from bayes_impedance.population.heavy_tails import NODES, mixture_of
 from bayes_impedance.population.moved_dispersions import DispersionRange
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.shared_draws import Moved, Sharing, monomials, stacked
 
 _BLOCK = 4
 """Persons per matrix product. By choice: W x 4 x K single-precision numbers stay in the processor's cache."""
+
+
+_CHUNK = 2**21
+"""Most log weights of the normal populations of mixtures at once, 8 MB in single precision. By choice: memory, and
+about the size of a processor's cache."""
 
 
 class ImportanceLikelihood:
@@ -152,6 +161,12 @@ class ImportanceLikelihood:
         """
         n_sets, n_persons = parameters.mu.shape[0], self.reference_means.shape[0]
         result = np.empty((n_sets, n_persons))
+        if parameters.tail is not None and not effective:
+            for persons, rows, values, offsets in self._by_node(parameters):
+                peaks, sums, _ = sums_of_exponentials(values)
+                of_nodes = (np.log(sums / self.n_draws) + peaks + offsets).reshape(-1, NODES, persons.size)
+                result[rows, persons] = np.logaddexp.reduce(of_nodes, axis=1)
+            return result, np.empty((0, 0))
         counts = np.empty((n_sets, n_persons)) if effective else np.empty((0, 0))
         for persons, values, constants in self.exponents(parameters):
             peaks, sums, squares = sums_of_exponentials(values)
@@ -185,25 +200,73 @@ class ImportanceLikelihood:
 
         The log weights are overwritten by those of the next block.
         """
+        if parameters.tail is not None:
+            yield from self._exponents_with_tails(parameters)
+            return
+        values = np.empty((0, 0, 0), dtype=np.float32)
+        for persons, features, coefficients, constants in self._by_block(parameters):
+            values = self._products(coefficients, features, persons.size, values)
+            yield persons, values, constants
+
+    def _by_block(
+        self, parameters: PopulationParameters
+    ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+        """Block by block: the persons, their features, coefficients and constants of W normal populations."""
         populations = {j: self.population_in_reference(parameters, int(j)) for j in np.unique(self.repetitions)}
         shared: dict[int, tuple[np.ndarray, np.ndarray]] = {}
-        values = np.empty((0, 0, 0), dtype=np.float32)
         for j, persons, features in self.blocks:
             if j not in shared or not self._same_means:
                 shared[j] = self._coefficients(parameters, *populations[j], persons)
-            coefficients, constants = shared[j]
-            shape = coefficients.shape[0], persons.size, self.n_draws
-            if values.shape != shape:  # allocating an array for every product would take longer than the product
-                values = np.empty(shape, dtype=np.float32)
-            if coefficients.ndim == 2:  # the same for every person: one product
-                with np.errstate(over="ignore", invalid="ignore"):  # as below
-                    np.matmul(coefficients, features, out=values.reshape(shape[0], -1))
-            else:
-                own = features.reshape(features.shape[0], persons.size, self.n_draws)
-                for n in range(persons.size):  # if a dispersion vanishes it overflows, and is refused later
-                    with np.errstate(over="ignore", invalid="ignore"):
-                        np.matmul(coefficients[:, n], own[:, n], out=values[:, n])
-            yield persons, values, constants
+            yield persons, features, *shared[j]
+
+    def _products(
+        self, coefficients: np.ndarray, features: np.ndarray, n_persons: int, values: np.ndarray
+    ) -> np.ndarray:
+        """Log weights (W, B, K), written into `values` if that has the same shape."""
+        shape = coefficients.shape[0], n_persons, self.n_draws
+        if values.shape != shape:  # allocating an array for every product would take longer than the product
+            values = np.empty(shape, dtype=np.float32)
+        if coefficients.ndim == 2:  # the same for every person: one product
+            with np.errstate(over="ignore", invalid="ignore"):  # as below
+                np.matmul(coefficients, features, out=values.reshape(shape[0], -1))
+        else:
+            own = features.reshape(features.shape[0], n_persons, self.n_draws)
+            for n in range(n_persons):  # if a dispersion vanishes it overflows, and is refused later
+                with np.errstate(over="ignore", invalid="ignore"):
+                    np.matmul(coefficients[:, n], own[:, n], out=values[:, n])
+        return values
+
+    def _by_node(self, parameters: PopulationParameters) -> Iterator[tuple[np.ndarray, slice, np.ndarray, np.ndarray]]:
+        """Weights of the normal populations of W mixtures of G each, by blocks of persons and chunks of mixtures.
+
+        Yields the persons (B,), the mixtures of a chunk as a slice, the log weights of the draws under each normal
+        population, (w G, B, K), and what is to be added to them, (w G, B). Log weights are overwritten by the next.
+        """
+        mixture, n_sets = mixture_of(parameters), len(parameters.mu)
+        at_once = max(1, _CHUNK // (NODES * _BLOCK * self.n_draws))
+        values = np.empty((0, 0, 0), dtype=np.float32)
+        for persons, features, coefficients, constants in self._by_block(mixture.parameters):
+            offsets = mixture.log_weight.reshape(-1, 1) + np.broadcast_to(constants, (n_sets * NODES, persons.size))
+            for start in range(0, n_sets, at_once):
+                rows = slice(start, min(start + at_once, n_sets))
+                nodes = slice(rows.start * NODES, rows.stop * NODES)
+                values = self._products(coefficients[nodes], features, persons.size, values)
+                yield persons, rows, values, offsets[nodes]
+
+    def _exponents_with_tails(
+        self, parameters: PopulationParameters
+    ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """As :meth:`exponents`, of mixtures: logarithms of sums over their normal populations."""
+        n_sets = len(parameters.mu)
+        whole = np.empty((0, 0, 0), dtype=np.float32)
+        for persons, rows, values, offsets in self._by_node(parameters):
+            shape = n_sets, persons.size, self.n_draws
+            if whole.shape != shape:
+                whole = np.empty(shape, dtype=np.float32)
+            own = values.reshape(-1, NODES, persons.size, self.n_draws)
+            log_sums(own, offsets.reshape(-1, NODES, persons.size).astype(np.float32), whole[rows])
+            if rows.stop == n_sets:
+                yield persons, whole, np.zeros((n_sets, persons.size))
 
     def population_in_reference(
         self, parameters: PopulationParameters, repetitions: int

@@ -13,6 +13,13 @@ moments are one more matrix product of weights with the same monomials from whic
 parameters that are the same for everybody change the draws' log likelihoods, with their mean coefficients, and shift v
 along the person's path (:mod:`bayes_impedance.population.shared_draws`); so do those in dispersions between repetitions
 (:mod:`bayes_impedance.population.moved_dispersions`), without a shift.
+
+**With tails** (:mod:`bayes_impedance.population.heavy_tails`) the likelihood of person i is the sum over nodes g of
+:math:`w_g\,p_{ig}`, with the normal population of covariance :math:`\lambda_g\Sigma` at each. By the same identity its
+gradient is the mean of theirs with the probability :math:`r_{ig} = w_g p_{ig}/\sum_h w_h p_{ih}` of each node. With
+respect to :math:`\kappa = 1/\nu` it is :math:`\sum_{ig} r_{ig}\,\partial_\kappa \ln w_g` and, as the nodes move too,
+:math:`\sum_g \partial_\kappa \ln\lambda_g \sum_{pq} S^g_{pq}\,\lambda_g\Sigma_{pq}`, where :math:`S^g` is the
+derivative with respect to the covariance at node g.
 """
 
 from __future__ import annotations
@@ -22,6 +29,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from bayes_impedance.population.exponentials import normalise_rows
+from bayes_impedance.population.heavy_tails import NODES, mixture_of
 from bayes_impedance.population.importance_likelihood import ImportanceLikelihood
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.shared_draws import monomial_slopes
@@ -40,6 +48,8 @@ class ParameterGradient:
     between_repetitions : ndarray, shape (W, P)
     slopes : ndarray, shape (W, P, Q)
     shared : ndarray, shape (W, S)
+    tail : ndarray, shape (W,)
+        With respect to the reciprocal degrees of freedom; zero of normal populations.
     """
 
     mu: np.ndarray
@@ -47,6 +57,7 @@ class ParameterGradient:
     between_repetitions: np.ndarray
     slopes: np.ndarray
     shared: np.ndarray
+    tail: np.ndarray
 
     def __add__(self, other: ParameterGradient) -> ParameterGradient:
         return ParameterGradient(**{f.name: getattr(self, f.name) + getattr(other, f.name) for f in fields(self)})
@@ -60,6 +71,39 @@ def likelihood_gradient(marginal: ImportanceLikelihood, parameters: PopulationPa
     marginal : ImportanceLikelihood
     parameters : PopulationParameters
     """
+    return _normal(marginal, parameters, None) if parameters.tail is None else _with_tails(marginal, parameters)
+
+
+def _with_tails(marginal: ImportanceLikelihood, parameters: PopulationParameters) -> ParameterGradient:
+    """The gradient of populations with tails."""
+    mixture, shape = mixture_of(parameters), (len(parameters.mu), NODES)
+    node = marginal.terms(mixture.parameters)[0] + mixture.log_weight.reshape(-1, 1)
+    node = node.reshape(*shape, node.shape[1]) - marginal.terms(parameters)[0][:, None]
+    probability = np.exp(node)
+    each = _normal(marginal, mixture.parameters, probability.reshape(-1, node.shape[2]))
+
+    def summed(values: np.ndarray) -> np.ndarray:
+        return np.asarray(values.reshape(*shape, *values.shape[1:]).sum(axis=1))
+
+    on_factor = np.sum(each.covariance * mixture.parameters.covariance, axis=(1, 2)).reshape(shape)
+    factor = np.exp(mixture.log_factor).reshape(-1, 1, 1)
+    repetitions = summed(each.between_repetitions)
+    for contrasts in marginal.contrasts:
+        repetitions = repetitions + contrasts.slope(parameters.between_repetitions)
+    return ParameterGradient(
+        mu=summed(each.mu),
+        covariance=summed(factor * each.covariance),
+        between_repetitions=repetitions,
+        slopes=summed(each.slopes),
+        shared=summed(each.shared),
+        tail=np.sum(probability.sum(axis=2) * mixture.weight_slope + on_factor * mixture.factor_slope, axis=1),
+    )
+
+
+def _normal(
+    marginal: ImportanceLikelihood, parameters: PopulationParameters, probability: np.ndarray | None
+) -> ParameterGradient:
+    """The gradient of normal populations; if persons count in part, (W, N), that of these parts without contrasts."""
     n_sets, n_elements = parameters.mu.shape
     factor, rows, columns = marginal.reference_factor, *marginal.pairs
     n_squares, n_quadratic = rows.size, rows.size + n_elements
@@ -73,17 +117,20 @@ def likelihood_gradient(marginal: ImportanceLikelihood, parameters: PopulationPa
     whitening = np.linalg.inv(factor)
     for (persons, values, _), (j, _, features) in zip(marginal.exponents(parameters), marginal.blocks, strict=True):
         normalise_rows(values)
+        if probability is not None:
+            values *= probability[:, persons, None].astype(np.float32)
         own = features.reshape(len(features), persons.size, marginal.n_draws)
         # Means of the draws' monomials, (W, B, m).
         moments = np.swapaxes(np.swapaxes(values, 0, 1) @ own.transpose(1, 2, 0), 0, 1).astype(float)
         shift = marginal.shifted_means(parameters, persons, moving)
         v = np.broadcast_to(shift, (n_sets, persons.size, n_elements)) @ whitening.T
+        part = v if probability is None else probability[:, persons, None] * v  # moments are weighted too
         first, squares = moments[:, :, n_squares:n_quadratic], moments[:, :, :n_squares].sum(axis=1)
         cross = np.swapaxes(first, 1, 2) @ v
-        scatter[j] += np.swapaxes(v, 1, 2) @ v - cross - np.swapaxes(cross, 1, 2)
+        scatter[j] += np.swapaxes(part, 1, 2) @ v - cross - np.swapaxes(cross, 1, 2)
         scatter[j][:, rows, columns] += squares
         scatter[j][:, columns, rows] += squares * (rows != columns)
-        pull = (first - v) @ precisions[j] @ whitening
+        pull = (first - part) @ precisions[j] @ whitening
         mean += pull.sum(axis=1)
         slopes += np.swapaxes(pull, 1, 2) @ marginal.covariates[persons]
         if moving.size:
@@ -94,12 +141,13 @@ def likelihood_gradient(marginal: ImportanceLikelihood, parameters: PopulationPa
     covariance = np.zeros((n_sets, n_elements, n_elements))
     repetitions = np.zeros((n_sets, n_elements))
     for j, spread in scatter.items():
-        n = int(np.sum(marginal.repetitions == j))
+        alike = marginal.repetitions == j
+        n = int(np.sum(alike)) if probability is None else probability[:, alike].sum(axis=1)[:, None, None]
         inverse = whitening.T @ precisions[j] @ whitening  # of T
         own = 0.5 * (inverse @ (factor @ spread @ factor.T) @ inverse - n * inverse)
         covariance += own
         repetitions += 2 * parameters.between_repetitions / j * np.diagonal(own, axis1=1, axis2=2)
-    for contrasts in marginal.contrasts:
+    for contrasts in marginal.contrasts if probability is None else ():
         repetitions += contrasts.slope(parameters.between_repetitions)
     if marginal.span is not None:
         repetitions += marginal.span.slopes(parameters.between_repetitions, np.asarray(on_terms))
@@ -109,5 +157,10 @@ def likelihood_gradient(marginal: ImportanceLikelihood, parameters: PopulationPa
         shared = np.linalg.solve(marginal.sharing.factor.T, np.einsum("wm,wms->sw", on_monomials, turning)).T
         shared = shared * (marginal.sharing.beyond(parameters.shared) == 0.0)[:, None]  # at the edge draws stay
     return ParameterGradient(
-        mu=mean, covariance=covariance, between_repetitions=repetitions, slopes=slopes, shared=shared
+        mu=mean,
+        covariance=covariance,
+        between_repetitions=repetitions,
+        slopes=slopes,
+        shared=shared,
+        tail=np.zeros(n_sets),
     )

@@ -13,6 +13,9 @@ with covariates x standardised. The default priors need no knowledge of unit or 
 * correlations C ~ LKJ(2), through partial correlations (Lewandowski, Kurowicka and Joe 2009): in a P-dimensional
   C-vine the partial correlation of level j is Beta(b, b) on (-1, 1) with :math:`b = \eta + (P - 2 - j)/2`.
 
+In a population with heavier tails theta follows a multivariate t with scale matrix :math:`\Sigma`, whose degrees of
+freedom are one parameter more (:mod:`bayes_impedance.population.heavy_tails`).
+
 **Coordinates.** The sampled distribution should be close to normal. Centres are standardised, or have
 a distance from the one below (:mod:`bayes_impedance.population.ordered_centres`). A dispersion with a
 half-normal prior is the absolute value of a normal variable, which is sampled with its sign: the posterior density is
@@ -31,6 +34,7 @@ from functools import cached_property
 
 import numpy as np
 
+from bayes_impedance.population.heavy_tails import coordinate_of, tail_of
 from bayes_impedance.population.ordered_centres import Centres
 from bayes_impedance.population.prior import Prior
 
@@ -57,6 +61,9 @@ class PopulationParameters:
         Effects of the standardised covariates.
     shared : ndarray, shape (W, S), optional
         Parameters that are the same for everybody; the P others differ.
+    tail : ndarray, shape (W,), optional
+        Reciprocal degrees of freedom of a Student t population, whose scales are `between_persons`; a normal population
+        if not given.
     """
 
     mu: np.ndarray
@@ -65,6 +72,7 @@ class PopulationParameters:
     between_repetitions: np.ndarray
     slopes: np.ndarray
     shared: np.ndarray | None = None
+    tail: np.ndarray | None = None
 
     @property
     def correlation(self) -> np.ndarray:
@@ -90,6 +98,7 @@ class PopulationParameters:
             between_repetitions=self.between_repetitions[rows],
             slopes=self.slopes[rows],
             shared=None if self.shared is None else self.shared[rows],
+            tail=None if self.tail is None else self.tail[rows],
         )
 
 
@@ -98,9 +107,9 @@ class Coordinates:
     """The map between population parameters and the real vector that is sampled.
 
     The vector holds, in this order: centres (P), dispersions between persons (P), those between repetitions (P,
-    if `repetitions`), slopes (P Q), partial correlations (P (P - 1) / 2, if `correlated`), parameters that are the same
-    for everybody (S). Elements that are not `free` keep the given population parameters and have no coordinates: the
-    data hold no information on them.
+    if `repetitions`), slopes (P Q), partial correlations (P (P - 1) / 2, if `correlated`), the degrees of freedom (1,
+    if `tails`), parameters that are the same for everybody (S). Elements that are not `free` keep the given population
+    parameters and have no coordinates: the data hold no information on them.
 
     Attributes
     ----------
@@ -123,6 +132,8 @@ class Coordinates:
     bend_persons, bend_repetitions : ndarray, shape (P,), optional
         Where the coordinate of a dispersion bends from linear to logarithmic, in units of the prior's scale; linear
         everywhere if not given.
+    tails : bool
+        Whether the population is a Student t whose degrees of freedom are sampled.
     """
 
     prior: Prior
@@ -137,6 +148,7 @@ class Coordinates:
     held_shared: np.ndarray | None = None
     bend_persons: np.ndarray | None = None
     bend_repetitions: np.ndarray | None = None
+    tails: bool = False
 
     @property
     def n_elements(self) -> int:
@@ -144,7 +156,7 @@ class Coordinates:
         return int(self.prior.centre.size)
 
     @property
-    def sizes(self) -> tuple[int, int, int, int, int, int]:
+    def sizes(self) -> tuple[int, int, int, int, int, int, int]:
         """Number of coordinates of each block."""
         n = len(self.free)
         return (
@@ -153,6 +165,7 @@ class Coordinates:
             n if self.repetitions else 0,
             n * self.n_covariates,
             n * (n - 1) // 2 if self.correlated else 0,
+            1 if self.tails else 0,
             len(self.shared_free),
         )
 
@@ -172,7 +185,7 @@ class Coordinates:
 
     def unpack(self, vector: np.ndarray) -> PopulationParameters:
         """Population parameters of sampled vectors, shape (W, D)."""
-        centre, persons, repetitions, slopes, partial, shared = self.blocks(vector)
+        centre, persons, repetitions, slopes, partial, tail, shared = self.blocks(vector)
         w, p, free = vector.shape[0], self.n_elements, list(self.free)
         mu = np.tile(self.held_mu, (w, 1))
         mu[:, free] = self.centres.values(centre)
@@ -195,6 +208,7 @@ class Coordinates:
             between_repetitions=rho,
             slopes=b,
             shared=self._shared(shared),
+            tail=tail_of(tail[:, 0]) if self.tails else None,
         )
 
     def _shared(self, coordinates: np.ndarray) -> np.ndarray | None:
@@ -225,9 +239,9 @@ class Coordinates:
 
     def log_prior(self, vector: np.ndarray) -> np.ndarray:
         """Log prior density of sampled vectors, shape (W, D), up to a constant: shape (W,)."""
-        centre, persons, repetitions, slopes, partial, shared = self.blocks(vector)
+        centre, persons, repetitions, slopes, partial, tail, shared = self.blocks(vector)
         value = self.centres.log_prior(centre)
-        for block in (slopes, shared):
+        for block in (slopes, tail, shared) if self.tails else (slopes, shared):
             value = value - 0.5 * np.sum(block**2, axis=-1)
         value = value + self._log_prior_of(persons, self.bend_persons)
         if self.repetitions:
@@ -244,6 +258,7 @@ class Coordinates:
         between_repetitions: np.ndarray,
         slopes: np.ndarray,
         shared: np.ndarray | None = None,
+        tail: float | None = None,
     ) -> np.ndarray:
         """Vector of one set of parameters.
 
@@ -254,6 +269,8 @@ class Coordinates:
         between_repetitions : ndarray, shape (P,)
         slopes : ndarray, shape (P, Q)
         shared : ndarray, shape (S,), optional
+        tail : float, optional
+            Reciprocal degrees of freedom.
         """
         free = list(self.free)
         tau = np.sqrt(np.diag(covariance))[free]
@@ -267,6 +284,8 @@ class Coordinates:
         if self.correlated:
             correlation = covariance[np.ix_(free, free)] / np.outer(tau, tau)
             parts.append(np.arctanh(_partial_from_cholesky(np.linalg.cholesky(correlation))))
+        if self.tails and tail is not None:
+            parts.append(np.array([coordinate_of(tail)]))
         if self.shared_prior is not None and shared is not None:
             chosen = list(self.shared_free)
             parts.append(np.linalg.solve(self.shared_factor, (shared - self.shared_prior.centre)[chosen]))

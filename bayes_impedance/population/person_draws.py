@@ -78,12 +78,16 @@ def draws_of(
     equations: SharedEquations | None,
     mean: np.ndarray,
     seed: np.random.SeedSequence,
+    stretch: float = 1.0,
 ) -> PersonDraws:
-    """Draw for one person, whose fit is a mode and the deviations there, under a population of the given mean (P,)."""
+    """Draw for one person, whose fit is a mode and the deviations there, under a population of the given mean (P,).
+
+    In a population with heavier tails its covariance is stretched for a person far from the others.
+    """
     likelihood = likelihood.moved(fit.deviations)
     # The ridge fixes rho; contrasts and the draws' responses give the likelihood of other values of rho.
     ridge = find_ridge(plan.kernel, likelihood, fit.theta, fit.mode.scale, plan.rho)
-    reference = Reference(mean, plan.covariance)
+    reference = Reference(mean, stretch * plan.covariance)
     draws = draw(plan.kernel, likelihood, fit.mode, ridge, reference, plan.n_draws, seed, plan.along_valley)
     deviations = deviations_of(plan.kernel, likelihood, fit.theta)
     draws = replace(draws, constant=log_constant(likelihood, ridge, deviations), deviations=deviations)

@@ -26,7 +26,7 @@ from bayes_impedance.population.parameters import Coordinates, PopulationParamet
 from bayes_impedance.population.prior import Prior
 from bayes_impedance.population.sharded_likelihood import KeptDraws
 from bayes_impedance.population.shared_draws import Sharing, reach_of
-from bayes_impedance.population.starting_point import starting_point, starting_scale
+from bayes_impedance.population.starting_point import bend_of, starting_point, starting_scale
 from bayes_impedance.runtime.progress import Progress
 
 VARIANCE_WANTED = 0.25
@@ -56,10 +56,6 @@ _BEYOND_CHAIN = 2.0
 _PILOT = SamplerSettings(ensembles=2, burn_in=(60, 60), chunk=60, longest=60)
 """Short chains that give the mean and the covariance to which the reference is moved. By choice: convergence is not
 required."""
-_BEND, _LEAST_DISPERSION = 1 / 3, 1e-4
-"""Bend of a dispersion's coordinate, relative to the point estimate, and least estimate that counts. By choice: a
-dispersion that few people determine to 30 % lies on the logarithmic part, one that may be zero within or near the
-linear part."""
 _LARGEST_COORDINATE = 8.0
 """Limit on the coordinates. Most are standard normal under the prior, with a probability of 1e-15 beyond eight."""
 _SPREAD_ALLOWED = 1.2
@@ -150,17 +146,14 @@ class Posterior:
             shared_prior=prior.of(self.pooling.shared) if self.pooling.names else None,
             shared_free=tuple(np.flatnonzero(point.shared_determined)),
             held_shared=point.shared,
-            bend_persons=self._bend(np.sqrt(np.diag(self.covariance)), own),
-            bend_repetitions=self._bend(point.between_repetitions, own),
+            bend_persons=bend_of(np.sqrt(np.diag(self.covariance)), own),
+            bend_repetitions=bend_of(point.between_repetitions, own),
+            tails=point.tail is not None,
         )
         if not (self.coordinates.free or self.coordinates.shared_free):
             raise InputError(
                 "the recordings determine no element of the network: check the unit, the frequencies and the network"
             )
-
-    @staticmethod
-    def _bend(dispersion: np.ndarray, prior: Prior) -> np.ndarray:
-        return np.asarray(_BEND * np.maximum(dispersion, _LEAST_DISPERSION) / prior.dispersion_sds)
 
     def log_probability(self, u: np.ndarray) -> np.ndarray:
         """Log posterior density of coordinates (W, D), up to a constant: shape (W,)."""

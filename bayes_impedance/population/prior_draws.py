@@ -18,6 +18,7 @@ def draw_prior(
     correlated: bool = True,
     repetitions: bool = True,
     n_covariates: int = 0,
+    tails: bool = False,
 ) -> PopulationParameters:
     """Draw sets of population parameters from a prior.
 
@@ -35,6 +36,8 @@ def draw_prior(
     repetitions : bool
         Whether there is a dispersion between repetitions.
     n_covariates : int
+    tails : bool
+        Whether the population is a Student t.
 
     Returns
     -------
@@ -57,6 +60,7 @@ def draw_prior(
         shared_prior=prior.of(common) if common.size else None,
         shared_free=tuple(range(common.size)),
         held_shared=np.zeros(common.size) if common.size else None,
+        tails=tails,
     )
     vector = rng.normal(size=(n, coordinates.n_dimensions))
     if coordinates.centres.order:

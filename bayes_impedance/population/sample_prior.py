@@ -15,10 +15,12 @@ from bayes_impedance.network.parameters import values_of
 from bayes_impedance.population.calibrated import within_rig
 from bayes_impedance.population.covariate_terms import with_terms
 from bayes_impedance.population.fit import FitSettings, prior_for, too_few_for_correlations
+from bayes_impedance.population.heavy_tails import drawn_factors
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.prior import Prior
 from bayes_impedance.population.prior_draws import draw_prior
 from bayes_impedance.population.requirements import checked_model
+from bayes_impedance.population.settings import STUDENT_T
 from bayes_impedance.population.shared import Pooling
 from bayes_impedance.population.whole import Whole
 from bayes_impedance.recordings.files import Recordings
@@ -122,7 +124,10 @@ def sample_prior(
         shared=np.array([name in pooling.names for name in model.kernel.elements]),
         correlated=correlated,
         n_covariates=len(settings.covariates),
+        tails=settings.distribution == STUDENT_T and not one,
     )
     noise = rng.normal(size=parameters.mu.shape)
+    if parameters.tail is not None:
+        noise *= drawn_factors(parameters.tail, parameters.tail.shape, rng)[:, None]
     people = parameters.mu + np.einsum("wpq,wq->wp", parameters.covariance_cholesky, noise)
     return PriorSample(whole.kernel, prior, parameters, parameters.mu if one else people, recordings.unit)

@@ -143,8 +143,9 @@ class KeptDraws:
                 [None] * len(point.data.parts) if point.shared_equations is None else point.shared_equations.parts
             )
             columns = zip(point.data.parts, point.fits.parts, equations, parts_of(n), strict=True)
+            far = point.stretches
             kept = [
-                executor.keep(_drawn_part, plan, data, fits, own, means[rows], covariates[rows], seeds[rows])
+                executor.keep(_drawn_part, plan, data, fits, own, means[rows], covariates[rows], seeds[rows], far[rows])
                 for data, fits, own, rows in columns
             ]
             for part, rows in zip(kept, parts_of(n), strict=True):
@@ -153,7 +154,7 @@ class KeptDraws:
             return cls(kept, executor)
         data, fits = point.data.gathered(), point.fits.gathered()
         equations = [None] * n if point.shared_equations is None else point.shared_equations.gathered()
-        drawn = map_persons(executor, partial(draws_of, plan), data, fits, equations, means, seeds)
+        drawn = map_persons(executor, partial(draws_of, plan), data, fits, equations, means, seeds, point.stretches)
         watched = _watched(drawn, n, progress)
         rows_of = parts_of(n)
         parts = [_part(plan, watched, *_repetitions_of(fits[r]), means[r], covariates[r]) for r in rows_of]
@@ -232,8 +233,12 @@ def part_of(
     seeds: Sequence[np.random.SeedSequence],
     along_valley: bool,
     span: DispersionRange | None,
+    stretches: np.ndarray,
 ) -> Part:
-    """Draw for some persons, in this process; the arguments are those of :meth:`KeptDraws.made`."""
+    """Draw for some persons, in this process; the arguments are those of :meth:`KeptDraws.made`.
+
+    `stretches` (N,) are factors on the covariance of the reference population for each person.
+    """
     plan = DrawingPlan(
         kernel=kernel,
         rho=rho,
@@ -243,7 +248,7 @@ def part_of(
         sharing=None,
         span=span,
     )
-    return _drawn_part(plan, data, fits, None, means, covariates, seeds)
+    return _drawn_part(plan, data, fits, None, means, covariates, seeds, stretches)
 
 
 def _drawn_part(
@@ -254,9 +259,10 @@ def _drawn_part(
     means: np.ndarray,
     covariates: np.ndarray,
     seeds: Sequence[np.random.SeedSequence],
+    stretches: np.ndarray,
 ) -> Part:
     own = [None] * len(data) if equations is None else equations
-    drawn = (draws_of(plan, *row) for row in zip(data, fits, own, means, seeds, strict=True))
+    drawn = (draws_of(plan, *row) for row in zip(data, fits, own, means, seeds, stretches, strict=True))
     return _part(plan, drawn, *_repetitions_of(fits), means, covariates)
 
 

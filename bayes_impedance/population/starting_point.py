@@ -1,4 +1,4 @@
-"""Where the search for the posterior's mode begins, in sampled coordinates: the point estimate and rough widths."""
+"""Where the search for the posterior's mode begins: the point estimate in sampled coordinates, and rough widths."""
 
 from __future__ import annotations
 
@@ -6,6 +6,17 @@ import numpy as np
 
 from bayes_impedance.population.em import Estimate
 from bayes_impedance.population.parameters import Coordinates
+from bayes_impedance.population.prior import Prior
+
+_BEND, _LEAST_DISPERSION = 1 / 3, 1e-4
+"""Bend of a dispersion's coordinate, relative to the point estimate, and least estimate that counts. By choice: a
+dispersion that few people determine to 30 % lies on the logarithmic part, one that may be zero within or near the
+linear part."""
+
+
+def bend_of(dispersion: np.ndarray, prior: Prior) -> np.ndarray:
+    """Where coordinates of dispersions bend, in units of the prior's scale, for point estimates (P,)."""
+    return np.asarray(_BEND * np.maximum(dispersion, _LEAST_DISPERSION) / prior.dispersion_sds)
 
 
 def starting_point(
@@ -26,7 +37,9 @@ def starting_point(
     ndarray, shape (D,)
     """
     between = covariance - np.diag(point.between_repetitions**2) / float(np.mean(repetitions))
-    return coordinates.pack(point.mu, _positive(between), point.between_repetitions, point.slopes, point.shared)
+    return coordinates.pack(
+        point.mu, _positive(between), point.between_repetitions, point.slopes, point.shared, point.tail
+    )
 
 
 def starting_scale(
@@ -37,7 +50,7 @@ def starting_scale(
     between = 1 / np.sqrt(np.sum(repetitions - 1) + 4)
     sizes, prior, free = coordinates.sizes, coordinates.prior, list(coordinates.free)
     centre = coordinates.centres.scale(point.mu_sd[free])
-    widths = (few, between, few / prior.slope_sd, few)
+    widths = (few, between, few / prior.slope_sd, few, 1.0)  # the last is that of the prior
     blocks = [np.full(k, w) for k, w in zip(sizes[1:-1], widths, strict=True)]
     if coordinates.shared_prior is not None:
         blocks.append(coordinates.shared_scale(shared_covariance))

@@ -93,4 +93,5 @@ def all_columns(sampled: PopulationParameters, varying: np.ndarray, shared: np.n
         between_repetitions=rho,
         slopes=slopes,
         shared=sampled.shared,
+        tail=sampled.tail,
     )

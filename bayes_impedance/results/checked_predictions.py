@@ -8,7 +8,8 @@ three variables:
   the log density in ``log_likelihood``, which is that of the subject's recordings as a whole, so that leave-one-out
   probability integral transforms leave out the person.
 
-Predicted is a **new person** who is recorded as the subject was: elements from N(mu + B x, Sigma), with the subject's
+Predicted is a **new person** who is recorded as the subject was: elements from N(mu + B x, Sigma), or from the t
+distribution of a population with heavier tails, with the subject's
 covariates, number of repetitions, and noise. It is the prediction whose density ``log_likelihood`` holds: the subject's
 own elements are not used. Of one person alone, it is that person recorded again.
 
@@ -24,6 +25,7 @@ import numpy as np
 
 from bayes_impedance.population.covariates import standardised_covariates
 from bayes_impedance.population.fit import PopulationFit
+from bayes_impedance.population.heavy_tails import drawn_factors
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.prior_draws import draw_prior
 from bayes_impedance.results.predictive import Predictive, relative_noise
@@ -105,6 +107,7 @@ def checked_predictions(fit: PopulationFit, predictive: Predictive) -> Checks:
         correlated=fit.settings.covariance == "full" and not fit.one_person,
         repetitions=fit.repeated,
         n_covariates=len(fit.settings.covariates),
+        tails=fit.parameters.tail is not None,
     )
     missing = ~np.isfinite(seen)
 
@@ -152,7 +155,10 @@ def _recorded_again(
     if not fit.one_person:
         x = standardised_covariates(fit.recordings, fit.settings.covariates)
         theta = theta + np.einsum("wpq,nq->wnp", parameters.slopes, x)
-        theta = theta + np.einsum("wpr,wnr->wnp", parameters.covariance_cholesky, rng.normal(size=theta.shape))
+        normal = rng.normal(size=theta.shape)
+        if parameters.tail is not None:
+            normal *= drawn_factors(parameters.tail[:, None], theta.shape[:2], rng)[..., None]
+        theta = theta + np.einsum("wpr,wnr->wnp", parameters.covariance_cholesky, normal)
         counts = np.array([len(s.repetitions) for s in people])
         theta = theta + (parameters.between_repetitions[:, None] / np.sqrt(counts)[:, None]) * rng.normal(
             size=theta.shape

@@ -19,6 +19,7 @@ import numpy as np
 
 from bayes_impedance.display import heading, joined, table
 from bayes_impedance.network.spellings import in_both
+from bayes_impedance.population.settings import NORMAL
 from bayes_impedance.results.leave_one_out import LeftOut
 from bayes_impedance.results.result import Result
 
@@ -54,8 +55,14 @@ class Entry:
 
     @property
     def shown(self) -> str:
-        """The network as it is shown: of electrical recordings in both spellings."""
-        return in_both(self.result.attributes["network"], self.result.attributes["unit"])
+        """The network as it is shown: of electrical recordings in both spellings; with the people's tails."""
+        network = in_both(self.result.attributes["network"], self.result.attributes["unit"])
+        return network if self.distribution == NORMAL else f"{network}, {self.distribution}"
+
+    @property
+    def distribution(self) -> str:
+        """Of people's log elements: ``normal`` or ``student_t``."""
+        return str(self.result.attributes.get("distribution", NORMAL))
 
 
 @dataclass(frozen=True)
@@ -111,6 +118,7 @@ class NetworkComparison:
         errors = summary["errors"]
         row = {
             "network": entry.result.attributes["network"],
+            "distribution": entry.distribution,
             "given": entry.given,
             "folder": entry.folder,
             "reliable": not entry.result.problems,

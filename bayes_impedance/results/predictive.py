@@ -3,7 +3,8 @@ r"""Posterior predictive distribution of new persons, and posterior predictive c
 Three kinds of curve are drawn from the posterior, each including the uncertainty of the population's parameters:
 
 * the population **centre**, the network with the median elements, z(exp mu);
-* a new **person**: elements from N(mu, Sigma), without noise;
+* a new **person**: elements from N(mu, Sigma), or from the t distribution of a population with heavier tails, without
+  noise;
 * a new **recording**: a person's mean over J repetitions, with their deviations and with noise. Only this kind is
   comparable with recordings: by the pointwise coverage of the bands, and by the error of eq. 5. For the latter whole
   populations of the measured size are replicated, and their error about the same model curve is computed. At every
@@ -18,6 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayes_impedance.population.fit import PopulationFit
+from bayes_impedance.population.heavy_tails import drawn_factors
 from bayes_impedance.results.curve_errors import (
     ErrorCurves,
     common_grid,
@@ -207,6 +209,8 @@ def _people(fit: PopulationFit, rows: np.ndarray, rng: np.random.Generator) -> n
         return parameters.mu
     factor = parameters.covariance_cholesky
     normal = rng.normal(size=parameters.mu.shape)
+    if parameters.tail is not None:
+        normal *= drawn_factors(parameters.tail, parameters.tail.shape, rng)[:, None]
     theta = parameters.mu + np.einsum("spq,sq->sp", factor, normal)
     if fit.settings.covariates:
         values = rng.normal(size=(rows.size, len(fit.settings.covariates)))  # standardised, as in the fit

@@ -24,9 +24,11 @@ from bayes_impedance.network.parameters import Parameter, unit_of_parameter, val
 from bayes_impedance.person.noise import NoiseModel
 from bayes_impedance.population.fit import PopulationFit
 from bayes_impedance.population.parameters import PopulationParameters
+from bayes_impedance.population.settings import NORMAL
 from bayes_impedance.results.adequacy import Adequacy
 from bayes_impedance.results.arviz_layout import LAYOUT, LAYOUT_ATTRIBUTE, file_dims, for_file, from_file
-from bayes_impedance.results.checked_predictions import MEANINGS, Checks, checked_predictions
+from bayes_impedance.results.checked_predictions import Checks, checked_predictions
+from bayes_impedance.results.meanings import TAIL, meanings_of
 from bayes_impedance.results.predictive import PROBABILITIES, Predictive
 from bayes_impedance.results.shown import one_line, result_html
 from bayes_impedance.results.summary import summary_of
@@ -62,7 +64,7 @@ class Result:
     coords : dict
         Labels of the axes element, element_2, subject, frequency_hz, predictive_frequency_hz, probability, part.
     attributes : dict
-        Network, seed, versions, data digest, title, unit, source.
+        Network, seed, versions, data digest, title, unit, source; ``distribution`` if it is not the normal.
     """
 
     summary: dict[str, Any]
@@ -129,6 +131,7 @@ DIMS: dict[str, list[str]] = {
     "dispersion_between_repetitions": ["element"],
     "correlation": ["element", "element_2"],
     "slope": ["element", "covariate"],
+    TAIL: [],
     "person_log_elements": ["subject", "element"],
     "recordings": ["subject"],
     "log_magnitude": ["subject", "predictive_frequency_hz"],
@@ -215,6 +218,8 @@ def make_result(
         "prior_concentration": fit.prior.concentration,
         "prior_slope_sd": fit.prior.slope_sd,
     }
+    if fit.settings.distribution != NORMAL:
+        attributes["distribution"] = fit.settings.distribution
     checks = checked_predictions(fit, predictive)
     coords = {
         "element": elements,
@@ -254,6 +259,8 @@ def _sampled(fit: PopulationFit, parameters: PopulationParameters, chains: int) 
         variables["correlation"] = by_chain(p.correlation * seen[:, None] * seen)
         if fit.repeated:
             variables["dispersion_between_repetitions"] = by_chain(p.between_repetitions * seen)
+    if p.tail is not None:
+        variables[TAIL] = by_chain(p.tail)
     if fit.settings.covariates:
         variables["slope"] = by_chain(p.slopes * seen[:, None])
     return variables
@@ -328,25 +335,16 @@ def save_result(result: Result, folder: str | os.PathLike[str]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     groups, coords = for_file(result.groups, result.coords)
     attributes = result.attributes | {"summary": without_seconds(result.summary), LAYOUT_ATTRIBUTE: LAYOUT}
-    save(folder / RESULT_FILE, groups, file_dims(groups, DIMS), coords, attributes, _meanings(result))
+    save(
+        folder / RESULT_FILE,
+        groups,
+        file_dims(groups, DIMS),
+        coords,
+        attributes,
+        meanings_of(result.attributes["unit"], result.summary["subjects"] == 1),
+    )
     write_json(folder / SECONDS_FILE, result.summary.get("seconds", {}))
     write_json(folder / SUMMARY_FILE, {name: value for name, value in result.summary.items() if name != "seconds"})
-
-
-def _meanings(result: Result) -> dict[str, dict[str, str]]:
-    """Attributes of single variables."""
-    unit = result.attributes["unit"]
-    person = "log elements of the person" if result.summary["subjects"] == 1 else "population parameters of the draw"
-    described = (
-        f"natural logarithm of the probability density of all complex values of one subject, given the {person}, with "
-        "noise scale, elements and deviations between repetitions integrated out as far as they are not given; absolute"
-    )
-    density = {
-        "long_name": "log density of a subject's recordings",
-        "units": f"ln(density), density in ({unit})^-2 for every complex value",
-        "description": described,
-    }
-    return MEANINGS | {"log_likelihood/recordings": density}
 
 
 def load_result(folder: str | os.PathLike[str]) -> Result:

@@ -14,6 +14,7 @@ import numpy as np
 from bayes_impedance.network.parameters import unit_of_parameter
 from bayes_impedance.population.calibrated import inseparable_given
 from bayes_impedance.population.fit import PopulationFit, too_few_for_correlations
+from bayes_impedance.population.settings import STUDENT_T
 from bayes_impedance.results.adequacy import Adequacy
 from bayes_impedance.results.misfit import coverage_by_frequency, misfit_words, network_misfits, noise_scale_summary
 from bayes_impedance.results.predictive import Predictive
@@ -110,6 +111,7 @@ def summary_of(
         "delta_magnitude": float(np.mean(predictive.person_delta_magnitude)),
         "delta_phase_deg": float(np.mean(predictive.person_delta_phase_deg)),
     }
+    tails = {} if p.tail is None else {"distribution": _tails(p.tail, not problems)}
     return {
         "schema": SCHEMA,
         "reliable": not problems,
@@ -129,6 +131,7 @@ def summary_of(
         "seed": fit.seed,
         "data_sha256": fit.recordings.sha256,
         "covariance": fit.settings.covariance,
+        **tails,
         "prior": _prior(fit),
         "covariates": _covariates(fit),
         "elements": elements,
@@ -155,6 +158,15 @@ def summary_of(
         },
         "versions": dict(versions),
         "seconds": {k: round(v, 3) for k, v in seconds.items()},
+    }
+
+
+def _tails(tail: np.ndarray, known: bool) -> dict[str, Any]:
+    """Degrees of freedom of a Student t population from W reciprocals."""
+    return {
+        "name": STUDENT_T,
+        "degrees_of_freedom": _interval(1 / tail, known),
+        "dispersion_between_persons_is": "scale of the Student t distribution of the natural logarithm",
     }
 
 
@@ -201,6 +213,13 @@ def _remarks(fit: PopulationFit, predictive: Predictive, gross: bool) -> list[st
         remarks.append("There is one subject: the values are this subject's, and no dispersion can be estimated.")
     elif n < FEW_PERSONS:
         remarks.append(f"There are only {n} subjects: dispersions rest on the prior as much as on the data.")
+    if fit.parameters.tail is not None:
+        low, middle, high = np.quantile(1 / fit.parameters.tail, INTERVAL)
+        remarks.append(
+            f"People follow a Student t distribution with {middle:.3g} degrees of freedom ({low:.3g} to {high:.3g}); "
+            "above 30 it is close to a normal one. The dispersions between persons are its scales, not standard "
+            "deviations; central values depend less on people far from the others."
+        )
     own = sum(not parameter.shared for parameter in fit.kernel.parameters)
     if not fit.one_person and too_few_for_correlations(n, own):
         remarks.append(

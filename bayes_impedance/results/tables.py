@@ -37,7 +37,8 @@ def elements_table(result: Result) -> pd.DataFrame:
         One row for each element, whose name is the index. Columns unit, identified and marked; then central,
         between_persons and between_repetitions, each a posterior median followed by the ends of its 90 % interval
         (``_q05``, ``_q95``), NaN where there is no number. The central value is in the row's unit;
-        ``attrs["units"]`` says so, and that dispersions are standard deviations of the natural logarithm.
+        ``attrs["units"]`` says so, and that dispersions are standard deviations of the natural logarithm; between
+        persons of a Student t population its scales, with the degrees of freedom in ``attrs["degrees_of_freedom"]``.
     """
     import pandas as pd
 
@@ -57,6 +58,9 @@ def elements_table(result: Result) -> pd.DataFrame:
     frame = pd.DataFrame(rows, index=pd.Index(list(result.summary["elements"]), name="element", dtype=object))
     units = {"central": "column unit", "between_persons": "ln", "between_repetitions": "ln"}
     frame.attrs["units"] = {c: unit for c in frame for name, unit in units.items() if str(c).startswith(name)}
+    tails = result.summary.get("distribution")
+    if tails is not None:
+        frame.attrs["degrees_of_freedom"] = tails["degrees_of_freedom"]
     return frame
 
 

@@ -207,3 +207,26 @@ def test_circuits_are_named_in_both_spellings() -> None:
     assert [len(line) for line in table] == [len(table[0])] * 2
     assert "r0|p1^a1@10 = R0-CPE1" in comparison._repr_html_()
     assert [row["network"] for row in comparison.rows()] == ["r0|p1^a1@10", "delay[d1*](r0)"]  # as it can be given
+
+
+def test_distributions_of_people_are_compared(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A finished fit of a normal population beside a Student t population of the same network."""
+    out = place / "distributions"
+    own = ["compare", str(place / "data"), "-o", str(out), *OPTIONS, "--distributions", "student_t"]
+    assert main([*own, "--networks", str(place / "own"), "m1|r1|n1"]) == 0
+    told = capsys.readouterr().out
+    rows = {row["distribution"]: row for row in json.loads((out / "networks.json").read_text())["networks"]}
+    assert set(rows) == {"normal", "student_t"}
+    assert rows["student_t"]["folder"] == "2"
+    assert "m1|r1|n1, student_t" in told
+    assert "not separated from it" in told  # the people are normal
+    assert abs(rows["normal"]["elpd"] - rows["student_t"]["elpd"]) < 5
+
+
+def test_one_distribution_of_one_network_is_no_comparison(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    own = ["compare", str(place / "data"), "-o", str(place / "nothing"), "--network", "m1|r1|n1"]
+    assert main([*own, "--distributions", "normal"]) == 2
+    assert "two --distributions" in capsys.readouterr().err
+    assert main([*own, "--distributions", "normal", "normal"]) == 2
+    assert "are the same" in capsys.readouterr().err
+    assert not (place / "nothing").exists()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from bayes_impedance.network.notation import parse
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.mode import find_mode
 from bayes_impedance.population.dependence import movement, profile
-from bayes_impedance.population.fit import QUICK_SETTINGS, FitSettings, fit_population
+from bayes_impedance.population.fit import QUICK_SETTINGS, fit_population
 from bayes_impedance.population.simulate import VirtualPopulation, simulate_recordings
 
 KERNEL = Kernel(parse("n1|r1|m1"))
@@ -86,7 +88,7 @@ def test_a_fit_reports_no_number_that_the_prior_of_another_element_decides(
         noise_corner_hz=0.0,
     )
     made = simulate_recordings(population, 8, 2, np.geomspace(*band_hz, 8), 1).recordings
-    settings = FitSettings("diagonal", (), QUICK_SETTINGS.draws, QUICK_SETTINGS.sampler)
+    settings = replace(QUICK_SETTINGS, covariance="diagonal")
     fit = fit_population(made, settings=settings, seed=1)
     assert fit.kernel.elements == ("n1", "r1", "m1")
     assert fit.identified.tolist() == identified

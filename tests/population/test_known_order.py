@@ -99,6 +99,7 @@ def test_its_gradient_is_that_of_its_values() -> None:
         between_repetitions=zero,
         slopes=np.zeros((5, 4, 0)),
         shared=np.zeros((5, 0)),
+        tail=np.zeros(5),
     )
     gradient = pulled_back(c, vector, p, own)
 

@@ -1,0 +1,55 @@
+"""Settings of a fit: what the population is, and how many draws and chains describe it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from bayes_impedance.errors import InputError
+from bayes_impedance.mcmc.ensemble import QUICK, SamplerSettings
+from bayes_impedance.population.given_prior import GivenPrior
+
+NORMAL, STUDENT_T = "normal", "student_t"
+"""Distributions of people's log elements."""
+DISTRIBUTIONS = (NORMAL, STUDENT_T)
+"""All of them, the default first."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitSettings:
+    """Settings of a fit.
+
+    Attributes
+    ----------
+    covariance : str
+        ``full`` (elements are correlated between persons) or ``diagonal``, which is also used if the number of persons
+        is less than the number of elements plus two.
+    covariates : tuple of str
+        Covariates, columns of text and interactions (``age_y:sex``) on which the mean log elements depend linearly.
+    draws : int
+        Draws for each person, a power of two.
+    sampler : SamplerSettings
+    prior : GivenPrior, optional
+        What replaces the default prior (:mod:`~bayes_impedance.population.given_prior`).
+    distribution : str
+        Of people's log elements: ``normal``, or ``student_t`` with degrees of freedom that are inferred
+        (:mod:`~bayes_impedance.population.heavy_tails`). One person has none.
+    """
+
+    covariance: str = "full"
+    covariates: tuple[str, ...] = ()
+    draws: int = 512
+    sampler: SamplerSettings = field(default_factory=SamplerSettings)
+    prior: GivenPrior | None = None
+    distribution: str = NORMAL
+
+    def __post_init__(self) -> None:
+        if self.covariance not in ("full", "diagonal"):
+            raise InputError(f"covariance is '{self.covariance}': choose 'full' or 'diagonal'")
+        if self.distribution not in DISTRIBUTIONS:
+            raise InputError(f"distribution is '{self.distribution}': choose 'normal' or 'student_t'")
+        if not isinstance(self.covariates, tuple) or not all(isinstance(name, str) for name in self.covariates):
+            raise InputError("covariates must be a tuple of names, such as ('age_y',)")
+
+
+QUICK_SETTINGS = FitSettings(draws=256, sampler=QUICK)
+"""By choice: fewer draws and shorter chains, faster but with a larger Monte-Carlo error."""

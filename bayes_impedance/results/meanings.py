@@ -1,0 +1,37 @@
+"""What single variables of ``result.nc`` mean: attributes for readers of the file."""
+
+from __future__ import annotations
+
+from bayes_impedance.results.checked_predictions import MEANINGS
+
+TAIL = "inverse_degrees_of_freedom"
+"""Variable of the posterior of a Student t population, between 0 (normal) and 0.5."""
+
+
+def meanings_of(unit: str, one_person: bool) -> dict[str, dict[str, str]]:
+    """Attributes by variable, or by group and variable.
+
+    Parameters
+    ----------
+    unit : str
+        Of the impedance.
+    one_person : bool
+        Whether the log density is that of the only person, given the person's elements.
+    """
+    person = "log elements of the person" if one_person else "population parameters of the draw"
+    described = (
+        f"natural logarithm of the probability density of all complex values of one subject, given the {person}, with "
+        "noise scale, elements and deviations between repetitions integrated out as far as they are not given; absolute"
+    )
+    density = {
+        "long_name": "log density of a subject's recordings",
+        "units": f"ln(density), density in ({unit})^-2 for every complex value",
+        "description": described,
+    }
+    tail = {
+        "long_name": "reciprocal degrees of freedom of the distribution of people",
+        "units": "1",
+        "description": "the log elements of people follow a multivariate Student t: 0 is the normal distribution, and "
+        "at 0.5 the variance becomes infinite; dispersion_between_persons is its scale",
+    }
+    return MEANINGS | {"log_likelihood/recordings": density, TAIL: tail}
