@@ -48,14 +48,15 @@ from typing import TYPE_CHECKING, Any  # noqa: E402
 if TYPE_CHECKING:
     from bayes_impedance.classical import compare_methods, identify, map_to_network, vector_fit
     from bayes_impedance.design import PHANTOM, Device, Section, Users, design_answer, population_of, read_device
-    from bayes_impedance.diagnosis import Diagnosis, diagnose
+    from bayes_impedance.diagnosis import Diagnosis, diagnose, search_covariates
     from bayes_impedance.errors import InputError
     from bayes_impedance.intake import ImportSettings, import_recordings
     from bayes_impedance.network import PAPER_NETWORK, Element, Kernel, Network, parse
     from bayes_impedance.population import FitSettings, PopulationFit, fit_population
+    from bayes_impedance.population.fingertip import FINGERTIP
     from bayes_impedance.population.given_prior import ElementPrior, GivenPrior, read_prior
     from bayes_impedance.population.sample_prior import sample_prior
-    from bayes_impedance.population.simulate import FINGERTIP, VirtualPopulation, simulate_recordings
+    from bayes_impedance.population.simulate import VirtualPopulation, simulate_recordings
     from bayes_impedance.quality import check_recordings, describe
     from bayes_impedance.recordings import Recordings, Subject, read_recordings, write_recordings
     from bayes_impedance.report import write_report
@@ -88,6 +89,7 @@ _MODULES = {
     "fit_population": "population",
     "Diagnosis": "diagnosis",
     "diagnose": "diagnosis",
+    "search_covariates": "diagnosis",
     "Predictive": "results",
     "predict": "results",
     "Recordings": "recordings",
@@ -103,7 +105,7 @@ _MODULES = {
     "GivenPrior": "population.given_prior",
     "read_prior": "population.given_prior",
     "sample_prior": "population.sample_prior",
-    "FINGERTIP": "population.simulate",
+    "FINGERTIP": "population.fingertip",
     "VirtualPopulation": "population.simulate",
     "simulate_recordings": "population.simulate",
 }
@@ -149,6 +151,7 @@ __all__ = [
     "read_recordings",
     "sample_prior",
     "save_result",
+    "search_covariates",
     "simulate_recordings",
     "vector_fit",
     "write_recordings",

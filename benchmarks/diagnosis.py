@@ -15,7 +15,8 @@ from bayes_impedance.diagnosis import diagnose, registered
 from bayes_impedance.diagnosis.fit.baseline import fit_network
 from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
 from bayes_impedance.diagnosis.selection.score_scan import screen
-from bayes_impedance.population.simulate import FINGERTIP, simulate_recordings
+from bayes_impedance.population.fingertip import FINGERTIP
+from bayes_impedance.population.simulate import simulate_recordings
 from bayes_impedance.recordings.files import Recordings
 
 _PEOPLE, _POINTS, _REPETITIONS = (20, 40, 80), (101, 201, 401), 3

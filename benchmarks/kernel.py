@@ -20,7 +20,7 @@ from bayes_impedance.network.kernel import Kernel, compiled
 from bayes_impedance.network.notation import parse
 from bayes_impedance.network.program import Program
 from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood, all_repetitions, log_likelihood
-from bayes_impedance.population.simulate import FINGERTIP
+from bayes_impedance.population.fingertip import FINGERTIP
 
 _POINTS, _SETS, _SMALL = 401, 256, 16
 """The paper's grid; sets per call, as a sampler with many walkers asks for; and a smaller call of numpy, with arrays of

@@ -30,8 +30,9 @@ import numpy as np
 from report import replace_between
 
 from bayes_impedance.mcmc.ensemble import SamplerSettings
+from bayes_impedance.population.fingertip import FINGERTIP
 from bayes_impedance.population.fit import FitSettings, PopulationFit, fit_population
-from bayes_impedance.population.simulate import FINGERTIP, simulate_recordings
+from bayes_impedance.population.simulate import simulate_recordings
 from bayes_impedance.recordings.files import Recordings, read_recordings, write_recordings
 from bayes_impedance.runtime.executors import Cluster
 

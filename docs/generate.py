@@ -24,7 +24,8 @@ from bayes_impedance.diagnosis.catalogue.population_structure import STRUCTURES
 from bayes_impedance.diagnosis.fit.model import build, scales_of
 from bayes_impedance.diagnosis.residuals.sensitivity import local_impedances
 from bayes_impedance.network import parse
-from bayes_impedance.population.simulate import FINGERTIP, simulate_recordings
+from bayes_impedance.population.fingertip import FINGERTIP
+from bayes_impedance.population.simulate import simulate_recordings
 
 ROOMS = {
     "recordings": "Recordings",

@@ -13,6 +13,9 @@ u and eta, in which the posterior would be standard normal if the impedance were
 
 That is a change of coordinates with its exact Jacobian: a poor expansion point makes NUTS slow, not wrong.
 
+With tails the covariance of person i is multiplied by an explicit
+:math:`\lambda_i \sim \operatorname{IG}(\nu/2, \nu/2)`, and 1/nu is uniform on (0, 1/2).
+
 Dispersions are compared themselves, not their logarithms: a dispersion that may be zero has a lower tail without end in
 the logarithm, which both samplers visit seldom and which decides the moments there.
 """
@@ -55,10 +58,14 @@ The choice is not free: where n3 is much smaller, there is a second explanation 
 stands in for a part of n1, and the posterior of some persons has two modes."""
 
 
-def virtual_recordings(seed: int = 3, n_subjects: int = 16) -> Recordings:
-    """Recordings with a given noise, so that neither side estimates its shape."""
+def virtual_recordings(seed: int = 3, n_subjects: int = 16, outlying: int = 0) -> Recordings:
+    """Recordings with a given noise, so that neither side estimates its shape; some people are far from the others."""
     frequency = np.geomspace(5, 5000, 30)
     recordings = simulate_recordings(POPULATION, n_subjects, 3, frequency, seed).recordings
+    if outlying:
+        away = replace(POPULATION, central={name: 2.5 * value for name, value in POPULATION.central.items()})
+        far = simulate_recordings(away, n_subjects, 3, frequency, seed + 1).recordings.subjects[:outlying]
+        recordings = replace(recordings, subjects=(*far, *recordings.subjects[outlying:]))
     relative = POPULATION.noise * np.sqrt(1 + (POPULATION.noise_corner_hz / frequency) ** 4)
     subjects = tuple(replace(s, noise_sd=np.tile(relative * np.abs(s.mean), (3, 1))) for s in recordings.subjects)
     return replace(recordings, subjects=subjects)
@@ -125,7 +132,7 @@ def _log_diagonal(factor: jax.Array) -> jax.Array:
     return jnp.sum(jnp.log(jnp.diagonal(factor, axis1=-2, axis2=-1)))
 
 
-def model(data: Data) -> None:
+def model(data: Data, tails: bool = False) -> None:
     """The joint posterior."""
     n, j, p = data.pull.shape
     mu = numpyro.sample("mu", dist.Normal(data.centre, 3.0).to_event(1))
@@ -143,10 +150,14 @@ def model(data: Data) -> None:
     w = _down(k, rho * b)
     marginal_h = jnp.sum(h - _transpose(v) @ v, axis=1)
     marginal_b = jnp.sum(b - jnp.einsum("ijqp,ijq->ijp", v, w), axis=1)
-    spread = tau[:, None] * correlation
-    q = jnp.linalg.cholesky(jnp.eye(p) + spread.T @ marginal_h @ spread)
-    x = _up(q, _down(q, (marginal_b - marginal_h @ mu) @ spread) + u)
-    theta = mu + x @ spread.T
+    spread = jnp.broadcast_to(tau[:, None] * correlation, (n, p, p))
+    if tails:
+        tail = numpyro.sample("tail", dist.Uniform(0.0, 0.5))
+        factor = numpyro.sample("factor", dist.InverseGamma(0.5 / tail, 0.5 / tail).expand([n]).to_event(1))
+        spread = jnp.sqrt(factor)[:, None, None] * spread
+    q = jnp.linalg.cholesky(jnp.eye(p) + _transpose(spread) @ marginal_h @ spread)
+    x = _up(q, _down(q, jnp.einsum("ip,ipq->iq", marginal_b - marginal_h @ mu, spread)) + u)
+    theta = mu + jnp.einsum("ipq,iq->ip", spread, x)
     e = _up(k, w - jnp.einsum("ijqp,ip->ijq", v, theta) + eta)
     own = theta[:, None] + rho * e
 
@@ -177,7 +188,7 @@ def run_nuts(fit: PopulationFit, warmup: int = 800, draws: int = 2400, seed: int
     data = expand(fit.recordings, fit.prior.centre, person[:, None] + np.array(fit.deviations))
     n, j, p = data.pull.shape
     rng = np.random.default_rng(seed)
-    starts = []
+    starts, tails = [], fit.parameters.tail is not None
     for row in rng.integers(0, fit.parameters.mu.shape[0], 4):
         some = fit.parameters
         start = {
@@ -189,16 +200,21 @@ def run_nuts(fit: PopulationFit, warmup: int = 800, draws: int = 2400, seed: int
             "u": rng.normal(size=(n, p)),
             "eta": rng.normal(size=(n, j, p)),
         }
-        starts.append(unconstrain_fn(model, (data,), {}, {name: jnp.asarray(v) for name, v in start.items()}))
+        if some.tail is not None:
+            start |= {"tail": some.tail[row], "factor": np.ones(n)}
+        starts.append(unconstrain_fn(model, (data, tails), {}, {name: jnp.asarray(v) for name, v in start.items()}))
     stacked = {name: jnp.stack([s[name] for s in starts]) for name in starts[0]}
-    kernel = NUTS(model, dense_mass=[("mu", "tau", "rho", "correlation")], target_accept_prob=0.9)
+    dense = [("mu", "tau", "rho", "correlation", *(("tail", "factor") if tails else ()))]
+    kernel = NUTS(model, dense_mass=dense, target_accept_prob=0.9)
     mcmc = MCMC(
         kernel, num_warmup=warmup, num_samples=draws, num_chains=4, chain_method="vectorized", progress_bar=False
     )
-    mcmc.run(jax.random.PRNGKey(seed), data, init_params=stacked, extra_fields=("diverging",))
+    mcmc.run(jax.random.PRNGKey(seed), data, tails, init_params=stacked, extra_fields=("diverging",))
     found: dict[str, Any] = {name: np.asarray(v) for name, v in mcmc.get_samples(group_by_chain=True).items()}
     factor = found["correlation"]
     values = _named(found["mu"], found["tau"], found["rho"], factor @ np.swapaxes(factor, -1, -2), found["mean"])
+    if tails:
+        values["tail"] = found["tail"]
     divergences = int(mcmc.get_extra_fields()["diverging"].sum())
     return Samples(values, time.perf_counter() - started, divergences)
 
@@ -208,7 +224,10 @@ def from_fit(fit: PopulationFit) -> Samples:
     some, e = fit.parameters, fit.n_ensembles
     blocks = (some.mu, some.between_persons, some.between_repetitions, some.correlation)
     split = [b.reshape(e, -1, *b.shape[1:]) for b in blocks]
-    return Samples(_named(*split, fit.person_draws), sum(fit.seconds.values()))
+    values = _named(*split, fit.person_draws)
+    if some.tail is not None:
+        values["tail"] = some.tail.reshape(e, -1)
+    return Samples(values, sum(fit.seconds.values()))
 
 
 def _named(

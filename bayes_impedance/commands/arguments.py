@@ -84,6 +84,15 @@ def parser_of_commands() -> argparse.ArgumentParser:
     )
     compare.set_defaults(quick=True)
 
+    covariates = commands.add_parser(
+        "covariates",
+        help="which elements follow which covariate, corrected for all that were tested",
+        description="Tests every element of the network against every covariate of the dataset; writes covariates.json "
+        "and covariates.csv. To estimate slopes that were found, use 'fit --covariate'.",
+    )
+    _dataset(covariates)
+    _covariate_arguments(covariates)
+
     diagnose = commands.add_parser("diagnose", help="what the network leaves out: verdict.json and a report")
     _dataset(diagnose)
     _diagnose_arguments(diagnose)
@@ -223,6 +232,29 @@ def _beside(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def _covariate_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("-o", "--out", type=Path, default=Path("out"), help="folder for the tables (default: out)")
+    parser.add_argument("--network", help="the network (default: the one in dataset.toml)")
+    parser.add_argument(
+        "--covariate",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="test only this covariate, column of text, or interaction; repeatable (default: all of the dataset)",
+    )
+    parser.add_argument(
+        "--subject", action="append", default=[], metavar="NAME", help="use only this subject; repeatable"
+    )
+    parser.add_argument(
+        "--seed",
+        type=whole(LARGEST_SEED, at_least=0),
+        default=1,
+        help="random seed (default: 1); the same seed gives the same result",
+    )
+    _overwrite(parser)
+    _worker_arguments(parser)
+
+
 def _diagnose_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--out", type=Path, default=Path("out"), help="folder for the results (default: out)")
     parser.add_argument("--network", help="the network to be examined (default: the one in dataset.toml)")
@@ -245,6 +277,7 @@ def _diagnose_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="test only whether elements follow this covariate; repeatable (default: every covariate of the dataset)",
     )
+    parser.add_argument("--priors", type=Path, metavar="TOML", help="prior of the network's elements (default: broad)")
     parser.add_argument(
         "--subject", action="append", default=[], metavar="NAME", help="use only this subject; repeatable"
     )

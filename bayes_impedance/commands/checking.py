@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from bayes_impedance.errors import InputError
 
 if TYPE_CHECKING:
+    from bayes_impedance.population.given_prior import GivenPrior
     from bayes_impedance.quality.findings import Finding
     from bayes_impedance.recordings.files import Recordings
 
@@ -55,3 +56,20 @@ def require_quantity(recordings: Recordings, network: str | None) -> None:
         except InputError:  # it is a finding of `check`, and a fit refuses it
             return
     require_impedance(recordings, network)
+
+
+def require_prior(recordings: Recordings, network: str | None, prior: GivenPrior | None) -> None:
+    """Refuse a given prior that does not belong to the network.
+
+    Raises
+    ------
+    InputError
+        If it names another element, or says what is impossible.
+    """
+    if prior is None:
+        return
+    from bayes_impedance.population.natural_scales import default_prior
+    from bayes_impedance.population.requirements import checked_model
+
+    kernel = checked_model(recordings, network).kernel
+    prior.applied(default_prior(kernel, recordings), kernel, recordings.unit)

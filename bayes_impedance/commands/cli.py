@@ -129,8 +129,30 @@ def _compare_networks(options: argparse.Namespace) -> int:
     return FAILED if any(entry.result.problems for entry in comparison.entries) else DONE
 
 
+def _covariates(options: argparse.Namespace) -> int:
+    from bayes_impedance.commands.covariate_search import lines_of, search_dataset
+    from bayes_impedance.commands.jobs import FitOptions
+
+    chosen = FitOptions(
+        network=options.network,
+        covariates=tuple(options.covariate),
+        subjects=tuple(options.subject),
+        seed=options.seed,
+        workers=options.workers,
+        scheduler=options.scheduler,
+        overwrite=options.overwrite,
+    )
+    with Bars() as bars:
+        found = search_dataset(options.dataset, options.out, chosen, bars)
+    for line in lines_of(found):
+        tell(line)
+    tell(f"table: {options.out / 'covariates.json'}, .csv")
+    return DONE
+
+
 def _diagnose(options: argparse.Namespace) -> int:
     from bayes_impedance.commands.jobs import FitOptions, diagnose_dataset
+    from bayes_impedance.population.given_prior import read_prior
 
     chosen = FitOptions(
         network=options.network,
@@ -142,6 +164,7 @@ def _diagnose(options: argparse.Namespace) -> int:
         workers=options.workers,
         scheduler=options.scheduler,
         overwrite=options.overwrite,
+        prior=None if options.priors is None else read_prior(options.priors),
     )
     with Bars() as bars:
         diagnosis = diagnose_dataset(options.dataset, options.out, chosen, options.simulation, options.resume, bars)
@@ -287,6 +310,7 @@ _JOBS = {
     "check": _check,
     "fit": _fit,
     "compare": _compare,
+    "covariates": _covariates,
     "diagnose": _diagnose,
     "report": _report,
     "export": _export,

@@ -46,9 +46,14 @@ EXAMPLES: dict[str, tuple[tuple[str, ...], str]] = {
         (
             "bayes-impedance compare fingertip_71 -o out/methods",
             'bayes-impedance compare mine -o out/networks --networks "m1|r1" "m1|r1|n1" out/mine',
+            "bayes-impedance compare mine -o out/tails --distributions normal student_t",
         ),
         "the paper's methods: about two minutes for the shipped recordings; with --networks one fit for each network, "
         "and one more for each person whom the others do not predict reliably.",
+    ),
+    "covariates": (
+        ("bayes-impedance covariates mine -o out/covariates", "bayes-impedance covariates mine --covariate age_y"),
+        "seconds to half a minute: the network is fitted once.",
     ),
     "diagnose": (
         (

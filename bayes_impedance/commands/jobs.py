@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bayes_impedance.commands.checking import require_quantity
+from bayes_impedance.commands.checking import require_prior, require_quantity
 from bayes_impedance.commands.finished_fit import examined_result, model_before, write_extended, write_pages
 from bayes_impedance.commands.result_folders import (
     CHECKPOINT_FOLDER,
@@ -277,6 +277,7 @@ def diagnose_dataset(
     for given in (recordings, *(() if claimed is None else (claimed,))):
         checked_model(given, network, options.covariates)
         require_quantity(given, network)
+    require_prior(recordings, network, options.prior)
     names = [VERDICT_FILE, DIAGNOSIS_FILE, *pictures(DIAGNOSIS_PICTURES)]
     checkpoint = out / DIAGNOSIS_CHECKPOINT_FOLDER
     require_own(checkpoint)
@@ -299,6 +300,7 @@ def diagnose_dataset(
                 progress=progress,
                 executor=executor,
                 checkpoint=checkpoint,
+                prior=options.prior,
             )
             progress("pictures and report", 0, 1)
             remove(out, names)

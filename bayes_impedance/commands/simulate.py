@@ -67,7 +67,8 @@ def simulate_dataset(
 
     import numpy as np
 
-    from bayes_impedance.population.simulate import FINGERTIP, simulate_recordings
+    from bayes_impedance.population.fingertip import FINGERTIP
+    from bayes_impedance.population.simulate import simulate_recordings
     from bayes_impedance.recordings.files import METADATA_FILE, RECORDINGS_FILES, SUBJECTS_FILE, write_recordings
     from bayes_impedance.recordings.repetitions import MINIMUM_POINTS
 

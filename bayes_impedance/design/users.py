@@ -6,7 +6,8 @@ logarithm of an element): population parameters from the posterior, then a perso
 .. math:: (\mu, \Sigma) \sim p(\cdot\,|\,\text{recordings}), \qquad \theta \sim N(\mu,\ \Sigma + B B^T),
 
 so that elements are correlated as between people, and the uncertainty of the population is part of the spread. (B holds
-the effects of standardised covariates, if the fit had any: a new user's covariates are not known.) With `repetitions`,
+the effects of standardised covariates, if the fit had any: a new user's covariates are not known. Where categories or
+interactions are among them, their correlations C in the measured people enter, :math:`B C B^T`.) With `repetitions`,
 the deviation of one repetition is added: :math:`\theta + \delta`, :math:`\delta \sim N(0, \operatorname{diag}\rho^2)`.
 
 A user is the body alone (:mod:`bayes_impedance.design.body`): what belongs to the rig is taken out of the network, and
@@ -327,7 +328,9 @@ def population_of(
     covariance = tau[:, :, None] * correlation * tau[:, None, :]
     if "slope" in posterior:
         slope = _flat(posterior, "slope")[:, columns]
-        covariance = covariance + slope @ np.swapaxes(slope, 1, 2)
+        known = result.groups["constant_data"].get("covariate_correlation")
+        together = np.eye(slope.shape[2]) if known is None else known
+        covariance = covariance + slope @ together @ np.swapaxes(slope, 1, 2)
     free = free_parameters(network)
     for i, parameter in enumerate(free):
         if parameter.name in assume:

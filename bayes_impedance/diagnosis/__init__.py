@@ -5,12 +5,24 @@ network (``fit``), searches (``selection``) the ``catalogue`` for effects that e
 (``residuals``, ``hum``), tests the population's distribution (``heterogeneity``), proposes measurements that would
 separate rivals (``next_experiment``) and makes the ``verdict``; :mod:`.extended_network` writes the network with what
 was found, for the population's posterior. :mod:`.types` defines the output, with the verdict of :mod:`.verdict_types`,
-which :mod:`.verdict_file` writes and reads as ``verdict.json``. :mod:`.examine` is the beginning of it, for every fit.
+which :mod:`.verdict_file` writes and reads as ``verdict.json``. :mod:`.examine` is the beginning of it, for every fit;
+:mod:`.covariate_search` asks only which elements follow a covariate.
 """
 
 from bayes_impedance.diagnosis.catalogue.coefficient import Coefficient
 from bayes_impedance.diagnosis.catalogue.effect import Effect, register, registered, unregister
+from bayes_impedance.diagnosis.covariate_search import CovariateSearch, search_covariates
 from bayes_impedance.diagnosis.diagnose import diagnose
 from bayes_impedance.diagnosis.types import Diagnosis
 
-__all__ = ["Coefficient", "Diagnosis", "Effect", "diagnose", "register", "registered", "unregister"]
+__all__ = [
+    "Coefficient",
+    "CovariateSearch",
+    "Diagnosis",
+    "Effect",
+    "diagnose",
+    "register",
+    "registered",
+    "search_covariates",
+    "unregister",
+]

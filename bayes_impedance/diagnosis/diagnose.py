@@ -36,6 +36,7 @@ from bayes_impedance.diagnosis.verdict.verdict import Evidence, make_verdict
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.notation import Network
 from bayes_impedance.population.fit import FitSettings, PopulationFit, fit_population
+from bayes_impedance.population.given_prior import GivenPrior
 from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.results.curve_errors import on_grid
 from bayes_impedance.runtime.clock import Clock
@@ -60,6 +61,10 @@ _NO_POSTERIOR = (
     "The posterior of the network with what was found is not reliable, and the intervals of what was found are those "
     "of a normal approximation"
 )
+_WITH_PRIOR = (
+    "The given prior holds in the first estimate and in the posterior of the network with what was found; the search "
+    "for effects leaves the elements free."
+)
 _NOT_IN_NETWORK = (
     "cannot be written as a network, and without it the posterior of a network does not describe the recordings: the "
     "intervals of what was found are those of a normal approximation"
@@ -77,6 +82,7 @@ class _Job:
     executor: Executor
     progress: Progress
     checkpoint: Path | None
+    prior: GivenPrior | None
 
 
 def diagnose(
@@ -92,6 +98,7 @@ def diagnose(
     progress: Progress = lambda *_: None,
     executor: Executor | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
+    prior: GivenPrior | None = None,
 ) -> Diagnosis:
     """Find effects in recordings that a network lacks.
 
@@ -124,6 +131,10 @@ def diagnose(
     checkpoint : path, optional
         Folder in which the first fit of the network is saved as it progresses; an interrupted diagnosis with the same
         arguments resumes from it. The later search is not saved.
+    prior : GivenPrior, optional
+        Knowledge of the network's elements: it centres the starts, and holds in the first estimate of the population
+        and in the posterior of the network with what was found. The search leaves the elements free, as an effect must
+        not be found because a prior was wrong; of one person the prior holds there too.
 
     Returns
     -------
@@ -150,6 +161,7 @@ def diagnose(
             executor=executor,
             progress=progress,
             checkpoint=None if checkpoint is None else Path(checkpoint),
+            prior=prior,
         )
         claimed = None
         if simulation is not None:
@@ -221,14 +233,15 @@ class _First:
 
 
 def _fit_without_hum(recordings: Recordings, network: Network | str | None, job: _Job) -> _First:
-    fitted = fit_network(recordings, network, job.seed, job.executor, job.progress, job.checkpoint)
+    fitted = fit_network(recordings, network, job.seed, job.executor, job.progress, job.checkpoint, job.prior)
     residuals = person_residuals(fitted.fit, recordings.names, job.executor)
     hum = find_mains(residuals, _MAINS_ALPHA) or find_skirts(residuals, _MAINS_ALPHA)
     if hum is None:
         return _First(recordings, fitted, None, None)
     spoilt = snapshot("with hum", recordings, fitted.fit, residuals, job.seed)
     clean = without_hum(recordings, hum)
-    return _First(clean, fit_network(clean, network, job.seed, job.executor, job.progress), hum, spoilt)
+    again = fit_network(clean, network, job.seed, job.executor, job.progress, given=job.prior)
+    return _First(clean, again, hum, spoilt)
 
 
 def _start(claimed: Claim | None, fitted: Fitted, job: _Job) -> tuple[Refit, Refit | None]:
@@ -287,7 +300,7 @@ def _confirm(first: _First, look: Findings, claimed: Claim | None, job: _Job) ->
         after=after,
         spoilt=first.spoilt,
         differences=None if claimed is None else compare_populations(claimed.found.final, final, clean.unit),
-        remarks=(*remarks, *_remarks(look, claimed)),
+        remarks=(*remarks, *_remarks(look, claimed), *([_WITH_PRIOR] if job.prior is not None else [])),
         quick=job.quick,
     )
 
@@ -296,7 +309,8 @@ def _measured(
     evidence: Evidence, extended: ExtendedNetwork, recordings: Recordings, job: _Job
 ) -> tuple[Evidence, PopulationFit | None]:
     """Evidence with parameters from the posterior of the population of the extended network; and that posterior."""
-    settings = FitSettings(covariance="diagonal" if job.diagonal else "full")
+    known = None if job.prior is None else job.prior.only(extended.network.elements)
+    settings = FitSettings(covariance="diagonal" if job.diagonal else "full", prior=known)
     if without := no_networks(evidence.final.model):
         because = f"{', '.join(without)} {_NOT_IN_NETWORK}."
         return replace(evidence, remarks=(*evidence.remarks, because)), None

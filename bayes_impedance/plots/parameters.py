@@ -249,6 +249,8 @@ def traces(figure: Figure, result: Result) -> Figure:
 def priors(figure: Figure, result: Result) -> Figure:
     """Prior against posterior: the information that the recordings add.
 
+    Central values whose order is known have no normal prior: theirs is drawn from its draws.
+
     Parameters
     ----------
     figure : Figure
@@ -266,8 +268,14 @@ def priors(figure: Figure, result: Result) -> Figure:
     grid = np.linspace(-reach, reach, 300)
     prior = normal_density(0.0, LOG_SD)(grid)
     sds = prior_sds(result) / LOG_SD
+    ordered = {name for own in result.summary.get("prior", {}).get("order", ()) for name in own}
     for row, name in enumerate(names):
-        _ridge(panels[0], row, np.exp(grid), prior, LIGHT, "prior")
+        if name in ordered and seen[row]:
+            drawn = result.groups["prior"]["mu"].reshape(-1, len(names))[:, row]
+            density, edges = np.histogram((drawn - centre[row]) / sds[row], bins=25)
+            _ridge(panels[0], row, np.exp((edges[1:] + edges[:-1]) / 2), density, LIGHT, "prior")
+        else:
+            _ridge(panels[0], row, np.exp(grid), prior, LIGHT, "prior")
         if seen[row]:
             density, edges = np.histogram((samples(result, "mu")[:, row] - centre[row]) / sds[row], bins=25)
             _ridge(panels[0], row, np.exp((edges[1:] + edges[:-1]) / 2), density, BLUE, "posterior")

@@ -24,6 +24,19 @@ BETWEEN = ":"
 """Stands between the two covariates of an interaction."""
 
 
+def goes_with_others(name: str) -> bool:
+    """Whether a covariate depends on others: one category of several, or an interaction."""
+    return BETWEEN in name or "=" in name
+
+
+def correlations_of(recordings: Recordings, names: tuple[str, ...]) -> np.ndarray | None:
+    """Correlations over people (Q, Q) of covariates among which are categories or interactions; None without such."""
+    if not any(goes_with_others(name) for name in names):
+        return None
+    values = standardised_covariates(recordings, names)
+    return np.asarray(values.T @ values / len(values))
+
+
 def with_terms(recordings: Recordings, names: Sequence[str]) -> tuple[Recordings, tuple[str, ...]]:
     """Recordings with the covariates that names stand for, and the names of these.
 

@@ -39,13 +39,14 @@ from bayes_impedance.population.covariate_terms import with_terms
 from bayes_impedance.population.dependence import dependent
 from bayes_impedance.population.diagnostics import Diagnostics, assess
 from bayes_impedance.population.em import Estimate, estimate
+from bayes_impedance.population.heavy_tails import NORMAL, STUDENT_T
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.posterior import Posterior
 from bayes_impedance.population.prior import Prior
 from bayes_impedance.population.recording_noise import initial_likelihoods, scaled_noise
 from bayes_impedance.population.requirements import CheckedModel, checked_model
 from bayes_impedance.population.sampling import sampled
-from bayes_impedance.population.settings import NORMAL, QUICK_SETTINGS, STUDENT_T, FitSettings
+from bayes_impedance.population.settings import QUICK_SETTINGS, FitSettings
 from bayes_impedance.population.shared import Pooling
 from bayes_impedance.population.shown_fit import ShownFit
 from bayes_impedance.population.starting_fits import FirstFits, first_fits

@@ -43,6 +43,9 @@ from scipy.special import gammaln, ndtr, ndtri
 if TYPE_CHECKING:
     from bayes_impedance.population.parameters import PopulationParameters
 
+NORMAL, STUDENT_T = "normal", "student_t"
+"""Distributions of people's log elements."""
+
 HEAVIEST = 0.5
 """Largest reciprocal of the degrees of freedom: at two the variance of a t distribution becomes infinite."""
 LIGHTEST = 1e-6

@@ -15,12 +15,11 @@ from bayes_impedance.network.parameters import values_of
 from bayes_impedance.population.calibrated import within_rig
 from bayes_impedance.population.covariate_terms import with_terms
 from bayes_impedance.population.fit import FitSettings, prior_for, too_few_for_correlations
-from bayes_impedance.population.heavy_tails import drawn_factors
+from bayes_impedance.population.heavy_tails import STUDENT_T, drawn_factors
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.prior import Prior
 from bayes_impedance.population.prior_draws import draw_prior
 from bayes_impedance.population.requirements import checked_model
-from bayes_impedance.population.settings import STUDENT_T
 from bayes_impedance.population.shared import Pooling
 from bayes_impedance.population.whole import Whole
 from bayes_impedance.recordings.files import Recordings

@@ -7,11 +7,10 @@ from dataclasses import dataclass, field
 from bayes_impedance.errors import InputError
 from bayes_impedance.mcmc.ensemble import QUICK, SamplerSettings
 from bayes_impedance.population.given_prior import GivenPrior
+from bayes_impedance.population.heavy_tails import NORMAL, STUDENT_T
 
-NORMAL, STUDENT_T = "normal", "student_t"
-"""Distributions of people's log elements."""
 DISTRIBUTIONS = (NORMAL, STUDENT_T)
-"""All of them, the default first."""
+"""Of people's log elements, the default first."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,8 @@ tolerance band, and noise that grows towards low frequencies, where the force of
     \ln x_{ij} = \mu + \tau\,C^{1/2}\,\xi_i + \rho\,\eta_{ij} + b \ln F_{ij}, \qquad
     z_{ijk} = Z_k(x_{ij}) + |Z_k|\,s_i\,\sigma_0\sqrt{1 + (f_c/f_k)^4}\;\epsilon_{ijk}
 
-with standard normal xi, eta and epsilon (real and imaginary part each), log-normal s and F in newtons within the
+with standard normal eta, epsilon (real and imaginary part each) and xi, or xi of a multivariate t distribution
+(:mod:`bayes_impedance.population.heavy_tails`), log-normal s and F in newtons within the
 tolerance band around 1 N. The exponent b = 0.35 for stiffness and damping of soft tissue is a published finding for
 fingertips under shear.
 """
@@ -23,8 +24,9 @@ import numpy as np
 
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.kernel import Kernel
-from bayes_impedance.network.notation import PAPER_NETWORK, parse
+from bayes_impedance.network.notation import parse
 from bayes_impedance.network.parameters import SIGNED
+from bayes_impedance.population.heavy_tails import HEAVIEST, STUDENT_T, drawn_factors
 from bayes_impedance.recordings.files import Recordings, Subject
 from bayes_impedance.runtime.user_table import UserTable, hint, number_in, shown, text_in
 from bayes_impedance.units import HIGHEST_HZ, LARGEST_ELEMENT, LARGEST_IMPEDANCE, LOWEST_HZ, SMALLEST_IMPEDANCE
@@ -47,7 +49,8 @@ million."""
 
 _UNIT = "N s/m"
 _ELEMENT_KEYS = ("central", "dispersion_between_persons", "dispersion_between_repetitions", "contact_force_exponent")
-_TRUTH_KEYS = ("seed", "network", "elements", "correlation", "noise")
+_TRUTH_KEYS = ("seed", "network", "elements", "correlation", "noise", "distribution")
+_TAIL_KEYS = ("name", "degrees_of_freedom", "dispersion_between_persons_is")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +74,9 @@ class VirtualPopulation:
         Relative noise of the real and of the imaginary part far above `noise_corner_hz`.
     noise_corner_hz : float
         Below this frequency the noise rises as 1/f^2.
+    degrees_of_freedom : float
+        Of the Student t distribution of people, whose scales are `between_persons`; more than two. Infinite for the
+        normal distribution.
     """
 
     network: str
@@ -81,6 +87,7 @@ class VirtualPopulation:
     force_exponent: Mapping[str, float] = field(default_factory=dict)
     noise: float = 0.01
     noise_corner_hz: float = 8.0
+    degrees_of_freedom: float = np.inf
 
     def vector(self, values: Mapping[str, float]) -> np.ndarray:
         """Values in the order of the network's elements, zero for an element that is not named, shape (P,)."""
@@ -171,7 +178,11 @@ def simulate_recordings(
     factor = np.linalg.cholesky(population.correlation_matrix())
     p, f = len(kernel.elements), frequency_hz.size
 
-    person = central + tau * (rng.normal(size=(n_subjects, p)) @ factor.T)
+    standard = rng.normal(size=(n_subjects, p)) @ factor.T
+    if np.isfinite(population.degrees_of_freedom):
+        own = np.random.default_rng(np.random.SeedSequence(seed).spawn(1)[0])  # what follows is as without
+        standard *= drawn_factors(np.array(1 / population.degrees_of_freedom), (n_subjects,), own)[:, None]
+    person = central + tau * standard
     person_force = rng.uniform(-_PERSON_FORCE, _PERSON_FORCE, n_subjects)
     repetition_force = rng.uniform(-_REPETITION_FORCE, _REPETITION_FORCE, (n_subjects, n_repetitions))
     force = 1 + person_force[:, None] + repetition_force
@@ -251,8 +262,12 @@ def _require_usable(population: VirtualPopulation) -> None:
         number_in(value, f"correlation of {pair[0]} and {pair[1]}", at_least=-1, at_most=1)
     number_in(population.noise, "relative noise", at_least=0)
     number_in(population.noise_corner_hz, "noise_corner_hz", at_least=0, at_most=HIGHEST_HZ)
+    if population.degrees_of_freedom != np.inf:
+        number_in(population.degrees_of_freedom, "degrees_of_freedom", above=_LEAST_FREEDOM)
 
 
+_LEAST_FREEDOM = 1 / HEAVIEST
+"""Of a Student t distribution, whose variance is infinite there."""
 _DISPERSION = {"at_least": 0.0, "at_most": LARGEST_DISPERSION}
 """Limits of every dispersion: a standard deviation is not negative; for the upper limit see `LARGEST_DISPERSION`."""
 
@@ -281,55 +296,14 @@ def _truth(population: VirtualPopulation, seed: int) -> dict[str, Any]:
         },
         "correlation": [[a, elements[j], float(correlation[i, j])] for i, a in enumerate(elements) for j in range(i)],
         "noise": {"relative_sd": population.noise, "corner_hz": population.noise_corner_hz},
+        **_distribution(population.degrees_of_freedom),
     }
 
 
-FINGERTIP = VirtualPopulation(
-    network=PAPER_NETWORK,
-    central={
-        "n3": 6.76e-7,
-        "r3": 61.4,
-        "m2": 7.90e-4,
-        "r1": 1.52,
-        "n1": 1.15e-3,
-        "m1": 0.0517,
-        "n2": 4.73e-3,
-        "r2": 3.82,
-    },
-    between_persons={
-        "n3": 0.35,
-        "r3": 0.30,
-        "m2": 0.20,
-        "r1": 0.40,
-        "n1": 0.30,
-        "m1": 0.35,
-        "n2": 0.30,
-        "r2": 0.30,
-    },
-    between_repetitions={
-        "n3": 0.06,
-        "r3": 0.05,
-        "m2": 0.03,
-        "r1": 0.08,
-        "n1": 0.04,
-        "m1": 0.05,
-        "n2": 0.05,
-        "r2": 0.05,
-    },
-    correlation={
-        ("n3", "r3"): -0.5,
-        ("n1", "r1"): -0.4,
-        ("m2", "m1"): 0.5,
-        ("n1", "n2"): 0.4,
-        ("r1", "r2"): 0.3,
-        ("n2", "r2"): -0.4,
-        ("m2", "n3"): 0.3,
-    },
-    force_exponent={"n3": -0.35, "r3": 0.35, "n1": -0.35, "r1": 0.35},
-)
-"""A virtual fingertip population. Its central values come from both published curves (the paper's appendix A): the
-geometric mean of the two fits of the corrected eq. 4 if both curves determine an element, otherwise the fit of the one
-curve that determines it (``analyses/fingertip_71/centre.py`` computes them)."""
+def _distribution(degrees_of_freedom: float) -> dict[str, Any]:
+    if not np.isfinite(degrees_of_freedom):
+        return {}
+    return {"distribution": {"name": STUDENT_T, "degrees_of_freedom": degrees_of_freedom}}
 
 
 def population_from(described: Mapping[str, Any], where: str) -> VirtualPopulation:
@@ -372,6 +346,7 @@ def population_from(described: Mapping[str, Any], where: str) -> VirtualPopulati
         correlation=_correlations(table["correlation"], where),
         noise=noise.number("relative_sd", 0.01),
         noise_corner_hz=noise.number("corner_hz", 8.0),
+        degrees_of_freedom=_degrees_of_freedom(table, where),
     )
     try:
         _require_usable(population)
@@ -390,6 +365,14 @@ def _correlations(content: object, where: str) -> dict[tuple[str, str], float]:
         a, b = (text_in(name, f"{where}: an element in entry {i} of correlation") for name in row[:2])
         found[a, b] = number_in(row[2], f"{where}: correlation of {shown(a)} and {shown(b)}", at_least=-1, at_most=1)
     return found
+
+
+def _degrees_of_freedom(table: UserTable, where: str) -> float:
+    """Of the people; infinite if nothing is said of their distribution."""
+    if "distribution" not in table:
+        return np.inf
+    value = _middle(UserTable(table["distribution"], f"{where}: distribution", _TAIL_KEYS), "degrees_of_freedom")
+    return np.inf if value is None else value
 
 
 def _middle(row: UserTable, key: str) -> float | None:

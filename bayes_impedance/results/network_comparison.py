@@ -19,7 +19,7 @@ import numpy as np
 
 from bayes_impedance.display import heading, joined, table
 from bayes_impedance.network.spellings import in_both
-from bayes_impedance.population.settings import NORMAL
+from bayes_impedance.population.heavy_tails import NORMAL
 from bayes_impedance.results.leave_one_out import LeftOut
 from bayes_impedance.results.result import Result
 

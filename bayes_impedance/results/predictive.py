@@ -18,6 +18,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bayes_impedance.population.covariate_terms import goes_with_others
+from bayes_impedance.population.covariates import standardised_covariates
 from bayes_impedance.population.fit import PopulationFit
 from bayes_impedance.population.heavy_tails import drawn_factors
 from bayes_impedance.results.curve_errors import (
@@ -213,9 +215,17 @@ def _people(fit: PopulationFit, rows: np.ndarray, rng: np.random.Generator) -> n
         normal *= drawn_factors(parameters.tail, parameters.tail.shape, rng)[:, None]
     theta = parameters.mu + np.einsum("spq,sq->sp", factor, normal)
     if fit.settings.covariates:
-        values = rng.normal(size=(rows.size, len(fit.settings.covariates)))  # standardised, as in the fit
-        theta = theta + np.einsum("spq,sq->sp", parameters.slopes, values)
+        theta = theta + np.einsum("spq,sq->sp", parameters.slopes, _covariates(fit, rows.size, rng))
     return np.asarray(theta)
+
+
+def _covariates(fit: PopulationFit, number: int, rng: np.random.Generator) -> np.ndarray:
+    """Standardised covariates of new people, (S, Q): normal, or those of measured people where they go together."""
+    names = fit.settings.covariates
+    if not any(goes_with_others(name) for name in names):
+        return np.asarray(rng.normal(size=(number, len(names))))
+    measured = standardised_covariates(fit.recordings, names)
+    return np.asarray(measured[rng.integers(len(measured), size=number)])
 
 
 def _recordings(

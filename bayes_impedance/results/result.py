@@ -22,9 +22,10 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.network.notation import parse
 from bayes_impedance.network.parameters import Parameter, unit_of_parameter, values_of
 from bayes_impedance.person.noise import NoiseModel
+from bayes_impedance.population.covariate_terms import correlations_of
 from bayes_impedance.population.fit import PopulationFit
+from bayes_impedance.population.heavy_tails import NORMAL
 from bayes_impedance.population.parameters import PopulationParameters
-from bayes_impedance.population.settings import NORMAL
 from bayes_impedance.results.adequacy import Adequacy
 from bayes_impedance.results.arviz_layout import LAYOUT, LAYOUT_ATTRIBUTE, file_dims, for_file, from_file
 from bayes_impedance.results.checked_predictions import Checks, checked_predictions
@@ -150,6 +151,7 @@ DIMS: dict[str, list[str]] = {
     "coverage_50": ["part", "frequency_hz"],
     "coverage_90": ["part", "frequency_hz"],
     "noise_relative": ["subject", "frequency_hz"],
+    "covariate_correlation": ["covariate", "other_covariate"],
     "noise_model_sd": ["noise_frequency_hz"],
     "noise_scale": ["subject"],
     "person_relative_rms": ["subject"],
@@ -226,6 +228,7 @@ def make_result(
         "element_2": elements,
         "subject": list(recordings.names),
         "covariate": list(fit.settings.covariates),
+        "other_covariate": list(fit.settings.covariates),
         "frequency_hz": predictive.frequency_hz,
         "predictive_frequency_hz": checks.frequency_hz,
         "probability": list(PROBABILITIES),
@@ -233,7 +236,7 @@ def make_result(
         "part": ["magnitude", "phase_deg"],
     }
     if not fit.settings.covariates:
-        del coords["covariate"]
+        del coords["covariate"], coords["other_covariate"]
     if fit.noise_model is not None:
         coords["noise_frequency_hz"] = fit.noise_model.frequency_hz
         attributes |= {"noise_is_relative": int(fit.noise_model.relative), "noise_floor": fit.noise_model.floor}
@@ -274,7 +277,11 @@ def _groups(fit: PopulationFit, predictive: Predictive, checks: Checks) -> dict[
     ]
     grid = np.log(predictive.frequency_hz)
     d, r = fit.diagnostics, predictive.replication
-    model = {} if fit.noise_model is None else {"noise_model_sd": fit.noise_model.sd}
+    model = {}
+    if (together := correlations_of(fit.recordings, fit.settings.covariates)) is not None:
+        model["covariate_correlation"] = together
+    if fit.noise_model is not None:
+        model["noise_model_sd"] = fit.noise_model.sd
     return {
         "posterior": posterior,
         "posterior_predictive": checks.posterior_predictive,

@@ -14,7 +14,7 @@ import numpy as np
 from bayes_impedance.network.parameters import unit_of_parameter
 from bayes_impedance.population.calibrated import inseparable_given
 from bayes_impedance.population.fit import PopulationFit, too_few_for_correlations
-from bayes_impedance.population.settings import STUDENT_T
+from bayes_impedance.population.heavy_tails import STUDENT_T
 from bayes_impedance.results.adequacy import Adequacy
 from bayes_impedance.results.misfit import coverage_by_frequency, misfit_words, network_misfits, noise_scale_summary
 from bayes_impedance.results.predictive import Predictive

@@ -12,7 +12,8 @@ import pytest
 
 from bayes_impedance.commands.simulate import SPECTRA, TRUTH_FILE, simulate_dataset
 from bayes_impedance.errors import InputError
-from bayes_impedance.population.simulate import FINGERTIP, simulate_recordings
+from bayes_impedance.population.fingertip import FINGERTIP
+from bayes_impedance.population.simulate import simulate_recordings
 from bayes_impedance.recordings.files import read_recordings
 
 BAND = (5.0, 500.0)

@@ -13,7 +13,7 @@ from simulated_signals import share_within
 from bayes_impedance.commands.cli import main
 from bayes_impedance.commands.simulate_signals import simulate_signals, without_noise
 from bayes_impedance.intake.simulated_rig import SimulatedRig
-from bayes_impedance.population.simulate import FINGERTIP
+from bayes_impedance.population.fingertip import FINGERTIP
 from bayes_impedance.recordings import Recordings, read_recordings
 
 FREQUENCY = np.geomspace(50.0, 5000.0, 16)

@@ -15,7 +15,8 @@ from bayes_impedance.diagnosis.claimed_simulation import Claim
 from bayes_impedance.diagnosis.selection.stepwise import Found
 from bayes_impedance.diagnosis.types import Diagnosis
 from bayes_impedance.diagnosis.verdict_file import from_json, to_json
-from bayes_impedance.population.simulate import FINGERTIP, simulate_recordings
+from bayes_impedance.population.fingertip import FINGERTIP
+from bayes_impedance.population.simulate import simulate_recordings
 from bayes_impedance.recordings.files import Recordings, Subject, read_recordings, write_recordings
 
 FREQUENCY = np.geomspace(5, 5000, 81)

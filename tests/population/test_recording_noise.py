@@ -9,8 +9,9 @@ import numpy as np
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
 from bayes_impedance.person.noise import NoiseModel
+from bayes_impedance.population.fingertip import FINGERTIP
 from bayes_impedance.population.recording_noise import initial_likelihoods, noise_of, scaled_noise
-from bayes_impedance.population.simulate import FINGERTIP, simulate_recordings
+from bayes_impedance.population.simulate import simulate_recordings
 from bayes_impedance.runtime.executors import executor_of
 
 FREQUENCY = np.geomspace(5, 500, 80)

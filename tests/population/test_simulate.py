@@ -8,12 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import DATA, SMALL
+from conftest import DATA, SMALL, THREE_ELEMENTS
+from scipy.stats import invgamma, kstest
 
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
-from bayes_impedance.population.simulate import FINGERTIP, population_from, simulate_recordings
+from bayes_impedance.population.fingertip import FINGERTIP
+from bayes_impedance.population.simulate import population_from, simulate_recordings
 from bayes_impedance.recordings.files import read_recordings
 
 ANALYSES = DATA.parent / "analyses"
@@ -182,3 +184,29 @@ def test_frequencies_that_do_not_ascend_are_refused(frequency: list[float], word
 def test_more_numbers_than_memory_holds_are_refused() -> None:
     with pytest.raises(InputError, match="simulate fewer"):
         simulate_recordings(SMALL, 10**6, 10, np.linspace(1, 1000, 500), seed=1)
+
+
+def test_people_with_heavier_tails_and_their_description() -> None:
+    """The factor on people has a stream of its own: noise, forces and deviations are those of the normal population."""
+    population = replace(THREE_ELEMENTS, degrees_of_freedom=3.0, force_exponent={})
+    frequency = np.geomspace(5, 500, 5)
+    tails = simulate_recordings(population, 2000, 1, frequency, 3)
+    normal = simulate_recordings(replace(population, degrees_of_freedom=np.inf), 2000, 1, frequency, 3)
+    central = np.log([population.central[e] for e in ("m1", "r1", "n1")])
+    away, plain = tails.log_elements - central, normal.log_elements - central
+    factor = away / plain
+    np.testing.assert_allclose(factor, factor[:, :1] * np.ones(3), rtol=1e-8)
+    assert kstest(factor[:, 0] ** 2, invgamma(1.5, scale=1.5).cdf).pvalue > 0.01
+    again = population_from(tails.truth, "truth.json")
+    assert again.degrees_of_freedom == 3.0
+    assert population_from(normal.truth, "truth.json").degrees_of_freedom == np.inf
+    assert "distribution" not in normal.truth
+    of_fit = {**tails.truth, "schema": 1, "distribution": {"degrees_of_freedom": {"median": 4.0, "q05": 3, "q95": 9}}}
+    assert population_from(of_fit, "summary.json").degrees_of_freedom == 4.0
+
+
+@pytest.mark.parametrize("described", [{"degrees_of_freedom": 2}, {"degrees_of_freedom": "many"}, {"nu": 3}, 3])
+def test_impossible_distributions_are_refused(described: Any) -> None:
+    truth = simulate_recordings(THREE_ELEMENTS, 1, 1, np.geomspace(5, 500, 5), 1).truth
+    with pytest.raises(InputError, match=r"truth\.json"):
+        population_from({**truth, "distribution": described}, "truth.json")

@@ -14,8 +14,9 @@ from bayes_impedance.network.notation import parse
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.mode import all_modes
 from bayes_impedance.population.e_step import begin, contrasts_of, evidence, expect
+from bayes_impedance.population.fingertip import FINGERTIP
 from bayes_impedance.population.natural_scales import default_prior
-from bayes_impedance.population.simulate import FINGERTIP, VirtualPopulation, simulate_recordings
+from bayes_impedance.population.simulate import VirtualPopulation, simulate_recordings
 from bayes_impedance.population.starting_fits import (
     _RANDOM_STARTS,
     _START_SPREAD,

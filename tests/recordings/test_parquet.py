@@ -13,8 +13,9 @@ from conftest import THREE_ELEMENTS
 
 from bayes_impedance.errors import InputError
 from bayes_impedance.mcmc.ensemble import SamplerSettings
+from bayes_impedance.population.fingertip import FINGERTIP
 from bayes_impedance.population.fit import FitSettings, PopulationFit, fit_population
-from bayes_impedance.population.simulate import FINGERTIP, simulate_recordings
+from bayes_impedance.population.simulate import simulate_recordings
 from bayes_impedance.quality.checks import check_recordings
 from bayes_impedance.recordings import out_of_core
 from bayes_impedance.recordings.files import Recordings, read_recordings, write_recordings

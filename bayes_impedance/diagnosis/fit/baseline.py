@@ -15,6 +15,7 @@ from bayes_impedance.diagnosis.fit.normal_equations import Population
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.network.notation import Network
 from bayes_impedance.population.em import Estimate, estimate
+from bayes_impedance.population.given_prior import GivenPrior
 from bayes_impedance.population.natural_scales import default_prior
 from bayes_impedance.population.recording_noise import initial_likelihoods
 from bayes_impedance.population.requirements import checked_model
@@ -76,19 +77,24 @@ def fit_network(
     executor: Executor,
     progress: Progress,
     checkpoint: Path | None = None,
+    given: GivenPrior | None = None,
 ) -> Fitted:
     """Fit the network to all people, each from many starts: an unconverged fit looks like missing physics.
 
-    With a `checkpoint` folder, first fits and point estimate are saved there and resumed from it.
+    With a `checkpoint` folder, first fits and point estimate are saved there and resumed from it. A given prior centres
+    the starts and holds in the point estimate; in the refits that follow elements are free, except those of one person.
     """
     kernel = checked_model(recordings, network).kernel
     tree = kernel.network
     prior = default_prior(kernel, recordings)
+    if given is not None:
+        prior = given.applied(prior, kernel, recordings.unit)
     seeds = np.random.SeedSequence(seed).spawn(2)
     one = len(recordings.subjects) == 1
     pooling = Pooling(kernel) if one else Pooling.of(kernel)
     if checkpoint is not None:
-        claim(checkpoint, (s.digest for s in recordings.subjects), version("bayes_impedance"), str(tree), seed)
+        said = () if given is None else (given.text(),)
+        claim(checkpoint, (s.digest for s in recordings.subjects), version("bayes_impedance"), str(tree), seed, *said)
     first = first_fits(kernel, recordings, prior, seeds[0], executor, progress, checkpoint)
     likelihoods = initial_likelihoods(recordings, first.model, pooling.varying.size, executor)
     no_covariates = np.zeros((len(recordings.subjects), 0))

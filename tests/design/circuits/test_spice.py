@@ -20,7 +20,7 @@ from bayes_impedance.network.elements import kind_of
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import PAPER_NETWORK, parse
 from bayes_impedance.network.operations import Operation
-from bayes_impedance.population.simulate import FINGERTIP
+from bayes_impedance.population.fingertip import FINGERTIP
 
 BAND = (5.0, 5000.0)
 FREQUENCY = np.geomspace(*BAND, 120)

@@ -22,7 +22,7 @@ from bayes_impedance.design.circuits.transfer_functions import (
 from bayes_impedance.design.users import Users
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.notation import PAPER_NETWORK, parse
-from bayes_impedance.population.simulate import FINGERTIP
+from bayes_impedance.population.fingertip import FINGERTIP
 
 S = 2j * np.pi * np.geomspace(1e-2, 1e2, 15)
 

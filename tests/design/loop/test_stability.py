@@ -17,7 +17,7 @@ from bayes_impedance.design.representatives import representatives, spanning
 from bayes_impedance.design.users import UserPopulation, Users
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.notation import PAPER_NETWORK, parse
-from bayes_impedance.population.simulate import FINGERTIP
+from bayes_impedance.population.fingertip import FINGERTIP
 
 CASES = 70
 """Of each of three kinds of mechanics: 210 together."""

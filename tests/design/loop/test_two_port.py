@@ -12,7 +12,7 @@ from bayes_impedance.design.loop.device import PHANTOM, Device, Section, read_de
 from bayes_impedance.design.loop.two_port import TwoPort
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.notation import PAPER_NETWORK, parse
-from bayes_impedance.population.simulate import FINGERTIP
+from bayes_impedance.population.fingertip import FINGERTIP
 
 S = 2j * np.pi * np.geomspace(1, 1000, 12)
 

@@ -19,7 +19,7 @@ from bayes_impedance.diagnosis.next_experiment.virtual_recordings import Port, p
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.notation import parse
 from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood
-from bayes_impedance.population.simulate import FINGERTIP
+from bayes_impedance.population.fingertip import FINGERTIP
 
 NETWORK = parse(FINGERTIP.network)
 MU = np.log(FINGERTIP.vector(FINGERTIP.central))
