@@ -269,10 +269,11 @@ def priors(figure: Figure, result: Result) -> Figure:
     prior = normal_density(0.0, LOG_SD)(grid)
     sds = prior_sds(result) / LOG_SD
     ordered = {name for own in result.summary.get("prior", {}).get("order", ()) for name in own}
+    drawn = result.groups.get("prior", {}).get("mu")  # missing in results of earlier versions
     for row, name in enumerate(names):
-        if name in ordered and seen[row]:
-            drawn = result.groups["prior"]["mu"].reshape(-1, len(names))[:, row]
-            density, edges = np.histogram((drawn - centre[row]) / sds[row], bins=25)
+        if name in ordered and seen[row] and drawn is not None:
+            own = drawn.reshape(-1, len(names))[:, row]
+            density, edges = np.histogram((own - centre[row]) / sds[row], bins=25)
             _ridge(panels[0], row, np.exp((edges[1:] + edges[:-1]) / 2), density, LIGHT, "prior")
         else:
             _ridge(panels[0], row, np.exp(grid), prior, LIGHT, "prior")

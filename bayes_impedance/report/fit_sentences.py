@@ -62,10 +62,8 @@ def _values_in_words(result: Result, n: int) -> list[str]:
     factors = sorted(math.exp(s) for s in spreads if s is not None)
     if factors:
         ends = dict.fromkeys(f"{factor:.2f}" for factor in (factors[0], factors[-1]))  # once if they are equal
-        text.append(
-            f"Between {who(result)} the elements vary by a factor of {' to '.join(ends)} (geometric standard "
-            "deviation)."
-        )
+        kind = "geometric standard deviation" if result.summary.get("distribution") is None else "geometric scale"
+        text.append(f"Between {who(result)} the elements vary by a factor of {' to '.join(ends)} ({kind}).")
     return text
 
 

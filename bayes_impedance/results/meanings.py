@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bayes_impedance.results.checked_predictions import MEANINGS
+from bayes_impedance.results.pointwise import POINTWISE
 
 TAIL = "inverse_degrees_of_freedom"
 """Variable of the posterior of a Student t population, between 0 (normal) and 0.5."""
@@ -34,4 +35,10 @@ def meanings_of(unit: str, one_person: bool) -> dict[str, dict[str, str]]:
         "description": "the log elements of people follow a multivariate Student t: 0 is the normal distribution, and "
         "at 0.5 the variance becomes infinite; dispersion_between_persons is its scale",
     }
-    return MEANINGS | {"log_likelihood/recordings": density, TAIL: tail}
+    points = {
+        "long_name": "log predictive density of a subject's recordings at one frequency, given its own elements",
+        "units": density["units"],
+        "description": "mean over posterior draws of the subject's elements, all repetitions together; absolute. The "
+        "point took part in the estimate: for leave-one-out there is log_likelihood/recordings",
+    }
+    return MEANINGS | {"log_likelihood/recordings": density, TAIL: tail, POINTWISE: points}

@@ -215,11 +215,11 @@ def _people(fit: PopulationFit, rows: np.ndarray, rng: np.random.Generator) -> n
         normal *= drawn_factors(parameters.tail, parameters.tail.shape, rng)[:, None]
     theta = parameters.mu + np.einsum("spq,sq->sp", factor, normal)
     if fit.settings.covariates:
-        theta = theta + np.einsum("spq,sq->sp", parameters.slopes, _covariates(fit, rows.size, rng))
+        theta = theta + np.einsum("spq,sq->sp", parameters.slopes, drawn_covariates(fit, rows.size, rng))
     return np.asarray(theta)
 
 
-def _covariates(fit: PopulationFit, number: int, rng: np.random.Generator) -> np.ndarray:
+def drawn_covariates(fit: PopulationFit, number: int, rng: np.random.Generator) -> np.ndarray:
     """Standardised covariates of new people, (S, Q): normal, or those of measured people where they go together."""
     names = fit.settings.covariates
     if not any(goes_with_others(name) for name in names):

@@ -30,6 +30,7 @@ from bayes_impedance.results.adequacy import Adequacy
 from bayes_impedance.results.arviz_layout import LAYOUT, LAYOUT_ATTRIBUTE, file_dims, for_file, from_file
 from bayes_impedance.results.checked_predictions import Checks, checked_predictions
 from bayes_impedance.results.meanings import TAIL, meanings_of
+from bayes_impedance.results.pointwise import POINTWISE, pointwise_log_densities
 from bayes_impedance.results.predictive import PROBABILITIES, Predictive
 from bayes_impedance.results.shown import one_line, result_html
 from bayes_impedance.results.summary import summary_of
@@ -151,6 +152,7 @@ DIMS: dict[str, list[str]] = {
     "coverage_50": ["part", "frequency_hz"],
     "coverage_90": ["part", "frequency_hz"],
     "noise_relative": ["subject", "frequency_hz"],
+    POINTWISE: ["subject", "frequency_hz"],
     "covariate_correlation": ["covariate", "other_covariate"],
     "noise_model_sd": ["noise_frequency_hz"],
     "noise_scale": ["subject"],
@@ -309,6 +311,7 @@ def _groups(fit: PopulationFit, predictive: Predictive, checks: Checks) -> dict[
                 ]
             ),
             **model,
+            POINTWISE: pointwise_log_densities(fit, predictive.frequency_hz),
             "noise_scale": fit.noise_scale,
             "person_relative_rms": predictive.person_relative_rms,
             "person_delta_magnitude": predictive.person_delta_magnitude,

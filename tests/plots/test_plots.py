@@ -14,7 +14,7 @@ from results_by_hand import VARIANTS, make_result
 from strategies import repeatable
 
 from bayes_impedance.plots import PICTURES, new_figure, style, write_pictures
-from bayes_impedance.plots.parameters import factor_axis
+from bayes_impedance.plots.parameters import factor_axis, priors
 from bayes_impedance.plots.style import log_axis
 from bayes_impedance.runtime.worker_processes import Processes
 
@@ -123,3 +123,26 @@ def test_factors_label_standard_deviations(top: float) -> None:
     assert 2 <= len(ticks) <= 9
     for tick, label in zip(ticks, labels, strict=True):
         assert float(label.removeprefix("×")) == pytest.approx(math.exp(tick), rel=1e-3)
+
+
+def test_the_prior_of_ordered_elements_is_that_of_its_draws() -> None:
+    """Of two dampers with one prior centre: where one is below the other, their priors are apart."""
+    result = make_result()
+    first, second = (result.elements.index(name) for name in ("r3", "r1"))
+    centre = result.groups["constant_data"]["prior_centre"]
+    middle = {}
+    for ordered in (False, True):
+        if ordered:
+            result.summary["prior"] = {"order": [["r3", "r1"]]}
+            drawn = np.random.default_rng(1).normal(centre, 3.0, (1, 2000, centre.size))
+            drawn[..., first] = centre[first] - np.abs(drawn[..., first] - centre[first])
+            drawn[..., second] = centre[second] + np.abs(drawn[..., second] - centre[second])
+            result.groups["prior"] = {"mu": drawn}
+        panel = priors(new_figure(8, 5), result).axes[0]
+        areas = [a for a in panel.collections if a.get_label() == "prior"]
+        edges = [areas[row].get_paths()[0].get_extents() for row in (first, second)]
+        middle[ordered] = [np.log(edge.x0 * edge.x1) for edge in edges]
+    assert middle[False][0] == pytest.approx(middle[False][1])
+    assert middle[True][0] < -1 < 1 < middle[True][1]
+    del result.groups["prior"]
+    priors(new_figure(8, 5), result)  # a result of an earlier version

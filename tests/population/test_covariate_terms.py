@@ -5,17 +5,21 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from conftest import SHORT, THREE_ELEMENTS
+from results_by_hand import make_result as make_by_hand
 from tiny_fits import fit_arguments
 
 from bayes_impedance.commands.cli import main
+from bayes_impedance.design.users import population_of
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
-from bayes_impedance.population.covariate_terms import with_terms
+from bayes_impedance.population.covariate_terms import correlations_of, with_terms
 from bayes_impedance.population.covariates import standardised_covariates
 from bayes_impedance.population.fit import fit_population
 from bayes_impedance.population.sample_prior import sample_prior
@@ -23,7 +27,7 @@ from bayes_impedance.population.simulate import simulate_recordings
 from bayes_impedance.recordings.dataset import Recordings, Subject
 from bayes_impedance.recordings.files import read_recordings, write_recordings
 from bayes_impedance.results.leave_one_out import leave_one_out, refit_without
-from bayes_impedance.results.predictive import predict
+from bayes_impedance.results.predictive import drawn_covariates, predict
 from bayes_impedance.results.result import make_result
 
 GROUPS = "abcab"
@@ -140,6 +144,9 @@ def test_whoever_is_left_out_has_the_interaction_of_everybody() -> None:
     recordings = people()
     fit = fit_population(recordings, settings=replace(SHORT, covariates=("age_y:group=b",)), seed=1)
     result = make_result(fit, predict(fit, n_draws=20, n_replicates=4), {})
+    together = result.groups["constant_data"]["covariate_correlation"]
+    assert together.shape == (3, 3)
+    np.testing.assert_allclose(np.diag(together), 1)
     left_out = leave_one_out(result)
     refitted = refit_without(recordings, [0], left_out, result, fit.settings, 1, lambda *_: None)
     assert np.all(np.isfinite(refitted.elpd))
@@ -159,3 +166,39 @@ def test_the_command_line_takes_them(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert '"grou" is not in the dataset' in capsys.readouterr().err
     assert not (tmp_path / "none").exists()
     assert with_terms(read_recordings(tmp_path / "data"), ("group",))[1] == ("group=b", "group=c")
+
+
+def test_people_in_predictions_have_covariates_that_exist() -> None:
+    """An interaction is the product of the two others, and a category has two values; alone, covariates are normal."""
+    recordings, names = with_terms(with_an_interaction()[0], ("age_y:sex",))
+    fit: Any = SimpleNamespace(recordings=recordings, settings=SimpleNamespace(covariates=names))
+    drawn = drawn_covariates(fit, 2000, np.random.default_rng(1))
+    measured = standardised_covariates(recordings, names)
+    assert {tuple(row) for row in drawn} <= {tuple(row) for row in measured}
+    assert np.abs(drawn.mean(axis=0)).max() < 0.1
+    assert len({*drawn[:, 1]}) == 2
+    fit.settings.covariates = ("age_y",)
+    alone = drawn_covariates(fit, 2000, np.random.default_rng(1))
+    np.testing.assert_array_equal(alone, np.random.default_rng(1).normal(size=(2000, 1)))
+
+
+def test_correlations_of_covariates_are_kept_only_where_they_matter() -> None:
+    recordings, names = with_terms(with_an_interaction()[0], ("age_y:sex",))
+    together = correlations_of(recordings, names)
+    assert together is not None
+    np.testing.assert_allclose(np.diag(together), 1)
+    assert abs(together[0, 1]) < 0.1  # groups are of equal age
+    assert correlations_of(recordings, ("age_y",)) is None
+
+
+def test_users_have_covariates_that_go_together() -> None:
+    """Two covariates that are one: their effects cancel, and independent ones would add."""
+    result = make_by_hand(covariates=("a", "b=x"))
+    slope = result.groups["posterior"]["slope"]
+    slope[..., 0], slope[..., 1] = 0.5, -0.5
+    result.groups["posterior"]["correlation"][:] = np.eye(len(result.elements))
+    added = population_of(result).factor
+    known = result.groups["constant_data"] | {"covariate_correlation": np.ones((2, 2))}
+    cancelled = population_of(replace(result, groups=result.groups | {"constant_data": known})).factor
+    difference = added @ np.swapaxes(added, 1, 2) - cancelled @ np.swapaxes(cancelled, 1, 2)
+    np.testing.assert_allclose(difference, 0.5, rtol=1e-6)

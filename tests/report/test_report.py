@@ -148,6 +148,20 @@ def test_command_names_what_differs_from_the_defaults(tmp_path: Path) -> None:
     assert f"bayes-impedance run DATASET -o OUT --network '{NETWORK}' --seed 7 --covariance diagonal" in page.words
 
 
+def test_dispersions_of_a_student_t_population_are_scales(tmp_path: Path) -> None:
+    result = make_result()
+    usual = Page(write_report(result, tmp_path, (), pictures={}).read_text(encoding="utf-8"))
+    assert "geometric standard deviations" in usual.words
+    assert "--distribution" not in usual.words
+    nu = {"median": 4.0, "q05": 2.5, "q95": 12.0}
+    result.summary["distribution"] = {"name": "student_t", "degrees_of_freedom": nu}
+    page = Page(write_report(result, tmp_path, (), pictures={}).read_text(encoding="utf-8"))
+    assert "geometric scales of a Student t distribution" in page.words
+    assert "(geometric scale)" in page.words
+    assert "geometric standard deviations: " not in page.words
+    assert "--distribution student_t" in page.words
+
+
 # ---------------------------------------------------------------- drawing
 
 
