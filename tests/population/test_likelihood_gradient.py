@@ -116,7 +116,9 @@ def with_a_delay():
     )
 
 
-@pytest.mark.parametrize("kind", [pytest.param("fingertip", marks=pytest.mark.slow), "with a shared delay"])
+@pytest.mark.parametrize(
+    "kind", [pytest.param("fingertip", marks=pytest.mark.slow), "with a shared delay", "with tails"]
+)
 def test_gradient_of_a_fits_posterior(kind, monkeypatch):
     """In standard deviations: an error of one changes trajectories by as much as the posterior's own curvature."""
     recordings = (
@@ -124,7 +126,8 @@ def test_gradient_of_a_fits_posterior(kind, monkeypatch):
         if kind == "fingertip"
         else with_a_delay()
     )
-    posterior = posterior_of(recordings, monkeypatch)
+    posterior = posterior_of(recordings, monkeypatch, distribution="student_t" if kind == "with tails" else "normal")
+    assert posterior.coordinates.tails == (kind == "with tails")
     rng = np.random.default_rng(6)
     factor = np.linalg.cholesky(posterior.normal_covariance)
     white = 0.7 * rng.normal(size=(4, posterior.mode.size))  # each takes four densities for every coordinate

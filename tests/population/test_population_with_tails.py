@@ -74,6 +74,27 @@ def test_result_says_what_dispersions_are(saved):
     assert "distribution" not in saved["normal"].attributes
 
 
+@pytest.mark.filterwarnings("ignore")
+def test_functions_of_arviz_take_the_result(saved, outlying, tmp_path):
+    """With the reciprocal of the degrees of freedom as one variable more."""
+    import arviz as az
+    from matplotlib import pyplot as plt
+
+    fit = outlying["student_t"]
+    save_result(make_result(fit, predict(fit, seed=1), {}), tmp_path)
+    data = az.from_netcdf(tmp_path / "result.nc")
+    table = az.summary(data)
+    assert "inverse_degrees_of_freedom" in table.index
+    assert np.all(np.isfinite(table.select_dtypes("number")))
+    assert "scale" in data["posterior"]["inverse_degrees_of_freedom"].attrs["description"]
+    az.plot_trace(data, var_names=["inverse_degrees_of_freedom", "mu"])
+    az.plot_forest(data, var_names=["inverse_degrees_of_freedom"])
+    az.plot_ppc(data, var_names=["recordings"], num_pp_samples=10)
+    plt.close("all")
+    elpd = float(az.loo(data)["elpd_loo"]) if hasattr(az.loo(data), "__getitem__") else float(az.loo(data).elpd)
+    assert elpd == pytest.approx(leave_one_out(saved["student_t"]).total[0], abs=0.05)
+
+
 def test_users_are_drawn_from_the_t_distribution(saved):
     """Their distance from the centre of their own population: the normal population's is chi-square."""
     tails = {}
