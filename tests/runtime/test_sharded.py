@@ -5,6 +5,7 @@ import signal
 import warnings
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -158,6 +159,25 @@ def test_a_cluster_that_loses_a_worker_gives_the_same(alone: PopulationFit, kept
             fit = fit_population(people(), settings=SETTINGS, seed=2, executor=executor, progress=progress)
     assert killed
     _require_same(alone, fit)
+
+
+def test_heavier_tails_on_a_cluster_are_the_same() -> None:
+    """The weights of persons go to where their fits are, and the factors of their draws too."""
+    distributed = pytest.importorskip("distributed", reason="distributed is not installed (extra: dask)")
+    settings = replace(SETTINGS, distribution="student_t", covariance="diagonal")
+    here = fit_population(people(), settings=settings, seed=2)
+    with (
+        warnings.catch_warnings(),
+        distributed.LocalCluster(
+            n_workers=1, threads_per_worker=1, dashboard_address=None, silence_logs=50, processes=False
+        ) as cluster,
+        distributed.Client(cluster, set_as_default=False) as client,
+    ):
+        warnings.simplefilter("ignore")
+        there = fit_population(people(), settings=settings, seed=2, executor=Cluster(client))
+    _require_same(here, there)
+    assert here.parameters.tail is not None
+    np.testing.assert_array_equal(here.parameters.tail, there.parameters.tail)
 
 
 def deviations_at_random(rng: np.random.Generator, size: int) -> Deviations:
