@@ -50,7 +50,7 @@ million."""
 _UNIT = "N s/m"
 _ELEMENT_KEYS = ("central", "dispersion_between_persons", "dispersion_between_repetitions", "contact_force_exponent")
 _TRUTH_KEYS = ("seed", "network", "elements", "correlation", "noise", "distribution")
-_TAIL_KEYS = ("name", "degrees_of_freedom", "dispersion_between_persons_is")
+_TAIL_KEYS = ("name", "degrees_of_freedom", "dispersion_between_persons_is", "prior")
 
 
 @dataclass(frozen=True, kw_only=True)

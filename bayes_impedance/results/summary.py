@@ -14,7 +14,7 @@ import numpy as np
 from bayes_impedance.network.parameters import unit_of_parameter
 from bayes_impedance.population.calibrated import inseparable_given
 from bayes_impedance.population.fit import PopulationFit, too_few_for_correlations
-from bayes_impedance.population.heavy_tails import STUDENT_T
+from bayes_impedance.population.heavy_tails import HEAVIEST, STUDENT_T
 from bayes_impedance.results.adequacy import Adequacy
 from bayes_impedance.results.misfit import coverage_by_frequency, misfit_words, network_misfits, noise_scale_summary
 from bayes_impedance.results.predictive import Predictive
@@ -167,6 +167,7 @@ def _tails(tail: np.ndarray, known: bool) -> dict[str, Any]:
         "name": STUDENT_T,
         "degrees_of_freedom": _interval(1 / tail, known),
         "dispersion_between_persons_is": "scale of the Student t distribution of the natural logarithm",
+        "prior": f"1/degrees_of_freedom uniform on (0, {HEAVIEST:g})",
     }
 
 

@@ -16,6 +16,7 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.population.fit import QUICK_SETTINGS, PopulationFit
 from bayes_impedance.population.held_out_person import held_out_log_densities
 from bayes_impedance.population.sample_prior import sample_prior
+from bayes_impedance.population.simulate import population_from
 from bayes_impedance.results import load_result, make_result, predict, save_result
 from bayes_impedance.results.leave_one_out import leave_one_out
 from bayes_impedance.results.result import Result
@@ -66,6 +67,8 @@ def test_result_says_what_dispersions_are(saved):
     tail = saved["student_t"].groups["posterior"]["inverse_degrees_of_freedom"]
     assert nu["median"] == pytest.approx(np.quantile(1 / tail, 0.5))
     assert 2 < nu["q05"] < nu["q95"]
+    assert "uniform" in summary["distribution"]["prior"]
+    assert population_from(summary, "summary.json").degrees_of_freedom == nu["median"]
     assert any("Student t" in remark for remark in summary["remarks"])
     assert saved["student_t"].attributes["distribution"] == "student_t"
     assert saved["student_t"].elements_table().attrs["degrees_of_freedom"] == nu
