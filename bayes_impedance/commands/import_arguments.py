@@ -83,7 +83,10 @@ def _spectra(group: argparse._ArgumentGroup) -> None:
         help="sweeps were stopped early where a file has only the first frequencies of the others: it was not cut",
     )
     group.add_argument(
-        "--averages", type=_averages, metavar="N", help="number of averages behind the files' coherence: gives noise_sd"
+        "--averages",
+        type=_averages,
+        metavar="N",
+        help="number of averages behind the files' noise_sd, or behind their coherence, which then gives noise_sd",
     )
 
 
