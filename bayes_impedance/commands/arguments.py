@@ -212,14 +212,18 @@ def _fit_arguments(parser: argparse.ArgumentParser) -> None:
         help="random seed (default: 1); the same seed gives the same result",
     )
     parser.add_argument("--quick", action="store_true", help="fewer draws, for a first look")
+    _exact_calibration(parser)
+    parser.add_argument("--resume", action="store_true", help="continue a fit that was interrupted")
+    _overwrite(parser)
+    _worker_arguments(parser)
+
+
+def _exact_calibration(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--exact-calibration",
         action="store_true",
         help="take the calibration of imported recordings as exact (default: its error is estimated along)",
     )
-    parser.add_argument("--resume", action="store_true", help="continue a fit that was interrupted")
-    _overwrite(parser)
-    _worker_arguments(parser)
 
 
 def _beside(parser: argparse.ArgumentParser) -> None:
@@ -292,6 +296,7 @@ def _diagnose_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="faster: no held-out frequencies, and no computed proposals of separating measurements",
     )
+    _exact_calibration(parser)
     parser.add_argument(
         "--resume", action="store_true", help="continue a diagnosis that was interrupted, from its fit of the network"
     )

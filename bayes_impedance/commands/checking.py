@@ -44,17 +44,14 @@ def require_quantity(recordings: Recordings, network: str | None) -> None:
         If the network describes the recordings as another quantity, and not as impedance.
     """
     from bayes_impedance.network.notation import parse
-    from bayes_impedance.recordings.plausibility import negative_without_cause
-
-    if not negative_without_cause(recordings):
-        return  # what follows takes seconds to import
-    from bayes_impedance.population.other_quantity import require_impedance
 
     if network is None:
         try:
             parse(recordings.network or "")
         except InputError:  # it is a finding of `check`, and a fit refuses it
             return
+    from bayes_impedance.population.other_quantity import require_impedance  # takes seconds to import
+
     require_impedance(recordings, network)
 
 

@@ -161,6 +161,7 @@ def _diagnose(options: argparse.Namespace) -> int:
         subjects=tuple(options.subject),
         seed=options.seed,
         quick=options.quick,
+        exact_calibration=options.exact_calibration,
         workers=options.workers,
         scheduler=options.scheduler,
         overwrite=options.overwrite,

@@ -78,7 +78,15 @@ def _spectra(group: argparse._ArgumentGroup) -> None:
         "--driving-point", action="store_true", help="force and motion are of one place, although it looks otherwise"
     )
     group.add_argument(
-        "--averages", type=_averages, metavar="N", help="number of averages behind the files' coherence: gives noise_sd"
+        "--stopped-sweeps",
+        action="store_true",
+        help="sweeps were stopped early where a file has only the first frequencies of the others: it was not cut",
+    )
+    group.add_argument(
+        "--averages",
+        type=_averages,
+        metavar="N",
+        help="number of averages behind the files' noise_sd, or behind their coherence, which then gives noise_sd",
     )
 
 

@@ -36,6 +36,7 @@ def import_dataset(options: argparse.Namespace, progress: Progress) -> Imported:
     """
     from bayes_impedance.intake import import_recordings
     from bayes_impedance.intake.importing import BESIDE
+    from bayes_impedance.intake.one_person import require_persons
     from bayes_impedance.intake.persons import covariates_of_subjects
     from bayes_impedance.quality.copies import require_distinct
     from bayes_impedance.recordings.files import METADATA_FILE, RECORDINGS_FILES, SUBJECTS_FILE, write_recordings
@@ -46,6 +47,8 @@ def import_dataset(options: argparse.Namespace, progress: Progress) -> Imported:
     named = replace(imported.recordings, title=str(options.sources[0]))
     require_quantity(named, None)
     require_distinct(named)
+    if settings.who is None and imported.named_by_files:
+        require_persons(named.subjects, named.title)
     beside = imported.beside()
     if options.subjects is not None:
         content, told = covariates_of_subjects(options.subjects, imported.recordings.names, settings.table)
@@ -127,6 +130,7 @@ def settings_of(options: argparse.Namespace) -> ImportSettings:
         licence=options.licence,
         network=options.network,
         driving_point=options.driving_point,
+        stopped_sweeps=options.stopped_sweeps,
     )
 
 

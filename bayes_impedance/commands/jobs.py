@@ -237,8 +237,8 @@ def diagnose_dataset(
     out : Path
         Folder for the results.
     options : FitOptions
-        Network, covariance, covariates (those that are tested; all if none are named), subjects, seed, quick, workers
-        and scheduler.
+        Network, covariance, covariates (those that are tested; all if none are named), subjects, seed, quick,
+        exact_calibration, workers and scheduler.
     simulation : Path or None
         Dataset of a simulated population that claims to describe the recordings.
     resume : bool

@@ -17,6 +17,7 @@ from bayes_impedance.diagnosis.extended_network import ExtendedNetwork, extended
 from bayes_impedance.diagnosis.extended_posterior import extended_posterior
 from bayes_impedance.diagnosis.findings import Findings, find
 from bayes_impedance.diagnosis.fit.baseline import Fitted, fit_network
+from bayes_impedance.diagnosis.fit.calibration_error import Corrected, without_calibration_error
 from bayes_impedance.diagnosis.fit.majority import joined
 from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
@@ -26,6 +27,7 @@ from bayes_impedance.diagnosis.heterogeneity.subgroups import Subgroup
 from bayes_impedance.diagnosis.heterogeneity.tests import find_structures
 from bayes_impedance.diagnosis.hum.leakage import find_skirts
 from bayes_impedance.diagnosis.hum.line import Hum, find_mains, without_hum
+from bayes_impedance.diagnosis.rig_instead import beyond_calibration, rig_instead, without_rig
 from bayes_impedance.diagnosis.selection.compare import log_evidence
 from bayes_impedance.diagnosis.selection.cross_validation import held_out
 from bayes_impedance.diagnosis.selection.restart import another_beginning
@@ -47,6 +49,10 @@ _MAINS_ALPHA = 1e-3
 """Corrected level of the search for hum. By choice: stricter than other levels, because affected points are left
 out."""
 
+_SEARCHES = 3
+"""Largest number of searches in recordings whose calibration has an error: the second is with an error that what the
+first has found no longer moves. By choice."""
+
 _OF_THE_SHAPE = (Subgroup, CorrelationTest)
 """Findings about the shape of the population's distribution. The elements of an unnamed network only approximate the
 physics, and their distribution is another one: a covariate or a drift still shifts them, but groups and correlations
@@ -55,6 +61,10 @@ may be artefacts of the network."""
 _SHAPE_UNKNOWN = (
     "The elements are not distributed as the population's distribution says; whether people form groups cannot be "
     "known while elements without a name describe them."
+)
+
+_QUICK_IS_EXACT = (
+    "Without the population's posterior (--quick) the intervals of what was found take the calibration as exact."
 )
 
 _NO_POSTERIOR = (
@@ -147,8 +157,6 @@ def diagnose(
     """
     from threadpoolctl import threadpool_limits
 
-    # The rig's effects are among the candidates: what a calibration has left is found there if it is seen.
-    recordings = replace(recordings, calibration=None)
     clock = Clock()
     candidates = registered() if effects is None else effects
     own = executor_of(workers) if executor is None else nullcontext(executor)
@@ -163,37 +171,44 @@ def diagnose(
             checkpoint=None if checkpoint is None else Path(checkpoint),
             prior=prior,
         )
+        with clock.measure("fit"):
+            inside = without_calibration_error(recordings, network, seed, executor, progress)
         claimed = None
         if simulation is not None:
             with clock.measure("simulation"):
                 claimed = claim_of(simulation, network, offered(candidates, simulation), seed, executor, progress)
-        return _diagnose(recordings, network, claimed, job, clock)
+        return _diagnose(inside, claimed, job, clock)
 
 
-def _diagnose(
-    recordings: Recordings,
-    network: Network | str | None,
-    claimed: Claim | None,
-    job: _Job,
-    clock: Clock,
-) -> Diagnosis:
+def _diagnose(inside: Corrected, claimed: Claim | None, job: _Job, clock: Clock) -> Diagnosis:
     """The steps in their order: fit, search, confirm, report."""
-    compared = recordings if claimed is None else claimed.without_rest(recordings)
-    with clock.measure("fit"):
-        first = _fit_without_hum(compared, network, job)
-        base, begin = _start(claimed, first.fitted, job)
-    look = find(first.fitted, base, begin, job.effects, job.seed, job.executor, job.progress, clock)
-    if look.nameless:
-        look = _look_again(look, first.fitted, base, job, clock)
+    for k in range(_SEARCHES):
+        compared = inside.recordings if claimed is None else claimed.without_rest(inside.recordings)
+        first, look = _found(compared, inside.network, claimed, job, clock)
+        larger = without_rig(look.final.model, inside)
+        if inside.given.calibration is None or not larger.additions or k == _SEARCHES - 1:
+            break
+        with clock.measure("fit"):
+            network = extended_network(larger, first.fitted.shared).network
+            again = inside.with_found(network, job.seed, job.executor, job.progress)
+        if again is inside:
+            break
+        inside = again
     with clock.measure("confirm"):
         evidence = _confirm(first, look, claimed, job)
+        instead = rig_instead(inside, first.fitted, evidence.final, evidence.remaining)
+        evidence = replace(evidence, remarks=(*inside.remarks, *instead, *evidence.remarks))
+        if instead and job.quick:
+            evidence = replace(evidence, remarks=(*evidence.remarks, _QUICK_IS_EXACT))
     extended = extended_network(evidence.final.model, first.fitted.shared) if evidence.changed else None
     fit = None
     if extended is not None and not job.quick:
         with clock.measure("posterior"):
-            evidence, fit = _measured(evidence, extended, first.clean, job)
+            measured = inside.as_given(first.clean)
+            evidence, fit = _measured(evidence, extended, measured, job)
     with clock.measure("verdict"):
-        verdict = make_verdict(recordings, first.fitted, evidence, extended, job.seed)
+        verdict = make_verdict(inside.recordings, first.fitted, evidence, extended, job.seed)
+        verdict = replace(verdict, detectable=beyond_calibration(inside, verdict.detectable))
     return Diagnosis(
         title=compared.title,
         unit=compared.unit,
@@ -209,6 +224,17 @@ def _diagnose(
         fit=fit,
         seconds=clock.seconds,
     )
+
+
+def _found(
+    compared: Recordings, network: Network | str | None, claimed: Claim | None, job: _Job, clock: Clock
+) -> tuple[_First, Findings]:
+    """The fit of the network, and what it lacks."""
+    with clock.measure("fit"):
+        first = _fit_without_hum(compared, network, job)
+        base, begin = _start(claimed, first.fitted, job)
+    look = find(first.fitted, base, begin, job.effects, job.seed, job.executor, job.progress, clock)
+    return first, _look_again(look, first.fitted, base, job, clock) if look.nameless else look
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,8 @@ from bayes_impedance.units import HIGHEST_HZ, LARGEST_IMPEDANCE, LOWEST_HZ, SMAL
 
 SIGN = "sign"
 """What runs with known loads have found: a wrong sign of the recordings is then an error of these runs."""
+STOPPED = "stopped sweeps"
+"""What is said of sweeps: files with only the first frequencies of the others are then not cut."""
 
 
 def assemble(
@@ -37,13 +39,14 @@ def assemble(
     ----------
     spectra : sequence of Spectrum
     believed : collection of str
-        What is known of the recordings and is not doubted: ``driving point``, ``Hz``, ``sign``.
+        What is known of the recordings and is not doubted: ``driving point``, ``Hz``, ``sign``, ``stopped sweeps``.
 
     Raises
     ------
     InputError
-        If units differ, a name is impossible or there twice, repetitions share too few frequencies, or most are complex
-        conjugates, of the wrong sign, transfer functions, or at frequencies in another unit.
+        If units differ, a name is impossible or there twice, a file seems to be cut, repetitions share too few
+        frequencies, or most are complex conjugates, of the wrong sign, transfer functions, or at frequencies in another
+        unit.
     """
     if not spectra:
         raise InputError("there is no recording in the files; name others")
@@ -54,10 +57,13 @@ def assemble(
                 f"{spectra[0].unit}; import the two kinds into different datasets"
             )
         _check_values(spectrum)
+    short = shorter_grids([(one.source, one.frequency_hz) for one in spectra])
+    if short and STOPPED not in believed:
+        raise InputError(f"{short[0][0]}: {short[0][1]}, or give --stopped-sweeps if it was stopped there")
+    notes = [f"{source}: {what}" for source, what in short]
     people: dict[str, list[Spectrum]] = {}
     for spectrum in spectra:
         people.setdefault(spectrum.subject, []).append(spectrum)
-    notes: list[str] = []
     subjects, kept = [], []
     for own in people.values():
         named = _repetitions(own)
@@ -79,7 +85,6 @@ def assemble(
             )
         except ValueError as error:
             raise InputError(f"{own[0].source}: {error}") from None
-    notes += [f"{people[name][0].source}: subject {shown(name)}: {what}" for name, what in shorter_grids(subjects)]
     if HERTZ not in believed:
         notes += _required_hertz(spectra[0], subjects)
     places = [] if DRIVING_POINT in believed else [verdict_of(one.frequency_hz, one.mean) for one in subjects]

@@ -11,10 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from bayes_impedance.intake.assembly import SIGN, assemble
+from bayes_impedance.intake.assembly import SIGN, STOPPED, assemble
 from bayes_impedance.intake.calibrating import Calibrated, CalibrationSettings, calibrated
 from bayes_impedance.intake.calibration_files import CALIBRATION_FILE, RIG_FILE, calibration_files, csv_bytes
 from bayes_impedance.intake.moderated_noise import moderated
+from bayes_impedance.intake.names import who_is
 from bayes_impedance.intake.reading import Progress, ReadingSettings, read_spectra
 from bayes_impedance.intake.spectrum import Spectrum
 from bayes_impedance.recordings.dataset import Recordings
@@ -41,6 +42,8 @@ class ImportSettings(ReadingSettings):
     network : str or None
     driving_point : bool
         Whether it is said that force and motion are of one place, whatever the curves look like.
+    stopped_sweeps : bool
+        Whether it is said that sweeps were stopped early, where a file has only the first frequencies of the others.
     """
 
     calibration: CalibrationSettings = field(default_factory=CalibrationSettings)
@@ -49,6 +52,7 @@ class ImportSettings(ReadingSettings):
     licence: str = ""
     network: str | None = None
     driving_point: bool = False
+    stopped_sweeps: bool = False
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -72,6 +76,11 @@ class Imported:
     notes: tuple[str, ...]
     sources: tuple[tuple[str, str], ...]
     calibration: Calibrated
+
+    @property
+    def named_by_files(self) -> bool:
+        """Whether every subject is called as its file is."""
+        return all(one.subject == who_is(one.source, None).subject for one in self.spectra)
 
     def recipe(self, arguments: Sequence[str]) -> str:
         """The table ``[import]`` of dataset.toml: arguments, sources with their digests, notes."""
@@ -129,6 +138,7 @@ def import_recordings(
     notes += calibration.notes
     said = settings.spectra
     believed = {DRIVING_POINT} if settings.driving_point else set()
+    believed |= {STOPPED} if settings.stopped_sweeps else set()
     believed |= {HERTZ} if said.frequency_unit is not None else set()
     believed |= {SIGN} if settings.calibration.known_loads else set()
     quieter, told = moderated(calibration.spectra)

@@ -47,7 +47,7 @@ class SpectraSettings:
     negated : bool
         Force or motion is counted the other way.
     averages : int or None
-        Number of averages behind the files' coherence, from which the noise follows.
+        Number of averages behind the files' noise, or behind their coherence, from which the noise follows.
     """
 
     columns: dict[str, str] = field(default_factory=dict)
@@ -120,7 +120,7 @@ def spectra_of(contents: Contents, who: Who, settings: SpectraSettings) -> tuple
                     unit=response.unit,
                     source=contents.file,
                     noise_sd=one[2],
-                    degrees_of_freedom=_degrees(settings, one[2], columns),
+                    degrees_of_freedom=_degrees(settings, one[2]),
                     coherence=one[3],
                     facts={**who.facts, **contents.facts},
                 )
@@ -128,10 +128,9 @@ def spectra_of(contents: Contents, who: Who, settings: SpectraSettings) -> tuple
     return found, notes
 
 
-def _degrees(settings: SpectraSettings, noise: FloatArray | None, columns: dict[str, Column]) -> float | None:
-    """Degrees of freedom of averages, for the noise by coherence: 2 (n - 1), n complex averages less the response."""
-    known = noise is not None and settings.averages is not None and "noise_sd" not in columns
-    return 2.0 * (settings.averages - 1) if known and settings.averages else None
+def _degrees(settings: SpectraSettings, noise: FloatArray | None) -> float | None:
+    """Degrees of freedom of averages behind a noise: 2 (n - 1), n complex averages less the response."""
+    return None if noise is None or settings.averages is None else 2.0 * (settings.averages - 1)
 
 
 def _frequency(contents: Contents, columns: dict[str, Column], settings: SpectraSettings) -> FloatArray:

@@ -117,6 +117,8 @@ def read_text_table(data: bytes, file: str, how: TableFormat | None = None) -> C
         notes += _cut_short(columns[-1], f"{file}, row {rows[-1]}")
     decimal = how.decimal or _decimal(columns, file)
     header, units = _header(lines[:first], width, split)
+    if header is None and any(2 * len(split(line)) == width for line in lines[:first]):  # every number is two cells
+        _require_points(lines[first], lines[first], split, file)
     kept = [i for i in range(width) if header is None or header[i] or any(columns[i])]
     variables = []
     for i in kept:
@@ -203,6 +205,7 @@ def _first_row(lines: Sequence[str], split: Splitter, file: str) -> int:
     if above is not None:
         cells, below = split(lines[above]), len(split(lines[start]))
         if len(cells) > 1 and all(map(_is_number, cells)):
+            _require_points(lines[above], lines[start], split, file)
             raise InputError(
                 f"{file}, row {above + 1}: there are {len(cells)} cells, but {below} in the rows below; correct the row"
             )
@@ -232,6 +235,7 @@ def _columns(
         if len(cells) != width:
             if _is_comment(line):
                 continue
+            _require_points(lines[first], line, split, file)
             last = not any(rest.strip() for rest in lines[i + 1 :])
             cause = "the file is cut short: copy it again, or delete the row" if last else "correct the row"
             raise InputError(
@@ -240,6 +244,16 @@ def _columns(
         records.append(cells)
         rows.append(i + 1)
     return list(zip(*records, strict=True)), np.array(rows)
+
+
+def _require_points(one: str, other: str, split: Splitter, file: str) -> None:
+    """Refuse decimal commas beside commas between columns, in two rows whose numbers of cells are not right."""
+    cells = [*split(one), *split(other)]
+    if one.count(",") == len(split(one)) - 1 and not any("." in cell for cell in cells) and all(map(_is_number, cells)):
+        raise InputError(
+            f"{file}: there seem to be decimal commas, and commas between the columns too, which cannot be told apart; "
+            "export with semicolons or tabs between the columns, or with decimal points"
+        )
 
 
 def _cut_short(cells: Sequence[str], where: str) -> tuple[str, ...]:

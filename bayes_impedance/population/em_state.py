@@ -262,13 +262,21 @@ class State:
         return equations_of(self.data, self.fits, self.pooling, self.phi, np.linalg.inv(self.covariance), self.rho)
 
     def shared_covariance(self, with_prior: bool) -> np.ndarray:
-        """Approximate posterior covariance (S, S) of the shared parameters; without their prior if not asked for."""
+        """Approximate posterior covariance (S, S) of the shared parameters; without their prior if not asked for.
+
+        What is known from other recordings is data: a delay of the load beside one of the rig is as determined as the
+        calibration determines the rig's.
+        """
         curvature = self._information(self.shared_equations(), with_prior)[0]
         return np.asarray(np.linalg.inv(curvature)[: self.phi.size, : self.phi.size])
 
     def _information(self, equations: Kept, with_prior: bool = True) -> tuple[np.ndarray, np.ndarray]:
         parts = equations.ask(summed)
-        own = self.shared_prior.precision if with_prior else _NO_PRIOR * np.eye(self.phi.size)
+        own = self.shared_prior.precision
+        if not with_prior:
+            known = np.flatnonzero(self.shared_prior.known)
+            own = _NO_PRIOR * np.eye(self.phi.size)
+            own[np.ix_(known, known)] += self.shared_prior.of(known).precision
         prior = block_diag(own, self.prior.precision)
         return _total(c for c, _ in parts) + prior, _total(g for _, g in parts)
 

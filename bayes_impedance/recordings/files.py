@@ -220,8 +220,10 @@ class _Reading:
 
     def shorter(self) -> Iterator[str]:
         """Remarks on subjects whose frequencies end before those of everybody else."""
-        for name, what in shorter_grids(self.subjects):
-            yield f'{self.ended[name]}: subject "{name}" ends here: {what}'
+        for name, what in shorter_grids([(subject.name, subject.frequency_hz) for subject in self.subjects]):
+            yield (
+                f'{self.ended[name]}: subject "{name}" ends here: {what}, and if the sweep was stopped there, keep it'
+            )
 
     def match_covariates(self, file: str) -> tuple[str, ...]:
         """Refuse subjects without covariates; warn of covariates without recordings."""

@@ -114,6 +114,16 @@ def test_noise_from_a_column_and_from_coherence(tmp_path: Path) -> None:
     assert "noise_degrees_of_freedom\nb,1,14\n" in (tmp_path / "imported" / "repetitions.csv").read_text()
 
 
+def test_noise_of_few_averages_in_a_column_is_moderated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of a smooth noise, five averages show one that scatters by chance; the averages say so."""
+    sd = 0.02 * np.sqrt(np.random.default_rng(1).chisquare(8, F.size) / 8)
+    (tmp_path / "a.csv").write_text(table({"f": F, "z_re": Z.real, "z_im": Z.imag, "noise_sd": sd}), encoding="utf-8")
+    np.testing.assert_allclose(imported(tmp_path, tmp_path / "a.csv").noise_sd, [sd])
+    moderated = imported(tmp_path, tmp_path / "a.csv", "--averages", 5).noise_sd
+    assert np.std(np.log(moderated / 0.02)) < 0.7 * np.std(np.log(sd / 0.02))
+    assert "noise_sd of 8 degrees of freedom was moderated" in capsys.readouterr().out
+
+
 def test_the_recipe_makes_the_same_dataset_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "a.csv").write_text(table({"f": F, "re": Z.real, "im": -Z.imag}), encoding="utf-8")
     columns = ("--columns", "frequency=f", "imaginary=-im", "real=re")

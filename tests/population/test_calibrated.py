@@ -129,3 +129,23 @@ def test_one_person_has_the_calibrations_error_too() -> None:
     assert fit.identified.all()
     assert spread(fit, "g_rig") == pytest.approx(0.1, rel=0.2)
     assert spread(fit, "m1") > 0.09
+
+
+def test_what_the_network_has_beside_the_rig_is_as_uncertain_as_the_calibration() -> None:
+    """A delay of the load, beside one of the rig: only their sum is seen, and the rig's is known to 10 us."""
+    error = CommonError(
+        network="delay[d_rig*](NETWORK)",
+        parameters=("d_rig",),
+        mean=np.zeros(1),
+        sd=np.array([1e-5]),
+        correlation=np.eye(1),
+        share=1.0,
+    )
+    given = people(error)
+    s, late = 2j * np.pi * FREQUENCY_HZ, 3e-5
+    given = replace(given, subjects=tuple(replace(one, z=one.z * np.exp(-late * s)) for one in given.subjects))
+    fit = fit_population(given, "delay[d1*](m1|r1|n1)", settings=QUICK_SETTINGS, seed=1, workers=1)
+    assert fit.identified.all()
+    # The recordings know the sum to 1 us.
+    assert spread(fit, "d1") == pytest.approx(1e-5, rel=0.2)
+    assert fit.parameters.mu[:, fit.kernel.elements.index("d1")].mean() == pytest.approx(late, abs=1e-5)

@@ -1,6 +1,7 @@
 """Recordings of another quantity are refused with the quantity's name; an impedance behind a lag or a filter is not."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,9 @@ import pytest
 from bayes_impedance.commands.cli import main
 from bayes_impedance.errors import InputError
 from bayes_impedance.network import Kernel, parse
-from bayes_impedance.population.other_quantity import require_impedance
+from bayes_impedance.population.other_quantity import _Error, _is_better, require_impedance
 from bayes_impedance.recordings import Recordings, Subject, read_recordings, write_recordings
+from bayes_impedance.recordings.plausibility import negative_without_cause
 
 NETWORK = "m1|r1|n1"
 FREQUENCY = np.geomspace(5.0, 500.0, 60)
@@ -42,11 +44,31 @@ def people(change: Change = lambda z: z, **said: str) -> Recordings:
         ("receptance", lambda z: 1 / (S * z)),
         ("dynamic stiffness", lambda z: z * S),
         ("apparent mass", lambda z: z / S),
+        ("mobility", lambda z: 1 / z),
+        ("accelerance", lambda z: S / z * np.exp(-3e-4 * S)),  # with a late channel
     ],
 )
 def test_another_quantity_is_named(name: str, change: Change) -> None:
     with pytest.raises(InputError, match=f"if they are {name} .*--form '{name}'"):
         require_impedance(people(change))
+
+
+def test_a_quantity_that_looks_passive_is_named_too() -> None:
+    """Mobility has a positive real part at all frequencies, and nothing needs an explanation but the network."""
+    given = people(lambda z: 1 / z)
+    assert not negative_without_cause(given)
+    with pytest.raises(InputError, match=r"or \| and - of the network are exchanged"):
+        require_impedance(given)
+
+
+def test_what_is_better_by_the_likelihood_alone_needs_a_negative_real_part() -> None:
+    noise = _Error(error=0.01, noise=0.01, first=0.0)
+    structure = replace(noise, error=0.02)
+    assert _is_better(noise, 0.012, 200)
+    assert not _is_better(noise, 0.012, 0)
+    assert not _is_better(noise, 0.0104, 2000)  # searches end so near to each other
+    assert not _is_better(structure, 0.05, 200)
+    assert _is_better(structure, 0.07, 0)
 
 
 @pytest.mark.parametrize(

@@ -67,12 +67,14 @@ def test_other_grids_are_not_remarked_on(tmp_path: Path, content: str) -> None:
     assert read_recordings(dataset(tmp_path, content)).warnings == ()
 
 
-def test_import_remarks_on_it_too(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_import_refuses_it_unless_sweeps_were_stopped(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     for who, count in (("A", 6), ("B", 4), ("C", 6)):
         lines = (HEADER + rows(who, *FREQUENCIES[:count])).splitlines()
         text = "\n".join(",".join(line.split(",")[2:]) for line in lines) + "\n"
         (tmp_path / f"{who}.csv").write_text(text, encoding="utf-8")
     files = [str(tmp_path / f"{who}.csv") for who in "ABC"]
-    assert main(["import", *files, "-o", str(tmp_path / "out")]) == 0
+    assert main(["import", *files, "-o", str(tmp_path / "out")]) == 2
+    assert "B.csv: the frequencies end at 40 Hz after 4" in capsys.readouterr().err
+    assert main(["import", *files, "-o", str(tmp_path / "out"), "--stopped-sweeps"]) == 0
     said = capsys.readouterr()
-    assert 'B.csv: subject "B": the frequencies end at 40 Hz after 4' in said.out + said.err
+    assert "B.csv: the frequencies end at 40 Hz after 4" in said.out + said.err

@@ -13,10 +13,12 @@ from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.model import build, scales_of
 from bayes_impedance.diagnosis.fit.normal_equations import Population
 from bayes_impedance.diagnosis.fit.refit import Refit
+from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Network
 from bayes_impedance.population.em import Estimate, estimate
 from bayes_impedance.population.given_prior import GivenPrior
 from bayes_impedance.population.natural_scales import default_prior
+from bayes_impedance.population.prior import Prior
 from bayes_impedance.population.recording_noise import initial_likelihoods
 from bayes_impedance.population.requirements import checked_model
 from bayes_impedance.population.shared import Pooling
@@ -85,34 +87,16 @@ def fit_network(
     the starts and holds in the point estimate; in the refits that follow elements are free, except those of one person.
     """
     kernel = checked_model(recordings, network).kernel
-    tree = kernel.network
+    tree, one = kernel.network, len(recordings.subjects) == 1
     prior = default_prior(kernel, recordings)
     if given is not None:
         prior = given.applied(prior, kernel, recordings.unit)
-    seeds = np.random.SeedSequence(seed).spawn(2)
-    one = len(recordings.subjects) == 1
-    pooling = Pooling(kernel) if one else Pooling.of(kernel)
     if checkpoint is not None:
         said = () if given is None else (given.text(),)
         claim(checkpoint, (s.digest for s in recordings.subjects), version("bayes_impedance"), str(tree), seed, *said)
-    first = first_fits(kernel, recordings, prior, seeds[0], executor, progress, checkpoint)
-    likelihoods = initial_likelihoods(recordings, first.model, pooling.varying.size, executor)
-    no_covariates = np.zeros((len(recordings.subjects), 0))
-    kept = None if checkpoint is None else checkpoint / "point_estimate.npz"
-    point = estimate(
-        pooling,
-        likelihoods,
-        first,
-        prior,
-        no_covariates,
-        True,
-        seeds[1],
-        progress,
-        one_person=one,
-        checkpoint=kept,
-    )
+    point = point_estimate(recordings, kernel, prior, seed, executor, progress, checkpoint)
     refitter = Refitter(point.likelihoods, executor, one)
-    held = _shared_values(pooling, point)
+    held = shared_values(point)
     model = build(tree.holding(held), (), scales_of(recordings), ())
     u = np.concatenate([m.theta + d.deviations for m, d in zip(point.modes, point.likelihoods, strict=True)])
     fit = refitter.fit(model, u, Population(point.mu, point.covariance, point.between_repetitions), 80)
@@ -130,8 +114,38 @@ def fit_network(
     )
 
 
-def _shared_values(pooling: Pooling, point: Estimate) -> dict[str, float]:
+def point_estimate(
+    recordings: Recordings,
+    kernel: Kernel,
+    prior: Prior,
+    seed: int,
+    executor: Executor,
+    progress: Progress,
+    checkpoint: Path | None = None,
+) -> Estimate:
+    """The most probable population of a network, from many starts for everybody."""
+    seeds = np.random.SeedSequence(seed).spawn(2)
+    one = len(recordings.subjects) == 1
+    pooling = Pooling(kernel) if one else Pooling.of(kernel)
+    first = first_fits(kernel, recordings, prior, seeds[0], executor, progress, checkpoint)
+    likelihoods = initial_likelihoods(recordings, first.model, pooling.varying.size, executor)
+    return estimate(
+        pooling,
+        likelihoods,
+        first,
+        prior,
+        np.zeros((len(recordings.subjects), 0)),  # no covariates
+        True,
+        seeds[1],
+        progress,
+        one_person=one,
+        checkpoint=None if checkpoint is None else checkpoint / "point_estimate.npz",
+    )
+
+
+def shared_values(point: Estimate) -> dict[str, float]:
     """Estimates of the parameters that are the same for everybody, in their units."""
+    pooling = point.pooling
     if not pooling.names:
         return {}
     whole = Whole(pooling)

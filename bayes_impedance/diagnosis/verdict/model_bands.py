@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from dataclasses import replace
 
 import numpy as np
 
 from bayes_impedance.diagnosis.fit.baseline import fit_network
+from bayes_impedance.diagnosis.fit.calibration_error import without_calibration_error
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.residuals.locate import residual_maps
@@ -39,8 +39,9 @@ def described(recordings: Recordings, network: str, seed: int, executor: Executo
     """
     from threadpoolctl import threadpool_limits
 
-    recordings = replace(recordings.in_memory(), calibration=None)
     with threadpool_limits(1):
+        inside = without_calibration_error(recordings.in_memory(), network, seed, executor, progress)
+        recordings, network = inside.recordings, str(inside.network)
         fit = fit_network(recordings, network, seed, executor, progress).fit
         residuals = person_residuals(fit, recordings.names, executor)
         return snapshot("before", recordings, fit, residuals, seed)

@@ -1,0 +1,79 @@
+r"""Files that are taken for as many persons by their names, although they hold one person again and again.
+
+People differ by tens of per cent, and one finger that is put down again by some per cent; what nobody has touched
+between two recordings differs by noise alone. With :math:`D_i = \ln z_i - \overline{\ln z}` on a common grid of F
+frequencies and polynomials :math:`p_k` of ln f that are orthonormal on it, smooth differences are
+
+.. math:: S^2 = \frac{1}{N - 1}\sum_{i,k} \left|\frac1F \sum_f p_k(f)\,D_i(f)\right|^2,
+
+of which noise makes :math:`S_0^2`, the same with the noise of each point, from second differences of :math:`D_i` over
+frequency (of independent values they have six times the variance). :math:`S^2` is a sum of 2 K (N - 1) squares, so that
+its standard error is at most :math:`S^2/\sqrt{K (N - 1)}`, and the objects differ by less than
+
+.. math:: \sqrt{\max(S^2 - S_0^2, 0) + 2\,S^2/\sqrt{K (N - 1)}} .
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from bayes_impedance.errors import InputError
+from bayes_impedance.intake.spectrum import ComplexArray, FloatArray
+from bayes_impedance.recordings.dataset import Subject
+
+ALIKE = 0.01
+"""Relative difference below which recordings are of one object that was not even put down again. By choice: the
+elements of a finger that is put down again differ by two per cent and more, those of people by tens."""
+LEAST_FILES = 3
+"""Fewest files that are compared. By choice: of two nobody knows whether they are alike by accident."""
+_DEGREES = 3
+"""Polynomials: level, slope and curvature over the band. By choice: people differ in all of them."""
+_LEAST_POINTS = 8
+"""Fewest frequencies of the comparison. By choice: second differences of fewer say little of the noise."""
+
+
+def require_persons(subjects: Sequence[Subject], source: str) -> None:
+    """Refuse files that are one person again and again.
+
+    Parameters
+    ----------
+    subjects : sequence of Subject
+        Named by their files; only those with a single recording, all on the same frequencies, are compared.
+    source : str
+        For the message.
+
+    Raises
+    ------
+    InputError
+        If they differ by less than :data:`ALIKE`.
+    """
+    frequency = subjects[0].frequency_hz
+    if len(subjects) < LEAST_FILES or frequency.size < _LEAST_POINTS:
+        return
+    if any(len(s.z) > 1 or not np.array_equal(s.frequency_hz, frequency) for s in subjects):
+        return
+    apart = difference(frequency, np.array([s.z[0] for s in subjects]))
+    if apart < ALIKE:
+        raise InputError(
+            f"{source}: {len(subjects)} files are taken for as many subjects by their names, but apart from noise they "
+            f"differ by less than {apart:.2g} of |z|, and people by tens of per cent: these seem to be one subject, "
+            "recorded again and again; say which part of a name is the subject and which the repetition, for instance "
+            "with --subject-from-name '(?P<subject>[^_]+)_(?P<repetition>\\d+)', or, if every file is another subject, "
+            "with '(?P<subject>.+)'"
+        )
+
+
+def difference(frequency_hz: FloatArray, z: ComplexArray) -> float:
+    """Largest smooth relative difference between objects that their recordings (N, F) leave possible."""
+    n, size = z.shape
+    powers = np.vander(np.log(frequency_hz), _DEGREES, increasing=True)
+    basis = np.linalg.qr(powers)[0].T * np.sqrt(size)
+    curve = np.log(z / z.mean(axis=0))
+    apart = curve - curve.mean(axis=0)
+    square = float(np.sum(np.abs(apart @ basis.T / size) ** 2)) / (n - 1)
+    noise = np.abs(np.diff(apart, 2, axis=1)) ** 2 / 6
+    by_noise = float(np.sum(noise @ basis[:, 1:-1].T ** 2)) / size**2 / (n - 1)
+    error = square / np.sqrt(_DEGREES * (n - 1))
+    return float(np.sqrt(max(square - by_noise, 0.0) + 2 * error))
