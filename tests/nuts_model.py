@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -306,3 +306,18 @@ class Comparison:
 def compare(ours: Samples, nuts: Samples) -> list[Comparison]:
     """Every quantity in both."""
     return [Comparison(name, Moments.of(ours.values[name]), Moments.of(nuts.values[name])) for name in nuts.values]
+
+
+MEAN, SPREAD, ERRORS = 0.15, 0.10, 3.0
+"""Allowances: posterior standard deviations of a mean, relative for a spread, and standard errors beside them."""
+
+
+def differing(table: Sequence[Comparison]) -> list[str]:
+    """Quantities beyond the allowances, one line each."""
+    found = []
+    for c in table:
+        if not abs(c.shift) < MEAN + ERRORS * c.shift_error:
+            found.append(f"{c.name}: mean off by {c.shift:.3f} +- {c.shift_error:.3f} sd")
+        if not abs(c.spread - 1) < SPREAD + ERRORS * c.spread_error:
+            found.append(f"{c.name}: spread ratio {c.spread:.3f} +- {c.spread_error:.3f}")
+    return found

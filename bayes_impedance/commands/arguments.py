@@ -202,6 +202,15 @@ def _fit_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--priors", type=Path, metavar="TOML", help="prior of elements, dispersions and correlations (default: broad)"
     )
+    _subjects_and_seed(parser, "result")
+    parser.add_argument("--quick", action="store_true", help="fewer draws, for a first look")
+    _exact_calibration(parser)
+    parser.add_argument("--resume", action="store_true", help="continue a fit that was interrupted")
+    _overwrite(parser)
+    _worker_arguments(parser)
+
+
+def _subjects_and_seed(parser: argparse.ArgumentParser, what: str) -> None:
     parser.add_argument(
         "--subject", action="append", default=[], metavar="NAME", help="use only this subject; repeatable"
     )
@@ -209,13 +218,8 @@ def _fit_arguments(parser: argparse.ArgumentParser) -> None:
         "--seed",
         type=whole(LARGEST_SEED, at_least=0),
         default=1,
-        help="random seed (default: 1); the same seed gives the same result",
+        help=f"random seed (default: 1); the same seed gives the same {what}",
     )
-    parser.add_argument("--quick", action="store_true", help="fewer draws, for a first look")
-    _exact_calibration(parser)
-    parser.add_argument("--resume", action="store_true", help="continue a fit that was interrupted")
-    _overwrite(parser)
-    _worker_arguments(parser)
 
 
 def _exact_calibration(parser: argparse.ArgumentParser) -> None:
@@ -246,15 +250,7 @@ def _covariate_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="test only this covariate, column of text, or interaction; repeatable (default: all of the dataset)",
     )
-    parser.add_argument(
-        "--subject", action="append", default=[], metavar="NAME", help="use only this subject; repeatable"
-    )
-    parser.add_argument(
-        "--seed",
-        type=whole(LARGEST_SEED, at_least=0),
-        default=1,
-        help="random seed (default: 1); the same seed gives the same result",
-    )
+    _subjects_and_seed(parser, "result")
     _overwrite(parser)
     _worker_arguments(parser)
 
@@ -282,15 +278,7 @@ def _diagnose_arguments(parser: argparse.ArgumentParser) -> None:
         help="test only whether elements follow this covariate; repeatable (default: every covariate of the dataset)",
     )
     parser.add_argument("--priors", type=Path, metavar="TOML", help="prior of the network's elements (default: broad)")
-    parser.add_argument(
-        "--subject", action="append", default=[], metavar="NAME", help="use only this subject; repeatable"
-    )
-    parser.add_argument(
-        "--seed",
-        type=whole(LARGEST_SEED, at_least=0),
-        default=1,
-        help="random seed (default: 1); the same seed gives the same verdict",
-    )
+    _subjects_and_seed(parser, "verdict")
     parser.add_argument(
         "--quick",
         action="store_true",

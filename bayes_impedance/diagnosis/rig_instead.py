@@ -14,7 +14,7 @@ from dataclasses import replace
 
 from bayes_impedance.diagnosis.catalogue.effect import Candidate, Effect
 from bayes_impedance.diagnosis.catalogue.rig import RIG_DAMPING, RIG_DELAY, RIG_MASS, RIG_STIFFNESS
-from bayes_impedance.diagnosis.fit.baseline import Fitted
+from bayes_impedance.diagnosis.fit.baseline import ROUNDS, Fitted
 from bayes_impedance.diagnosis.fit.calibration_error import (
     Corrected,
     deviations_of,
@@ -40,9 +40,6 @@ _AS_EFFECTS = {
     ("delay", "d"): RIG_DELAY,
 }
 """Effects of the catalogue that are a wrapper with a parameter of this letter around the network."""
-
-_ROUNDS = 80
-"""Largest number of rounds of the fit, as of the network alone."""
 
 
 def rig_instead(
@@ -74,7 +71,7 @@ def rig_instead(
         model = extended(model, Candidate(effect, "port", {}), "shared", 0.0)
     if model is base.model:
         return ()
-    rig = fitted.refitter.fit(model, *extended_start(base, model), _ROUNDS)
+    rig = fitted.refitter.fit(model, *extended_start(base, model), ROUNDS)
     values = dict(inside.values)
     for k, (name, effect) in enumerate(effects.items()):
         coefficient = effect.coefficients[0]

@@ -6,8 +6,6 @@ posterior standard deviations for a mean and 10 % for a spread, plus three stand
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import pytest
 
 pytest.importorskip("numpyro", reason="needs numpyro, the independent reference: pip install .[oracle]")
@@ -17,6 +15,7 @@ from nuts_model import (
     Comparison,
     Samples,
     compare,
+    differing,
     from_fit,
     run_nuts,
     virtual_recordings,
@@ -25,8 +24,6 @@ from nuts_model import (
 from bayes_impedance.population.fit import PopulationFit, fit_population
 
 pytestmark = [pytest.mark.slow, pytest.mark.ci]
-
-MEAN, SPREAD, ERRORS = 0.15, 0.10, 3.0
 
 
 @pytest.fixture(scope="module")
@@ -39,17 +36,6 @@ def fit() -> PopulationFit:
 def nuts(fit: PopulationFit) -> Samples:
     """The reference; the fit gives it starts and coordinates, and so speed, nothing else."""
     return run_nuts(fit)
-
-
-def differing(table: Sequence[Comparison]) -> list[str]:
-    """Quantities beyond the allowances, one line each."""
-    found = []
-    for c in table:
-        if not abs(c.shift) < MEAN + ERRORS * c.shift_error:
-            found.append(f"{c.name}: mean off by {c.shift:.3f} +- {c.shift_error:.3f} sd")
-        if not abs(c.spread - 1) < SPREAD + ERRORS * c.spread_error:
-            found.append(f"{c.name}: spread ratio {c.spread:.3f} +- {c.spread_error:.3f}")
-    return found
 
 
 def of_population(fit: PopulationFit, nuts: Samples) -> list[Comparison]:

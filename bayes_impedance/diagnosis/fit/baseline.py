@@ -44,6 +44,9 @@ _BEGINNINGS = 5
 _LEAST_GAIN = 3.0
 """Log evidence by which another start must be better: smaller differences are convergence error."""
 
+ROUNDS = 80
+"""Largest number of rounds of the first fit. By choice: one not at rest then is continued after restarts."""
+
 _LAST_ROUNDS = 200
 """Largest number of rounds of a fit that has not come to rest after all restarts. By choice: five times as many as
 before."""
@@ -99,7 +102,7 @@ def fit_network(
     held = shared_values(point)
     model = build(tree.holding(held), (), scales_of(recordings), ())
     u = np.concatenate([m.theta + d.deviations for m, d in zip(point.modes, point.likelihoods, strict=True)])
-    fit = refitter.fit(model, u, Population(point.mu, point.covariance, point.between_repetitions), 80)
+    fit = refitter.fit(model, u, Population(point.mu, point.covariance, point.between_repetitions), ROUNDS)
     fit = _gathered(refitter, refitter.settle(fit, seed))
     fit = refitter.settle(fit, seed)
     if not fit.settled:  # along an element that the recordings hardly determine, rounds are many and small
