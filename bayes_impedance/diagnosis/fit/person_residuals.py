@@ -13,6 +13,18 @@ however they are distributed between people.
 Leaving the elements this free costs little power. Holding them to the population's distribution instead makes the
 *shape* of that distribution part of the evidence: simulated populations with nothing missing then "show" a constant
 stiffness at the port with z = -9.5.
+
+But an element that the fit has driven to nothing can absorb nothing more: it is positive, so that its part could only
+grow, and the residual asks for less. What it does is nearly zero then, but has a direction, and in this very direction
+the misfit lies: of 112 recordings with too much damping subtracted 9123 units of chi-square were there (784 would be
+noise), and nothing outside. With the singular values of the tangent space in logarithms of the elements,
+
+.. math:: \partial Z/\partial\theta = Q\,S\,V^T,
+
+a displacement by one along a column v of V moves the whitened recording by S along the column q of Q. Two kinds of
+directions absorb nothing: those with S so small that they would not move a score either if all M recordings were
+displaced, :math:`S\sqrt{M} < 0.1`, and those in which the fit leaves more than noise though elements would have to
+change by a factor :math:`e^5` for it, :math:`|q \cdot r| > 5 \max(1, S)`. Noise does that in one of two million.
 """
 
 from __future__ import annotations
@@ -46,7 +58,7 @@ class PersonResiduals:
         Residuals over sd: real parts, then imaginary parts.
     basis : ndarray, shape (J, 2 F, P)
         Orthonormal basis of what each recording's elements can absorb, in the same coordinates; columns of zeros
-        where the band does not see an element.
+        for what the band does not see.
     """
 
     name: str
@@ -61,6 +73,17 @@ class PersonResiduals:
         inside = np.einsum("jfp,jf...->jp...", self.basis, vectors)
         return np.asarray(vectors - np.einsum("jfp,jp...->jf...", self.basis, inside))
 
+
+FAINT = 0.1
+"""Change of a score, in standard errors, by a factor e in the elements of all recordings, below which a combination of
+elements absorbs nothing. By choice: so small that what the recordings hardly determine does not become evidence."""
+
+_BEYOND_REACH = 5.0
+"""Standard errors that are more than noise, and change of the elements' logarithm that is more than linear. By choice:
+a factor of 150; no element moves so far in one step from a fit that is at rest."""
+
+_ROUNDING = 1e-13
+"""Ratio of singular values below which one is rounding error."""
 
 _SHARPER = 1.5
 """Ratio of variances above which roughness instead of the residual gives the noise: a smaller one may be chance. By
@@ -79,27 +102,33 @@ def person_residuals(fit: Refit, names: Sequence[str], executor: Executor | None
         Distributes the persons; without it they are computed one after the other.
     """
     ends = np.cumsum([d.z.shape[0] for d in fit.data])[:-1]
-    function = partial(_residuals_of, fit.model.kernel, fit.model.n_elements)
+    function = partial(_residuals_of, fit.model.kernel, fit.model.n_elements, FAINT / np.sqrt(len(fit.u)))
     rows = np.split(fit.u, ends)
     if executor is None:
         return [function(*person) for person in zip(fit.data, names, rows, strict=True)]
     return list(map_persons(executor, function, fit.data, names, rows))
 
 
-def _residuals_of(kernel: Kernel, n_elements: int, d: Likelihood, name: str, u: np.ndarray) -> PersonResiduals:
+def _residuals_of(
+    kernel: Kernel, n_elements: int, faint: float, d: Likelihood, name: str, u: np.ndarray
+) -> PersonResiduals:
     """Residuals of one person, at u (J, P)."""
     frequency = d.omega / (2 * np.pi)
     z, dz = kernel.derivative(u, frequency)
     difference = (d.z[:, 0] + 1j * d.z[:, 1] - z) * np.sqrt(d.weight)
-    basis = orthonormal(np.swapaxes(real_and_imaginary(dz[:, :n_elements] * np.sqrt(d.weight)[:, None]), 1, 2))
-    own = sharper_weight(own_weight(real_and_imaginary(difference), basis), difference)
+    white = real_and_imaginary(difference)
+    q, moved = directions(real_and_imaginary(dz[:, :n_elements] * np.sqrt(d.weight)[:, None]), faint)
+    own = sharper_weight(own_weight(white, q), difference)
+    left = np.abs(np.einsum("jfp,jf->jp", q, white)) * np.sqrt(own)
+    basis = q * (left <= _BEYOND_REACH * np.maximum(1.0, moved * np.sqrt(own)))[:, None, :]
+    own = sharper_weight(own_weight(white, basis), difference)
     sd = 1 / np.sqrt(d.weight * own)
     return PersonResiduals(
         name=name,
         frequency_hz=frequency,
         model=z,
         sd=sd,
-        white=real_and_imaginary(difference) * np.sqrt(own),
+        white=white * np.sqrt(own),
         basis=basis,
     )
 
@@ -130,12 +159,25 @@ def sharper_weight(weight: float, residual: np.ndarray) -> float:
     return own if own > _SHARPER * weight else weight
 
 
-def orthonormal(columns: np.ndarray) -> np.ndarray:
-    """Orthonormal bases of columns (..., 2 F, P); zeros where a column is zero or depends on the others."""
-    length = np.linalg.norm(columns, axis=-2, keepdims=True)
-    unit = columns / np.where(length > 0, length, 1.0)
-    u, singular, _ = np.linalg.svd(unit, full_matrices=False)
-    return np.asarray(u * (singular > 1e-7 * singular[..., :1])[..., None, :])
+def directions(derivative: np.ndarray, faint: float) -> tuple[np.ndarray, np.ndarray]:
+    """Orthonormal bases Q of what elements can absorb, and how far a displacement by one moves along each.
+
+    Parameters
+    ----------
+    derivative : ndarray, shape (..., P, 2 F)
+        Of the whitened recordings with respect to the logarithms of the elements.
+    faint : float
+        Directions with smaller singular values absorb nothing.
+
+    Returns
+    -------
+    q : ndarray, shape (..., 2 F, P)
+        With columns of zeros for what absorbs nothing.
+    singular : ndarray, shape (..., P)
+    """
+    q, singular, _ = np.linalg.svd(np.swapaxes(derivative, -1, -2), full_matrices=False)
+    smallest = np.maximum(_ROUNDING * singular[..., :1], faint)
+    return q * (singular > smallest)[..., None, :], singular
 
 
 def real_and_imaginary(values: np.ndarray) -> np.ndarray:

@@ -61,7 +61,7 @@ def missing_one_ports(fit: Refit, residuals: Sequence[PersonResiduals]) -> tuple
         omega = 2 * np.pi * person.frequency_hz
         bumps = _bumps(person.frequency_hz, low, high)
         outside = person.outside(person.white)
-        excess += float(np.sum(outside**2)) - (outside.size - person.basis.shape[0] * person.basis.shape[2])
+        excess += float(np.sum(outside**2)) - (outside.size - float(np.sum(person.basis**2)))
         for name, local in local_impedances(fit.model, fit.u[rows], omega).items():
             if name not in gram:
                 continue

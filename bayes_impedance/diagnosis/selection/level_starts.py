@@ -23,7 +23,7 @@ from bayes_impedance.diagnosis.catalogue.effect import Candidate
 from bayes_impedance.diagnosis.fit.extend import extended, extended_start
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.model import Model
-from bayes_impedance.diagnosis.fit.person_residuals import orthonormal, real_and_imaginary
+from bayes_impedance.diagnosis.fit.person_residuals import directions, real_and_imaginary
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.residuals.sensitivity import local_impedances
 from bayes_impedance.person.likelihood import SCALE_SHAPE
@@ -75,7 +75,7 @@ def _misfits(model: Model, u: np.ndarray, omega: np.ndarray, z: np.ndarray, weig
     """Squares (K,) of the whitened residuals of one recording outside of what the elements absorb at each u (K, P)."""
     there, slope = model.kernel.derivative(u, omega / (2 * np.pi))
     r = real_and_imaginary((z - there) * np.sqrt(weight))
-    basis = orthonormal(np.swapaxes(real_and_imaginary(slope[:, : model.n_elements] * np.sqrt(weight)), 1, 2))
+    basis, _ = directions(real_and_imaginary(slope[:, : model.n_elements] * np.sqrt(weight)), 0.0)  # they may come back
     return np.asarray(np.sum(r**2, axis=1) - np.sum(np.einsum("kfp,kf->kp", basis, r) ** 2, axis=1))
 
 
