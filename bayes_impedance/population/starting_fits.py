@@ -30,6 +30,7 @@ from bayes_impedance.person.noise import (
     scatter_of_repetitions,
     scatter_of_roughness,
 )
+from bayes_impedance.population.equal_parts import named_alike, steps_of
 from bayes_impedance.population.prior import Prior
 from bayes_impedance.recordings.files import Recordings, Subject
 from bayes_impedance.runtime.checkpoint import forget_pieces, in_pieces, load_arrays, save_arrays
@@ -172,7 +173,8 @@ def first_fits(
     regret = np.minimum(objectives - objectives.min(axis=1, keepdims=True), _REGRET)
     common = int(np.argmin(regret.sum(axis=0)))
     own = np.where(regret[:, common] < 8, common, np.argmin(regret, axis=1))
-    start = ends[np.arange(len(subjects)), own]
+    exchanged = steps_of(kernel, prior)
+    start = named_alike(ends[np.arange(len(subjects)), own], exchanged)
 
     provisional = everybody("noise", partial(_provisional, kernel, prior.centre, precision), subjects, start)
     theta = np.array([own for (own,) in provisional])
@@ -180,7 +182,8 @@ def first_fits(
     if any(subject.noise_sd is None for subject in subjects):
         unknown = [i for i, subject in enumerate(subjects) if subject.noise_sd is None]
         model = _noise(kernel, [subjects[i] for i in unknown], theta[unknown], executor)
-    fits = FirstFits(theta, alternatives, _common_solutions(ends, regret), model)
+    solutions = [named_alike(solution, exchanged) for solution in _common_solutions(ends, regret)]
+    fits = FirstFits(theta, alternatives, np.array(solutions), model)
     if checkpoint is not None:
         fits.save(checkpoint / _WHOLE)
         forget_pieces(checkpoint, "searching", "first_fits", "noise")
