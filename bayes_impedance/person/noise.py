@@ -15,6 +15,9 @@ the window is narrow and a sharp rise of the noise is resolved; with one person 
 With one repetition the noise is estimated from the second difference over frequency of the residual from the fitted
 network. (The second difference of the data would count their curvature as noise.)
 
+The level is that of the median person: everybody has a scale of the own in the likelihood, and a few persons whose
+elements have not been found yet must not make their misfit look like everybody's noise.
+
 At a given frequency, the noise of different persons is either proportional to the magnitude or independent of it; the
 alternative with the higher likelihood is used.
 """
@@ -184,13 +187,15 @@ def _pool(scatters: Sequence[Scatter], relative: bool, floor: float) -> tuple[No
     variance = np.maximum(variance, smallest)
     expected = np.interp(x, nodes, variance)
     # Gaussian deviance, profiled over each person's scale.
-    deviance, start = 0.0, 0
+    deviance, start, scales = 0.0, 0, []
     log_scale = np.log(scale**2)
     for s in scatters:
         part = slice(start, start + s.square.size)
         own_scale = max(float(np.sum(square[part] / expected[part]) / freedom[part].sum()), 1e-12)
+        scales.append(own_scale)
         deviance += float(np.sum(freedom[part] * (np.log(expected[part] * own_scale) + log_scale[part])))
         start += s.square.size
+    variance = np.maximum(variance * np.median(scales), smallest)
     return NoiseModel(np.exp(nodes), np.sqrt(variance), relative, floor), deviance
 
 

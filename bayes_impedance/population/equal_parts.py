@@ -3,10 +3,11 @@ r"""Equal parts of a network, named alike in everybody.
 Two branches that are written alike can be exchanged without changing the impedance, so that a search ends at either
 arrangement by chance, person by person. If in some people m1 is what m2 is in the others, the population has two groups
 that are none, a dispersion that is as wide as the branches are apart, and something is missing in the recordings: of 31
-people with the network ``(n1-m1)|(n2-m2)`` two were arranged the other way, which cost 1700 units of log evidence, and a
-resonator was claimed. So everybody is given the arrangement :math:`\pi` that is nearest to a common centre c,
+people with the network ``(n1-m1)|(n2-m2)`` two were arranged the other way, which cost 1700 units of log evidence, and
+a resonator was claimed. So everybody is given the arrangement :math:`\pi` that is nearest to a common centre c,
 
-.. math:: \sum_i \min_\pi \sum_k \frac{|\theta_{i\pi(k)} - c_k|}{s_k}, \qquad s_k = \text{median}_i\,|\theta_{ik} - c_k|,
+.. math:: \sum_i \min_\pi \sum_k \frac{|\theta_{i\pi(k)} - c_k|}{s_k}, \qquad
+          s_k = \text{median}_i\,|\theta_{ik} - c_k|,
 
 alternating between arrangements and the centre, which is the median. Where it begins matters if the people are divided
 evenly: several people's own values are tried, and the smallest sum counts.

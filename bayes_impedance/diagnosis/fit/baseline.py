@@ -12,6 +12,7 @@ import numpy as np
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.model import build, scales_of
 from bayes_impedance.diagnosis.fit.normal_equations import Population
+from bayes_impedance.diagnosis.fit.recordings_alone import recordings_alone
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Network
@@ -104,7 +105,7 @@ def fit_network(
     u = np.concatenate([m.theta + d.deviations for m, d in zip(point.modes, point.likelihoods, strict=True)])
     fit = refitter.fit(model, u, Population(point.mu, point.covariance, point.between_repetitions), ROUNDS)
     fit = _gathered(refitter, refitter.settle(fit, seed))
-    fit = refitter.settle(fit, seed)
+    fit = recordings_alone(refitter, refitter.settle(fit, seed))
     if not fit.settled:  # along an element that the recordings hardly determine, rounds are many and small
         fit = refitter.fit(model, fit.u, fit.population, _LAST_ROUNDS)
     return Fitted(
