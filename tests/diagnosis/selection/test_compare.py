@@ -14,7 +14,7 @@ from bayes_impedance.diagnosis.catalogue.effect import Candidate
 from bayes_impedance.diagnosis.fit.extend import with_pooling
 from bayes_impedance.diagnosis.fit.normal_equations import log_densities, marginal, quadratic
 from bayes_impedance.diagnosis.fit.refit import Refit
-from bayes_impedance.diagnosis.selection.compare import compare, log_evidence
+from bayes_impedance.diagnosis.selection.compare import compare, log_evidence, typical_gain
 from bayes_impedance.diagnosis.selection.finalists import in_order
 from bayes_impedance.diagnosis.selection.shortlist import Trial, poolings_for, try_candidate
 
@@ -113,3 +113,24 @@ def test_what_is_the_rigs_is_the_same_for_all() -> None:
     assert poolings_for(entry("rig.mass"), 71) == ("shared",)
     assert poolings_for(entry("body.mass"), 71) == ("varying",)
     assert poolings_for(entry("body.mass"), 2) == ("shared",)
+
+
+def test_a_few_people_who_gain_much_do_not_make_a_gain_of_all_doubtful() -> None:
+    rng = np.random.default_rng(3)
+    gains = np.abs(rng.normal(size=70))
+    gains[:2] = [900.0, 500.0]
+    assert gains.sum() < 2 * np.sqrt(70) * gains.std(ddof=1)
+    assert typical_gain(gains) > 5
+
+
+def test_one_persons_gain_is_none_of_all() -> None:
+    gains = np.full(30, -0.5) + 0.2 * np.random.default_rng(4).normal(size=30)
+    gains[4] = 1000.0
+    assert typical_gain(gains) < 0
+
+
+def test_clipped_differences_about_zero_exceed_two_standard_errors_by_chance_only() -> None:
+    draws = np.random.default_rng(5).standard_cauchy(size=(4000, 25))
+    share = np.mean([typical_gain(own) > 2 for own in draws])
+    assert share < 0.023 + 4 * np.sqrt(0.023 / 4000) + 0.01  # 25 people: a t distribution
+    assert typical_gain(np.zeros(12)) == 0
