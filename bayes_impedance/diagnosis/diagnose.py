@@ -16,7 +16,8 @@ from bayes_impedance.diagnosis.claimed_simulation import Claim, claim_of
 from bayes_impedance.diagnosis.extended_network import ExtendedNetwork, extended_network, no_networks
 from bayes_impedance.diagnosis.extended_posterior import extended_posterior
 from bayes_impedance.diagnosis.findings import Findings, find
-from bayes_impedance.diagnosis.fit.baseline import Fitted, fit_network
+from bayes_impedance.diagnosis.first_fit import FirstFit, fit_without_hum
+from bayes_impedance.diagnosis.fit.baseline import Fitted
 from bayes_impedance.diagnosis.fit.calibration_error import Corrected, without_calibration_error
 from bayes_impedance.diagnosis.fit.majority import joined
 from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
@@ -25,13 +26,11 @@ from bayes_impedance.diagnosis.heterogeneity.compare_populations import compare_
 from bayes_impedance.diagnosis.heterogeneity.correlations import CorrelationTest
 from bayes_impedance.diagnosis.heterogeneity.subgroups import Subgroup
 from bayes_impedance.diagnosis.heterogeneity.tests import find_structures
-from bayes_impedance.diagnosis.hum.leakage import find_skirts
-from bayes_impedance.diagnosis.hum.line import Hum, find_mains, without_hum
 from bayes_impedance.diagnosis.rig_instead import beyond_calibration, rig_instead, without_rig
 from bayes_impedance.diagnosis.selection.compare import log_evidence
 from bayes_impedance.diagnosis.selection.cross_validation import held_out
 from bayes_impedance.diagnosis.selection.restart import another_beginning
-from bayes_impedance.diagnosis.types import Diagnosis, Snapshot
+from bayes_impedance.diagnosis.types import Diagnosis
 from bayes_impedance.diagnosis.verdict.model_bands import snapshot
 from bayes_impedance.diagnosis.verdict.ranking import ranking
 from bayes_impedance.diagnosis.verdict.verdict import Evidence, make_verdict
@@ -44,10 +43,6 @@ from bayes_impedance.results.curve_errors import on_grid
 from bayes_impedance.runtime.clock import Clock
 from bayes_impedance.runtime.executors import executor_of
 from bayes_impedance.runtime.progress import Progress
-
-_MAINS_ALPHA = 1e-3
-"""Corrected level of the search for hum. By choice: stricter than other levels, because affected points are left
-out."""
 
 _SEARCHES = 3
 """Largest number of searches in recordings whose calibration has an error: the second is with an error that what the
@@ -228,46 +223,17 @@ def _diagnose(inside: Corrected, claimed: Claim | None, job: _Job, clock: Clock)
 
 def _found(
     compared: Recordings, network: Network | str | None, claimed: Claim | None, job: _Job, clock: Clock
-) -> tuple[_First, Findings]:
+) -> tuple[FirstFit, Findings]:
     """The fit of the network, and what it lacks."""
     with clock.measure("fit"):
-        first = _fit_without_hum(compared, network, job)
+        first = fit_without_hum(compared, network, job.seed, job.executor, job.progress, job.checkpoint, job.prior)
         base, begin = _start(claimed, first.fitted, job)
     look = find(first.fitted, base, begin, job.effects, job.seed, job.executor, job.progress, clock)
+    if look.final.model.additions and first.imagined(look.final, job.executor):
+        first = first.of_everything()
+        base, begin = _start(claimed, first.fitted, job)
+        look = find(first.fitted, base, begin, job.effects, job.seed, job.executor, job.progress, clock)
     return first, _look_again(look, first.fitted, base, job, clock) if look.nameless else look
-
-
-@dataclass(frozen=True)
-class _First:
-    """The network's fit to the points that hum does not affect.
-
-    Attributes
-    ----------
-    clean : Recordings
-        Without the points affected by hum.
-    fitted : Fitted
-        Fit to these.
-    hum : Hum or None
-    spoilt : Snapshot or None
-        Of the fit to all points, if there is hum.
-    """
-
-    clean: Recordings
-    fitted: Fitted
-    hum: Hum | None
-    spoilt: Snapshot | None
-
-
-def _fit_without_hum(recordings: Recordings, network: Network | str | None, job: _Job) -> _First:
-    fitted = fit_network(recordings, network, job.seed, job.executor, job.progress, job.checkpoint, job.prior)
-    residuals = person_residuals(fitted.fit, recordings.names, job.executor)
-    hum = find_mains(residuals, _MAINS_ALPHA) or find_skirts(residuals, _MAINS_ALPHA)
-    if hum is None:
-        return _First(recordings, fitted, None, None)
-    spoilt = snapshot("with hum", recordings, fitted.fit, residuals, job.seed)
-    clean = without_hum(recordings, hum)
-    again = fit_network(clean, network, job.seed, job.executor, job.progress, given=job.prior)
-    return _First(clean, again, hum, spoilt)
 
 
 def _start(claimed: Claim | None, fitted: Fitted, job: _Job) -> tuple[Refit, Refit | None]:
@@ -288,7 +254,7 @@ def _look_again(look: Findings, fitted: Fitted, base: Refit, job: _Job, clock: C
     return max(look, again, key=lambda k: k.evidence)
 
 
-def _confirm(first: _First, look: Findings, claimed: Claim | None, job: _Job) -> Evidence:
+def _confirm(first: FirstFit, look: Findings, claimed: Claim | None, job: _Job) -> Evidence:
     """Evidence for the findings from held-out recordings and from tests of the population."""
     seed, clean, fitted = job.seed, first.clean, first.fitted
     job.progress("confirming", 0, 3)
