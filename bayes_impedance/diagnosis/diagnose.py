@@ -190,10 +190,9 @@ def _diagnose(inside: Corrected, claimed: Claim | None, job: _Job, clock: Clock)
             break
         with clock.measure("fit"):
             network = extended_network(larger, first.fitted.shared).network
-            again = inside.with_found(network, job.seed, job.executor, job.progress)
-        if again is inside:
+            before, inside = inside, inside.with_found(network, job.seed, job.executor, job.progress)
+        if inside.recordings is before.recordings:
             break
-        inside = again
     with clock.measure("confirm"):
         evidence = _confirm(first, look, claimed, job)
         instead = rig_instead(inside, first.fitted, evidence.final, evidence.remaining)
