@@ -310,9 +310,12 @@ def population_of(
         raise InputError("the fit is of one subject: there is no population to draw users from; fit more recordings")
     body = body_of(parse(str(result.attributes["network"])))
     network, columns, assume = body.network, body.columns, dict(assume or {})
-    unknown = sorted(set(assume) - set(network.elements))
-    if unknown or any(not value > 0 for value in assume.values()):
-        raise InputError(f"assumed values must be positive and of elements among {', '.join(network.elements)}")
+    wrong = sorted(name for name, value in assume.items() if name not in network.elements or not value > 0)
+    if wrong:
+        raise InputError(
+            f"assumed {wrong[0]} = {assume[wrong[0]]:g}: assumed values must be positive and of elements among "
+            f"{', '.join(network.elements)}"
+        )
 
     mu, tau, rho = (
         _flat(posterior, name)[:, columns]
@@ -320,6 +323,11 @@ def population_of(
     )
     correlation = _flat(posterior, "correlation")[:, columns[:, None], columns]
     undetermined = [e for e, v in zip(network.elements, mu[0], strict=True) if not np.isfinite(v) and e not in assume]
+    determined = [e for e, v in zip(network.elements, mu[0], strict=True) if np.isfinite(v) and e in assume]
+    if determined:
+        raise InputError(
+            f"the recordings determine {', '.join(determined)}, and how people differ in it: leave the assumption out"
+        )
     if undetermined:
         raise InputError(
             f"the recordings do not determine {', '.join(undetermined)}: give a value with --assume (element=value in "
