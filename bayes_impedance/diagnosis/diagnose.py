@@ -75,6 +75,10 @@ _WITH_PRIOR = (
     "The given prior holds in the first estimate and in the posterior of the network with what was found; the search "
     "for effects leaves the elements free."
 )
+_COMBINED = (
+    "elements of what was found and of the network together: the intervals of what was found are those of a normal "
+    "approximation."
+)
 _NOT_IN_NETWORK = (
     "cannot be written as a network, and without it the posterior of a network does not describe the recordings: the "
     "intervals of what was found are those of a normal approximation"
@@ -356,6 +360,10 @@ def _measured(
     named = evidence.found.final.model
     if not named.additions:  # only physics without a name
         return evidence, fit
+    symbols = {name for own in extended.symbols for name in own.values()}
+    if alike := [c.expression for c in fit.combinations if symbols & set(c.elements)]:
+        because = f"Recordings can determine only {', '.join(alike)}, {_COMBINED}"
+        return replace(evidence, remarks=(*evidence.remarks, because)), fit
     return replace(evidence, posterior=extended_posterior(named, extended, fit)), fit
 
 
