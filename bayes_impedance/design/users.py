@@ -41,6 +41,7 @@ from bayes_impedance.network.parameters import Parameter
 from bayes_impedance.population.heavy_tails import drawn_factors, log_t
 from bayes_impedance.results.meanings import TAIL
 from bayes_impedance.results.result import Result
+from bayes_impedance.runtime.user_table import whole_number_in
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -127,7 +128,17 @@ class Users:
         return frame
 
     def impedance(self, frequency_hz: npt.ArrayLike) -> np.ndarray:
-        """Impedance of each user, complex, shape (N, F)."""
+        """Impedance of each user, complex, shape (N, F).
+
+        Raises
+        ------
+        InputError
+            If a frequency is not above zero and finite.
+        """
+        frequency_hz = np.atleast_1d(np.asarray(frequency_hz, dtype=float))
+        wrong = frequency_hz[~((frequency_hz > 0) & np.isfinite(frequency_hz))]
+        if wrong.size:
+            raise InputError(f"a frequency is {wrong[0]:g} Hz, but all must be above zero and finite")
         return Kernel(self.network).impedance(self.u, frequency_hz)
 
     def __add__(self, other: Users) -> Users:
@@ -183,6 +194,9 @@ class UserPopulation:
     note: str = ""
     tail: np.ndarray | None = None
 
+    def __repr__(self) -> str:
+        return f"<UserPopulation {self.network}: {len(self.mu)} posterior draws, impedance in {self.unit}>"
+
     @property
     def shared(self) -> tuple[str, ...]:
         """Parameters of the body that are the same for everybody in a population."""
@@ -229,6 +243,8 @@ class UserPopulation:
         """
         if number < 1:
             raise InputError(f"{number} users cannot be drawn: ask for at least one")
+        whole_number_in(number, "the number of users", 1)
+        whole_number_in(seed, "seed", 0)
         rng = np.random.default_rng(seed)
         rows = np.linspace(0, len(self.mu) - 1, number).astype(int)
         normal = rng.normal(size=(number, self.mu.shape[1]))

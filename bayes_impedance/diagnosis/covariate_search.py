@@ -30,10 +30,11 @@ from bayes_impedance.display import MOST_ROWS, heading, joined, lines, table
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.notation import Network
 from bayes_impedance.population.covariates import not_used
+from bayes_impedance.recordings.dataset import require_recordings
 from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.runtime.executors import executor_of
 from bayes_impedance.runtime.progress import Progress
-from bayes_impedance.runtime.user_table import hint, shown
+from bayes_impedance.runtime.user_table import hint, shown, whole_number_in
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -169,6 +170,9 @@ def search_covariates(
     """
     from threadpoolctl import threadpool_limits
 
+    require_recordings(recordings)
+    whole_number_in(seed, "seed", 0)
+    whole_number_in(workers, "workers", 1)
     known = covariates_of(recordings)
     if not known:
         reason = not_used(recordings)

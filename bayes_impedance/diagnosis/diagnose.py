@@ -39,11 +39,13 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.network.notation import Network
 from bayes_impedance.population.fit import FitSettings, PopulationFit, fit_population
 from bayes_impedance.population.given_prior import GivenPrior
+from bayes_impedance.recordings.dataset import require_recordings
 from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.results.curve_errors import on_grid
 from bayes_impedance.runtime.clock import Clock
 from bayes_impedance.runtime.executors import executor_of
 from bayes_impedance.runtime.progress import Progress
+from bayes_impedance.runtime.user_table import whole_number_in
 
 _MAINS_ALPHA = 1e-3
 """Corrected level of the search for hum. By choice: stricter than other levels, because affected points are left
@@ -161,6 +163,9 @@ def diagnose(
     """
     from threadpoolctl import threadpool_limits
 
+    require_recordings(recordings)
+    whole_number_in(seed, "seed", 0)
+    whole_number_in(workers, "workers", 1)
     clock = Clock()
     candidates = registered() if effects is None else effects
     own = executor_of(workers) if executor is None else nullcontext(executor)

@@ -28,7 +28,7 @@ from bayes_impedance.quality.late_channel import late_channel
 from bayes_impedance.quality.marks import Mark, marks
 from bayes_impedance.quality.negative_real_part import explain, sentence
 from bayes_impedance.quality.place import doubts_of_place
-from bayes_impedance.recordings.dataset import Recordings, Subject
+from bayes_impedance.recordings.dataset import Recordings, Subject, require_recordings
 from bayes_impedance.runtime.user_table import shown
 
 _EXPLAIN_PARTS = ("not_passive", "jump", "lag", "phase_conjugated", "phase_in_radians", "magnitude_in_db")
@@ -48,6 +48,7 @@ def check_recordings(recordings: Recordings) -> tuple[Finding, ...]:
     tuple of Finding
         Warnings first, beginning with what was changed or ignored when the files were read; empty if there is none.
     """
+    require_recordings(recordings)
     read = [*_check_reading(recordings), *_check_network(recordings)]
     if not recordings.subjects:
         return tuple(read)
