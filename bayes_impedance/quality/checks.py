@@ -7,6 +7,7 @@ The interpretation of a finding is left to the user, and no data are removed.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Sequence, Set
 from dataclasses import replace
 
@@ -49,7 +50,7 @@ def check_recordings(recordings: Recordings) -> tuple[Finding, ...]:
         Warnings first, beginning with what was changed or ignored when the files were read; empty if there is none.
     """
     require_recordings(recordings)
-    read = [*_check_reading(recordings), *_check_network(recordings)]
+    read = [*_check_reading(recordings), *_check_network(recordings), *_check_names(recordings)]
     if not recordings.subjects:
         return tuple(read)
     found, where = marks(recordings.subjects)
@@ -120,6 +121,20 @@ def _check_reading(recordings: Recordings) -> Iterator[Finding]:
     """What was changed, dropped or not used when the files were read."""
     for warning in recordings.warnings:
         yield of_all("reading", warning)
+
+
+def _check_names(recordings: Recordings) -> Iterator[Finding]:
+    """Report subjects whose names differ only in case, spaces or underscores: one person may be two."""
+    alike: dict[str, list[str]] = {}
+    for name in recordings.names:
+        alike.setdefault(re.sub(r"[\s_-]", "", name).casefold(), []).append(name)
+    for names in alike.values():
+        if len(names) > 1:
+            message = (
+                f"subjects {' and '.join(map(shown, names))} have names that differ only in case, spaces, underscores or "
+                "hyphens; if they are one person, give all of the person's rows one name"
+            )
+            yield of_all("subject_names", message, names[1])
 
 
 def _check_network(recordings: Recordings) -> Iterator[Finding]:
