@@ -131,8 +131,8 @@ def _check_names(recordings: Recordings) -> Iterator[Finding]:
     for names in alike.values():
         if len(names) > 1:
             message = (
-                f"subjects {' and '.join(map(shown, names))} have names that differ only in case, spaces, underscores or "
-                "hyphens; if they are one person, give all of the person's rows one name"
+                f"subjects {' and '.join(map(shown, names))} have names that differ only in case, spaces, underscores "
+                "or hyphens; if they are one person, give all of the person's rows one name"
             )
             yield of_all("subject_names", message, names[1])
 
