@@ -36,7 +36,7 @@ def import_dataset(options: argparse.Namespace, progress: Progress) -> Imported:
     """
     from bayes_impedance.intake import import_recordings
     from bayes_impedance.intake.importing import BESIDE
-    from bayes_impedance.intake.one_person import require_persons
+    from bayes_impedance.intake.one_person import repeated_by_name, require_persons
     from bayes_impedance.intake.persons import covariates_of_subjects
     from bayes_impedance.quality.copies import require_distinct
     from bayes_impedance.recordings.files import METADATA_FILE, RECORDINGS_FILES, SUBJECTS_FILE, write_recordings
@@ -49,6 +49,8 @@ def import_dataset(options: argparse.Namespace, progress: Progress) -> Imported:
     require_distinct(named)
     if settings.who is None and imported.named_by_files:
         require_persons(named.subjects, named.title)
+        remark = repeated_by_name(named.subjects)
+        imported = replace(imported, notes=(*imported.notes, *([remark] if remark else ())))
     beside = imported.beside()
     if options.subjects is not None:
         content, told = covariates_of_subjects(options.subjects, imported.recordings.names, settings.table)

@@ -22,6 +22,7 @@ from bayes_impedance.design.loop.transparency import Transparency, transparency
 from bayes_impedance.design.users import UserPopulation, Users
 from bayes_impedance.display import heading, joined, lines, number, short, table
 from bayes_impedance.runtime.progress import Progress
+from bayes_impedance.runtime.user_table import number_in, whole_number_in
 from bayes_impedance.units import rounded
 
 _GRID_LOW = 0.02
@@ -30,6 +31,9 @@ choice: a lower one shows more of the stable region at a coarser grid."""
 
 _DAMPINGS = 400
 """Number of dampings scanned for the largest stable one. By choice: over eight decades neighbours differ by 5 %."""
+
+LEAST_GRID = 2
+"""Fewest gains on each axis of the map: its two ends."""
 
 _LARGEST = 1e4
 """Largest damping that is scanned, in N s/m. By choice, far above what sampled devices can render."""
@@ -155,7 +159,17 @@ def design_answer(
     workers : int
         Threads.
     progress : callable, optional
+
+    Raises
+    ------
+    InputError
+        If a number is outside of its range.
     """
+    number_in(damping, "damping", at_least=0)
+    number_in(share, "share", above=0, below=1)
+    whole_number_in(grid, "grid", LEAST_GRID)
+    whole_number_in(seed, "seed", 0)
+    whole_number_in(workers, "workers", 1)
     limit = limit_of(population, users, device, damping, share=share, highest=_HIGHEST, seed=seed)
     stiffness, dampings = gains(population, device, grid, limit.stiffness / 2)
     found = stability_map(population, users, device, stiffness, dampings, seed=seed, workers=workers, progress=progress)

@@ -41,6 +41,7 @@ from bayes_impedance.network.parameters import Parameter
 from bayes_impedance.population.heavy_tails import drawn_factors, log_t
 from bayes_impedance.results.meanings import TAIL
 from bayes_impedance.results.result import Result
+from bayes_impedance.runtime.user_table import whole_number_in
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -127,7 +128,17 @@ class Users:
         return frame
 
     def impedance(self, frequency_hz: npt.ArrayLike) -> np.ndarray:
-        """Impedance of each user, complex, shape (N, F)."""
+        """Impedance of each user, complex, shape (N, F).
+
+        Raises
+        ------
+        InputError
+            If a frequency is not above zero and finite.
+        """
+        frequency_hz = np.atleast_1d(np.asarray(frequency_hz, dtype=float))
+        wrong = frequency_hz[~((frequency_hz > 0) & np.isfinite(frequency_hz))]
+        if wrong.size:
+            raise InputError(f"a frequency is {wrong[0]:g} Hz, but all must be above zero and finite")
         return Kernel(self.network).impedance(self.u, frequency_hz)
 
     def __add__(self, other: Users) -> Users:
@@ -183,6 +194,9 @@ class UserPopulation:
     note: str = ""
     tail: np.ndarray | None = None
 
+    def __repr__(self) -> str:
+        return f"<UserPopulation {self.network}: {len(self.mu)} posterior draws, impedance in {self.unit}>"
+
     @property
     def shared(self) -> tuple[str, ...]:
         """Parameters of the body that are the same for everybody in a population."""
@@ -229,6 +243,8 @@ class UserPopulation:
         """
         if number < 1:
             raise InputError(f"{number} users cannot be drawn: ask for at least one")
+        whole_number_in(number, "the number of users", 1)
+        whole_number_in(seed, "seed", 0)
         rng = np.random.default_rng(seed)
         rows = np.linspace(0, len(self.mu) - 1, number).astype(int)
         normal = rng.normal(size=(number, self.mu.shape[1]))
@@ -310,9 +326,12 @@ def population_of(
         raise InputError("the fit is of one subject: there is no population to draw users from; fit more recordings")
     body = body_of(parse(str(result.attributes["network"])))
     network, columns, assume = body.network, body.columns, dict(assume or {})
-    unknown = sorted(set(assume) - set(network.elements))
-    if unknown or any(not value > 0 for value in assume.values()):
-        raise InputError(f"assumed values must be positive and of elements among {', '.join(network.elements)}")
+    wrong = sorted(name for name, value in assume.items() if name not in network.elements or not value > 0)
+    if wrong:
+        raise InputError(
+            f"assumed {wrong[0]} = {assume[wrong[0]]:g}: assumed values must be positive and of elements among "
+            f"{', '.join(network.elements)}"
+        )
 
     mu, tau, rho = (
         _flat(posterior, name)[:, columns]
@@ -320,6 +339,11 @@ def population_of(
     )
     correlation = _flat(posterior, "correlation")[:, columns[:, None], columns]
     undetermined = [e for e, v in zip(network.elements, mu[0], strict=True) if not np.isfinite(v) and e not in assume]
+    determined = [e for e, v in zip(network.elements, mu[0], strict=True) if np.isfinite(v) and e in assume]
+    if determined:
+        raise InputError(
+            f"the recordings determine {', '.join(determined)}, and how people differ in it: leave the assumption out"
+        )
     if undetermined:
         raise InputError(
             f"the recordings do not determine {', '.join(undetermined)}: give a value with --assume (element=value in "

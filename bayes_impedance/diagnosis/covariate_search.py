@@ -29,10 +29,12 @@ from bayes_impedance.diagnosis.heterogeneity.trends import Trend, regressors_of
 from bayes_impedance.display import MOST_ROWS, heading, joined, lines, table
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.notation import Network
+from bayes_impedance.population.covariates import not_used
+from bayes_impedance.recordings.dataset import require_recordings
 from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.runtime.executors import executor_of
 from bayes_impedance.runtime.progress import Progress
-from bayes_impedance.runtime.user_table import hint, shown
+from bayes_impedance.runtime.user_table import hint, shown, whole_number_in
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -168,9 +170,13 @@ def search_covariates(
     """
     from threadpoolctl import threadpool_limits
 
+    require_recordings(recordings)
+    whole_number_in(seed, "seed", 0)
+    whole_number_in(workers, "workers", 1)
     known = covariates_of(recordings)
     if not known:
-        raise InputError("the recordings have no covariates: add them to subjects.csv")
+        reason = not_used(recordings)
+        raise InputError(f"the recordings have no covariates: {reason or 'add them to subjects.csv'}")
     for name in covariates:
         if name not in known:
             raise InputError(f"covariate {shown(name)} is not in the dataset ({hint(name, known)}); name another")

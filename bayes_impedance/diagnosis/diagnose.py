@@ -38,11 +38,13 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.network.notation import Network
 from bayes_impedance.population.fit import FitSettings, PopulationFit, fit_population
 from bayes_impedance.population.given_prior import GivenPrior
+from bayes_impedance.recordings.dataset import require_recordings
 from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.results.curve_errors import on_grid
 from bayes_impedance.runtime.clock import Clock
 from bayes_impedance.runtime.executors import executor_of
 from bayes_impedance.runtime.progress import Progress
+from bayes_impedance.runtime.user_table import whole_number_in
 
 _SEARCHES = 3
 """Largest number of searches in recordings whose calibration has an error: the second is with an error that what the
@@ -69,6 +71,10 @@ _NO_POSTERIOR = (
 _WITH_PRIOR = (
     "The given prior holds in the first estimate and in the posterior of the network with what was found; the search "
     "for effects leaves the elements free."
+)
+_COMBINED = (
+    "elements of what was found and of the network together: the intervals of what was found are those of a normal "
+    "approximation."
 )
 _NOT_IN_NETWORK = (
     "cannot be written as a network, and without it the posterior of a network does not describe the recordings: the "
@@ -152,6 +158,9 @@ def diagnose(
     """
     from threadpoolctl import threadpool_limits
 
+    require_recordings(recordings)
+    whole_number_in(seed, "seed", 0)
+    whole_number_in(workers, "workers", 1)
     clock = Clock()
     candidates = registered() if effects is None else effects
     own = executor_of(workers) if executor is None else nullcontext(executor)
@@ -185,10 +194,9 @@ def _diagnose(inside: Corrected, claimed: Claim | None, job: _Job, clock: Clock)
             break
         with clock.measure("fit"):
             network = extended_network(larger, first.fitted.shared).network
-            again = inside.with_found(network, job.seed, job.executor, job.progress)
-        if again is inside:
+            before, inside = inside, inside.with_found(network, job.seed, job.executor, job.progress)
+        if inside.recordings is before.recordings:
             break
-        inside = again
     with clock.measure("confirm"):
         evidence = _confirm(first, look, claimed, job)
         instead = rig_instead(inside, first.fitted, evidence.final, evidence.remaining)
@@ -323,6 +331,10 @@ def _measured(
     named = evidence.found.final.model
     if not named.additions:  # only physics without a name
         return evidence, fit
+    symbols = {name for own in extended.symbols for name in own.values()}
+    if alike := [c.expression for c in fit.combinations if symbols & set(c.elements)]:
+        because = f"Recordings can determine only {', '.join(alike)}, {_COMBINED}"
+        return replace(evidence, remarks=(*evidence.remarks, because)), fit
     return replace(evidence, posterior=extended_posterior(named, extended, fit)), fit
 
 

@@ -95,11 +95,17 @@ def assemble(
         )
     if unsure := len(places) - places.count("driving"):
         notes.append(f"{unsure} of {len(subjects)} subjects: {sentence(surely='transfer' in places)}")
-    if sum(map(is_conjugate, subjects)) > 0.5 * len(subjects):
+    conjugate = [one.name for one in subjects if is_conjugate(one)]
+    if len(conjugate) > 0.5 * len(subjects):
         raise InputError(
             f"{spectra[0].source}: the phase agrees with the slope of the magnitude only if its sign is reversed: "
             "these seem to be complex conjugates, from the convention exp(-jwt) or an analyser that subtracts phases "
             "the other way; give --conjugated if you have not, or leave it out"
+        )
+    if conjugate:
+        notes.append(
+            f"{len(conjugate)} of {len(subjects)} subjects, the first {shown(conjugate[0])}: the phase agrees with the "
+            "slope of the magnitude only if its sign is reversed; import these alone with --conjugated, or correct them"
         )
     if SIGN not in believed and sum(map(is_turned, subjects)) > 0.5 * len(subjects):
         raise InputError(

@@ -31,7 +31,8 @@ ROLES = (
 _ROLE_SPELLINGS = {"imag": "imaginary", "im": "imaginary", "re": "real", "f": "frequency", "mag": "magnitude"}
 
 # The quantity's letter: impedance first, then a frequency response of any form, then none.
-_LETTERS = (r"z", r"(?:h|frf|tf|g|response|transfer)", r"")
+_FORMS = r"impedance|accelerance|mobility|receptance|inertance|compliance|dynamicstiffness|apparentmass"
+_LETTERS = (r"z", rf"(?:h|frf|tf|g|response|transfer|{_FORMS})", r"")
 _RE, _IM = r"(?:re|real|realpart|realteil)", r"(?:im|imag|imaginary|imagpart|imaginarypart|imaginärteil)"
 _ABS = r"(?:mag|magnitude|abs|amplitude|amp|ampl|modulus|mod|betrag)"
 _ARG = r"(?:phase|phz|phi|φ|arg|angle|theta|winkel|phasenwinkel|phaseangle)"
@@ -50,11 +51,13 @@ _GUESSES: dict[str, tuple[str, ...]] = {
     "complex": (r"z|impedance", r"h|frf|response|accelerance|mobility|receptance|inertance|compliance"),
     "real": (r"z'|zprime", *_around(_RE)),
     "imaginary": (r"z''|z\"|zprimeprime", *_around(_IM)),
-    "magnitude": (r"\|z\|", r"\|h\|", *_around(_ABS), r"z|impedance"),
+    "magnitude": (r"\|z\|", r"\|h\|", *_around(_ABS), rf"z|{_FORMS}"),
     "phase": _around(_ARG),
     "coherence": (r"coherence|coh|gamma2|γ2|γ²|kohärenz",),
     "noise_sd": (r"noisesd|noise|sd|sigma|std",),
 }
+_MOST_TOLD = 6
+"""Columns without a role that are named. By choice: more do not fit a sentence."""
 _RADIAN_NAMES = re.compile(r"omega|ω|w")
 
 
@@ -157,7 +160,11 @@ def columns_of(contents: Contents, given: dict[str, str]) -> tuple[dict[str, Col
     notes: tuple[str, ...] = ()
     if guessed:
         said = ", ".join(column.told for column in guessed.values())
-        notes = (f"{contents.file}: guessed from the names: {said}; --columns says otherwise",)
+        used = {id(column.variable) for column in (*found.values(), *guessed.values())}
+        unused = [shown(v.name) for v in contents.variables if id(v) not in used]
+        more = f" (and {len(unused) - _MOST_TOLD} more)" if len(unused) > _MOST_TOLD else ""
+        left = f"; not used: {', '.join(unused[:_MOST_TOLD])}{more}" if unused else ""
+        notes = (f"{contents.file}: guessed from the names: {said}{left}; --columns says otherwise",)
     return found | guessed, notes
 
 
@@ -233,13 +240,20 @@ def _read_name(variable: Variable) -> tuple[bool, str, str]:
         match = re.fullmatch(pattern, name)
         # "Re(Z)" has no unit, nor has "a/F" alone: what follows must be one.
         if match and is_unit(_known_case(match[2])):
-            name, unit = match[1], _known_case(match[2])
+            # "Re(Z) / (N s/m)" is the name, a stroke and the unit (ISO 80000-1).
+            name, unit = match[1].removesuffix("/").rstrip(), _known_case(match[2])
             break
     else:
         # ZView writes Z'(a) and Z''(b).
         name = re.sub(r"\([ab]\)$", "", name)
     stem = re.sub(r"[\s_.]", "", name.lower()).replace("’", "'").replace("″", "''").replace("´", "'")
     return negated, stem, variable.unit or unit
+
+
+def in_brackets(name: str) -> str:
+    """What stands in brackets at the end of a column's name; an empty text if there are none."""
+    match = re.fullmatch(r".+?\s*\[([^\[\]]+)\]", name.strip())
+    return _known_case(match[1].strip()) if match else ""
 
 
 def _known_case(unit: str) -> str:

@@ -15,6 +15,7 @@ its standard error is at most :math:`S^2/\sqrt{K (N - 1)}`, and the objects diff
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -32,6 +33,14 @@ _DEGREES = 3
 """Polynomials: level, slope and curvature over the band. By choice: people differ in all of them."""
 _LEAST_POINTS = 8
 """Fewest frequencies of the comparison. By choice: second differences of fewer say little of the noise."""
+
+_NUMBERED = re.compile(r"(.*[^\d])\d+")
+"""A name that ends with a number."""
+_LEAST_PEOPLE = 3
+"""Fewest groups of names that are compared. By choice: two people may differ little by accident."""
+_MUCH_NEARER = 0.5
+"""Ratio of the usual difference within groups of names to that between their means from which on nothing is said. By
+choice: one finger that is put down again differs by a tenth to a third of what people differ by."""
 
 
 def require_persons(subjects: Sequence[Subject], source: str) -> None:
@@ -63,6 +72,48 @@ def require_persons(subjects: Sequence[Subject], source: str) -> None:
             "with --subject-from-name '(?P<subject>[^_]+)_(?P<repetition>\\d+)', or, if every file is another subject, "
             "with '(?P<subject>.+)'"
         )
+
+
+def repeated_by_name(subjects: Sequence[Subject]) -> str | None:
+    """A remark on subjects whose names differ in a last number and who are much more alike than others; else None.
+
+    Files of one person who was recorded several times, ``P1_1.csv`` and ``P1_2.csv``, are as many subjects if nothing
+    is said of their names. The population would have twice as many people who come in pairs.
+
+    Parameters
+    ----------
+    subjects : sequence of Subject
+        As for :func:`require_persons`.
+    """
+    frequency = subjects[0].frequency_hz
+    if any(len(s.z) > 1 or not np.array_equal(s.frequency_hz, frequency) for s in subjects):
+        return None
+    stems = [_NUMBERED.fullmatch(s.name) for s in subjects]
+    if None in stems:
+        return None
+    people: dict[str, list[int]] = {}
+    for i, match in enumerate(stems):
+        people.setdefault(match[1] if match else "", []).append(i)
+    if len(people) < _LEAST_PEOPLE or min(map(len, people.values())) < 2:
+        return None
+    log_z = np.log(np.array([s.z[0] for s in subjects]))
+    within = np.concatenate([_apart(log_z[own], log_z[own]) for own in people.values()])
+    means = np.array([log_z[own].mean(axis=0) for own in people.values()])
+    if np.median(within) > _MUCH_NEARER * np.median(_apart(means, means)):
+        return None
+    first, second = (subjects[i].name for i in next(iter(people.values()))[:2])
+    return (
+        f"{len(subjects)} subjects have names in {len(people)} groups that differ in a last number, such as {first} "
+        f"and {second}, and within a group they are much more alike: if a group is one person, give "
+        r"--subject-from-name '(?P<subject>.+?)[^\dA-Za-z]*(?P<repetition>\d+)$'"
+    )
+
+
+def _apart(one: ComplexArray, other: ComplexArray) -> FloatArray:
+    """Root mean square differences of log impedances (N, F) of all pairs, without those of a curve and itself."""
+    turned = np.exp(one[:, None] - other[None])  # phases have no turns here
+    square = np.mean(np.abs(np.log(turned)) ** 2, axis=-1)
+    return np.asarray(np.sqrt(square[np.triu_indices(len(one), 1)]))
 
 
 def difference(frequency_hz: FloatArray, z: ComplexArray) -> float:

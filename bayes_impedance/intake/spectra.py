@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from bayes_impedance.errors import InputError
-from bayes_impedance.intake.columns import Column, columns_of, form_in_names
+from bayes_impedance.intake.columns import Column, columns_of, form_in_names, in_brackets
 from bayes_impedance.intake.contents import Contents
 from bayes_impedance.intake.names import Who
 from bayes_impedance.intake.quantities import (
@@ -27,6 +27,8 @@ from bayes_impedance.intake.quantities import (
 )
 from bayes_impedance.intake.recipes import Recipe, recipe_for
 from bayes_impedance.intake.spectrum import ComplexArray, FloatArray, Spectrum
+from bayes_impedance.intake.text_tables import is_unit
+from bayes_impedance.intake.unit_notation import same_unit
 from bayes_impedance.recordings.repetitions import MINIMUM_POINTS
 from bayes_impedance.runtime.user_table import shown
 
@@ -82,7 +84,7 @@ def spectra_of(contents: Contents, who: Who, settings: SpectraSettings) -> tuple
     given = settings.columns or (recipe.columns if recipe is not None else {})
     columns, guessed = columns_of(contents, given)
     notes += guessed if recipe is None else ()
-    frequency = _frequency(contents, columns, settings)
+    frequency = _frequency(contents, columns, settings, notes)
     for column in columns.values():
         if column.variable.values.size != frequency.size:
             raise InputError(
@@ -133,7 +135,9 @@ def _degrees(settings: SpectraSettings, noise: FloatArray | None) -> float | Non
     return None if noise is None or settings.averages is None else 2.0 * (settings.averages - 1)
 
 
-def _frequency(contents: Contents, columns: dict[str, Column], settings: SpectraSettings) -> FloatArray:
+def _frequency(
+    contents: Contents, columns: dict[str, Column], settings: SpectraSettings, notes: list[str]
+) -> FloatArray:
     column = columns.get("frequency")
     if column is None:
         raise InputError(
@@ -142,6 +146,8 @@ def _frequency(contents: Contents, columns: dict[str, Column], settings: Spectra
         )
     unit = settings.frequency_unit or column.unit or "Hz"
     factor = hertz_factor(unit)
+    if column.unit and settings.frequency_unit is not None and hertz_factor(column.unit) != factor:
+        notes.append(f"{contents.file}: {column.told}, but --frequency-unit says {unit}, which was used")
     if factor is None:
         raise InputError(
             f'{contents.file}: {shown(unit)} is no unit of frequency; give one with --frequency-unit, e.g. "kHz" or '
@@ -172,9 +178,15 @@ def _measured(contents: Contents, columns: dict[str, Column]) -> tuple[ComplexAr
     have = [role for role in ("real", "imaginary", "magnitude", "phase") if role in columns]
     raise InputError(
         f"{contents.file}: the values are not clear (columns: {', '.join(contents.names[:12])}"
-        f"{'; found only ' + ' and '.join(have) if have else ''}); say which are real and imaginary, or magnitude and "
-        "phase, with --columns real=NAME imaginary=NAME"
+        f"{'; found only ' + ' and '.join(have) if have else ''}){_of_unknown_units(contents)}; say which are real and "
+        "imaginary, or magnitude and phase, with --columns real=NAME imaginary=NAME"
     )
+
+
+def _of_unknown_units(contents: Contents) -> str:
+    """Part of a sentence: what stands in brackets behind names and is no unit, as a misspelt one."""
+    unknown = [unit for unit in map(in_brackets, contents.names) if unit and not is_unit(unit)]
+    return f", and {' and '.join(map(shown, dict.fromkeys(unknown)))} behind a name is no known unit" if unknown else ""
 
 
 def _polar(contents: Contents, magnitude: Column, phase: Column) -> ComplexArray:
@@ -209,14 +221,24 @@ def _response(
 ) -> tuple[Response, list[str]]:
     """Form and unit of the values, and a note of what was guessed."""
     form = settings.form or (recipe.form if recipe is not None and recipe.form else None)
-    own = next((c.unit for c in values if c.unit and c.unit != "dB" and is_response_unit(c.unit)), None)
+    with_units = [c for c in values if c.unit and c.unit != "dB" and is_response_unit(c.unit)]
+    own = with_units[0].unit if with_units else None
     unit = settings.unit or own or (recipe.unit if recipe is not None and recipe.unit else None)
     if unit is not None:
-        return response_of(unit, contents.file, form), []
+        others = [c for c in with_units if not same_unit(c.unit, unit)]
+        said = " and ".join(c.told for c in others)
+        if others and settings.unit is None:
+            raise InputError(
+                f"{contents.file}: {with_units[0].told}, but {said}: both parts must have one unit; correct the names, "
+                "or give the unit of both with --unit"
+            )
+        notes = [f"{contents.file}: {said}, but --unit says {unit}, which was used"] if others else []
+        return response_of(unit, contents.file, form), notes
     named = form or form_in_names(values)
     if named is None:
         raise InputError(
-            f"{contents.file}: no unit says what {' and '.join(shown(c.variable.name) for c in values)} are; give "
+            f"{contents.file}: no unit says what {' and '.join(shown(c.variable.name) for c in values)} "
+            f"{'are' if values[1:] else 'is'}; give "
             f'--unit, e.g. "m/s^2/N", or --form, one of {", ".join(FORMS)}'
         )
     response = si_response(named)

@@ -113,6 +113,14 @@ def unit_in(text: str, expected: dict[Dimension, str]) -> Unit | None:
     return next((unit for unit in readings(text) if unit.dimension in expected), None)
 
 
+def same_unit(one: str, other: str) -> bool:
+    """Whether two texts can be one unit, as ``N s/mm`` and ``kN·s·m⁻¹``."""
+    return any(
+        a.dimension == b.dimension and math.isclose(a.factor, b.factor, rel_tol=1e-9)
+        for a, b in itertools.product(readings(one), readings(other))
+    )
+
+
 def _tokens(text: str) -> list[str]:
     tokens, place = [], 0
     while place < len(text.rstrip()):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayes_impedance.network.parameters import LOG, LOGIT
+from bayes_impedance.network.parameters import LOG, LOGIT, SIGNED
 from bayes_impedance.plots.access import (
     element_scale,
     identified,
@@ -298,8 +298,10 @@ def priors(figure: Figure, result: Result) -> Figure:
     panels[0].set_ylim(len(names) - 0.6, -1.0)
     if spread:
         scales = prior_dispersion_sds(result)
-        grid = np.linspace(0, 2.2 * float(scales.max()), 200)
-        for row in range(len(names)):
+        # What may be negative is the same for all, and the scale in its place has a unit: a stiffness' is 1000 N/m.
+        factors = np.array([p.link != SIGNED for p in result.parameters], dtype=bool)
+        grid = np.linspace(0, 2.2 * float(scales[factors].max(initial=0.0) or 1.0), 200)
+        for row in np.flatnonzero(factors).tolist():
             _ridge(panels[1], row, grid, half_normal_density(float(scales[row]))(grid), LIGHT, "prior")
             if seen[row] and not result.parameters[row].shared:
                 density, edges = np.histogram(samples(result, "dispersion_between_persons")[:, row], bins=25)

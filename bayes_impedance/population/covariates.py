@@ -8,6 +8,8 @@ estimates of single slopes would come from the prior.
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
 from bayes_impedance.errors import InputError
@@ -21,6 +23,12 @@ Welsch, Regression Diagnostics, Wiley 1980, section 3.2. Two covariates reach it
 SHARE_OF_DEPENDENCY = 0.1
 """A covariate is named as part of a dependency if its weight is at least this fraction of the largest weight. By
 choice: columns are standardised, so that a smaller weight means less than a tenth of a standard deviation per one."""
+
+
+def not_used(recordings: Recordings, column: str = "") -> str:
+    """Why a column of ``subjects.csv``, or any, is no covariate, as reading it has said; empty if nothing is known."""
+    pattern = re.compile(rf": {re.escape(column) or '.+'} is .*, and is not used")
+    return next((warning for warning in recordings.warnings if pattern.search(warning)), "")
 
 
 def standardised_covariates(recordings: Recordings, names: tuple[str, ...]) -> np.ndarray:
@@ -51,6 +59,8 @@ def standardised_covariates(recordings: Recordings, names: tuple[str, ...]) -> n
         if name in names[:i]:
             raise InputError(f"{what} is named twice: name it once")
         if name not in known:
+            if reason := not_used(recordings, name):
+                raise InputError(f"{what} cannot be used: {reason}")
             meant = hint(name, known) if known else "there are none"
             raise InputError(f"{what} is not in the dataset ({meant}): add it to subjects.csv or leave it out")
         values = np.array([s.covariates.get(name, np.nan) for s in subjects], dtype=float)

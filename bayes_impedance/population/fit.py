@@ -51,11 +51,13 @@ from bayes_impedance.population.shared import Pooling
 from bayes_impedance.population.shown_fit import ShownFit
 from bayes_impedance.population.starting_fits import FirstFits, first_fits
 from bayes_impedance.population.whole import Whole
+from bayes_impedance.recordings.dataset import require_recordings
 from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.runtime.checkpoint import claim
 from bayes_impedance.runtime.clock import Clock
 from bayes_impedance.runtime.executors import executor_of, map_persons
 from bayes_impedance.runtime.progress import Progress
+from bayes_impedance.runtime.user_table import whole_number_in
 
 __all__ = ["IDENTIFIED_SD", "QUICK_SETTINGS", "FitSettings", "PopulationFit", "fit_population", "prior_for"]
 
@@ -185,6 +187,9 @@ def fit_population(
     """
     from threadpoolctl import threadpool_limits
 
+    require_recordings(recordings)
+    whole_number_in(seed, "seed", 0)
+    whole_number_in(workers, "workers", 1)
     checkpoint = None if checkpoint is None else Path(checkpoint)
     settings = settings or FitSettings()
     recordings, terms = with_terms(recordings, settings.covariates)

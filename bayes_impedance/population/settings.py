@@ -8,6 +8,7 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.mcmc.ensemble import QUICK, SamplerSettings
 from bayes_impedance.population.given_prior import GivenPrior
 from bayes_impedance.population.heavy_tails import NORMAL, STUDENT_T
+from bayes_impedance.runtime.user_table import shown, whole_number_in
 
 DISTRIBUTIONS = (NORMAL, STUDENT_T)
 """Of people's log elements, the default first."""
@@ -48,6 +49,11 @@ class FitSettings:
             raise InputError(f"distribution is '{self.distribution}': choose 'normal' or 'student_t'")
         if not isinstance(self.covariates, tuple) or not all(isinstance(name, str) for name in self.covariates):
             raise InputError("covariates must be a tuple of names, such as ('age_y',)")
+        whole_number_in(self.draws, "draws", 1)
+        if self.prior is not None and not isinstance(self.prior, GivenPrior):
+            raise InputError(
+                f"prior is {shown(self.prior)}, but must be a GivenPrior: read a file with read_prior(path)"
+            )
 
 
 QUICK_SETTINGS = FitSettings(draws=256, sampler=QUICK)

@@ -333,6 +333,11 @@ def population_from(described: Mapping[str, Any], where: str) -> VirtualPopulati
         for name, row in elements.items()
         if not (isinstance(row, Mapping) and row.get("combined_in"))  # replaced in the network by another element
     }
+    if described.get("subjects") == 1:
+        raise InputError(
+            f"{where}: is the fit of one subject, which does not say how people differ; name a fit of more, or a "
+            "truth.json with dispersions"
+        )
     central = {name: _middle(row, "central") for name, row in rows.items()}
     unknown = [name for name, value in central.items() if value is None]
     if unknown:

@@ -7,7 +7,8 @@ The interpretation of a finding is left to the user, and no data are removed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence, Set
 from dataclasses import replace
 
 import numpy as np
@@ -15,14 +16,21 @@ import numpy as np
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.notation import parse
 from bayes_impedance.quality import point_anomalies
-from bayes_impedance.quality.curve_anomalies import duplicates, odd_subjects, repetition_spreads, suspect_units
+from bayes_impedance.quality.curve_anomalies import (
+    conjugated_repetitions,
+    duplicates,
+    odd_subjects,
+    repetition_spreads,
+    suspect_units,
+)
 from bayes_impedance.quality.findings import COMMON, COMMON_MINIMUM, Event, Finding, group, of_all
 from bayes_impedance.quality.kramers_kronig import Violation, violations
 from bayes_impedance.quality.late_channel import late_channel
 from bayes_impedance.quality.marks import Mark, marks
 from bayes_impedance.quality.negative_real_part import explain, sentence
 from bayes_impedance.quality.place import doubts_of_place
-from bayes_impedance.recordings.dataset import Recordings, Subject
+from bayes_impedance.recordings.dataset import Recordings, Subject, require_recordings
+from bayes_impedance.runtime.user_table import shown
 
 _EXPLAIN_PARTS = ("not_passive", "jump", "lag", "phase_conjugated", "phase_in_radians", "magnitude_in_db")
 """Findings of faults that also part the real from the imaginary part: one fault is reported once."""
@@ -41,7 +49,8 @@ def check_recordings(recordings: Recordings) -> tuple[Finding, ...]:
     tuple of Finding
         Warnings first, beginning with what was changed or ignored when the files were read; empty if there is none.
     """
-    read = [*_check_reading(recordings), *_check_network(recordings)]
+    require_recordings(recordings)
+    read = [*_check_reading(recordings), *_check_network(recordings), *_check_names(recordings)]
     if not recordings.subjects:
         return tuple(read)
     found, where = marks(recordings.subjects)
@@ -56,7 +65,7 @@ def check_recordings(recordings: Recordings) -> tuple[Finding, ...]:
     jumped = {finding.subject for finding in curves if finding.id == "jump"}
     whole = [
         *_check_place(recordings, any(finding.id == "not_passive" for finding in curves)),
-        *_check_units(recordings),
+        *_check_units(recordings, curves),
     ]
     findings = [
         *read,
@@ -112,6 +121,20 @@ def _check_reading(recordings: Recordings) -> Iterator[Finding]:
     """What was changed, dropped or not used when the files were read."""
     for warning in recordings.warnings:
         yield of_all("reading", warning)
+
+
+def _check_names(recordings: Recordings) -> Iterator[Finding]:
+    """Report subjects whose names differ only in case, spaces or underscores: one person may be two."""
+    alike: dict[str, list[str]] = {}
+    for name in recordings.names:
+        alike.setdefault(re.sub(r"[\s_-]", "", name).casefold(), []).append(name)
+    for names in alike.values():
+        if len(names) > 1:
+            message = (
+                f"subjects {' and '.join(map(shown, names))} have names that differ only in case, spaces, underscores "
+                "or hyphens; if they are one person, give all of the person's rows one name"
+            )
+            yield of_all("subject_names", message, names[1])
 
 
 def _check_network(recordings: Recordings) -> Iterator[Finding]:
@@ -249,7 +272,7 @@ def _check_place(recordings: Recordings, explained: bool) -> Iterator[Finding]:
             yield of_all(kind, found[1], found[0])
 
 
-def _check_units(recordings: Recordings) -> Iterator[Finding]:
+def _check_units(recordings: Recordings, found: Sequence[Finding]) -> Iterator[Finding]:
     suspects = suspect_units(recordings.subjects, recordings.polar)
     if "phase_conjugated" in suspects:
         yield of_all(
@@ -258,6 +281,8 @@ def _check_units(recordings: Recordings) -> Iterator[Finding]:
             "complex conjugates, from the convention exp(-jwt) or from an analyser that subtracts phases the other "
             "way: change the sign of the imaginary part or of the phase",
         )
+    if not suspects:
+        yield from _check_conjugated(recordings, {finding.subject for finding in found})
     if "phase_in_radians" in suspects:
         yield of_all(
             "phase_in_radians",
@@ -270,6 +295,25 @@ def _check_units(recordings: Recordings) -> Iterator[Finding]:
             "the slope of the magnitude agrees with the phase only if the magnitude is in dB; "
             "if it is, convert the column to 10^(dB/20)",
         )
+
+
+def _check_conjugated(recordings: Recordings, faulty: Set[str | None]) -> Iterator[Finding]:
+    """Single recordings that are complex conjugates, where those of the median person are not.
+
+    A jump or a turned sign of part of a curve can look like one: `faulty` subjects have findings and are left out.
+    """
+    for subject in recordings.subjects:
+        turned = () if subject.name in faulty else conjugated_repetitions(subject)
+        if not turned:
+            continue
+        named = ", ".join(map(shown, turned))
+        which = "" if turned == subject.repetitions else f", repetition{'s' if len(turned) > 1 else ''} {named}"
+        message = (
+            f"subject {shown(subject.name)}{which}: the phase agrees with the slope of the magnitude only if its sign "
+            "is reversed, unlike that of the others; this seems to be a complex conjugate, from the convention "
+            "exp(-jwt): change the sign of its imaginary part or phase"
+        )
+        yield of_all("phase_conjugated", message, subject.name)
 
 
 def _check_parts(recordings: Recordings, found: Sequence[Finding]) -> Iterator[Finding]:

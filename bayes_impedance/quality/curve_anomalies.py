@@ -9,7 +9,13 @@ import numpy as np
 
 from bayes_impedance.recordings.csv_table import ComplexArray, FloatArray
 from bayes_impedance.recordings.dataset import Subject
-from bayes_impedance.recordings.phase_relation import BODE_CONTRAST, BODE_MINIMUM_DEG, LEAST_BAND, bode_phase
+from bayes_impedance.recordings.phase_relation import (
+    BODE_CONTRAST,
+    BODE_MINIMUM_DEG,
+    LEAST_BAND,
+    bode_phase,
+    excess_phase,
+)
 
 COPY_LIMIT = 1e-6
 """Relative difference of |z| below which recordings count as copies: rounding of an export with six or seven digits."""
@@ -258,6 +264,22 @@ def suspect_units(subjects: Sequence[Subject], polar: bool = True) -> tuple[str,
         misfit["phase_in_radians", "magnitude_in_db"] = _rms(in_radians - from_decibel)
     best = min(misfit, key=lambda suspects: misfit[suspects])
     return best if misfit[()] > max(BODE_MINIMUM_DEG, BODE_CONTRAST * misfit[best]) else ()
+
+
+def conjugated_repetitions(subject: Subject) -> tuple[str, ...]:
+    """Return the repetitions of one person that seem to be complex conjugates, whatever the others' are.
+
+    :func:`suspect_units` looks at the median person and does not see one file in the other convention. The magnitude
+    of such a file is right, and so is the mean of its phase where a resonance is in the middle of the band, so that
+    it need not lie far from the others. Curves of few points or a narrow band say nothing
+    (:func:`~bayes_impedance.recordings.phase_relation.excess_phase`).
+    """
+    causes = [excess_phase(subject.frequency_hz, z) for z in subject.z]
+    return tuple(
+        repetition
+        for repetition, cause in zip(subject.repetitions, causes, strict=True)
+        if cause is not None and cause.cause == "conjugation"
+    )
 
 
 def _rms(values: FloatArray) -> float:

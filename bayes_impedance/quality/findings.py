@@ -23,8 +23,9 @@ class Finding:
     Attributes
     ----------
     id : str
-        Kind: reading, network, mark, not_passive, jump, outlier, duplicate_subject, odd_subject, repetition_spread,
-        transfer, lag, phase_conjugated, phase_in_radians, magnitude_in_db, kramers_kronig, one_subject, one_repetition.
+        Kind: reading, network, subject_names, mark, not_passive, jump, outlier, duplicate_subject, odd_subject,
+        repetition_spread, transfer, lag, phase_conjugated, phase_in_radians, magnitude_in_db, kramers_kronig,
+        one_subject, one_repetition.
     severity : {"note", "warning"}
         A note says what cannot be estimated; a warning says what may be wrong.
     subject, repetition : str or None

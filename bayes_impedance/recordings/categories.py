@@ -23,6 +23,9 @@ MOST_CATEGORIES = 10
 FEWEST_PERSONS = 2
 """Persons for each category, on average. By choice: with fewer a category is the person."""
 
+_WITH_UNIT = re.compile(r"([+-]?\d[\d.,]*(?:[eE][+-]?\d+)?)\s*([^\d\s].*)")
+"""A number and what stands behind it."""
+
 
 def is_categorical(cells: npt.NDArray[Any]) -> bool:
     """Whether a column is of text: more cells are words than numbers.
@@ -59,6 +62,7 @@ def indicators_of(name: str, cells: npt.NDArray[Any]) -> tuple[dict[str, npt.NDA
         return {}, (
             f"{name} is text with {len(values)} different values for {len(filled)} subjects, and is not used: for a "
             f"category there must be at most {MOST_CATEGORIES}, of {FEWEST_PERSONS} subjects or more on average"
+            f"{_numbers_with_unit(filled)}"
         )
     stripped = [str(cell).strip() for cell in cells]
     known = np.array([cell.lower() not in MISSING_CELLS for cell in stripped])
@@ -67,7 +71,17 @@ def indicators_of(name: str, cells: npt.NDArray[Any]) -> tuple[dict[str, npt.NDA
         for value in values[1:]
     }
     told = " and ".join(covariates)
-    return covariates, f"{name} is text, and used as category: {told} (1 if so) against {shown(values[0])}"
+    said = f"{name} is text, and used as category: {told} (1 if so) against {shown(values[0])}"
+    return covariates, said + _numbers_with_unit(filled)
+
+
+def _numbers_with_unit(filled: list[str]) -> str:
+    """End of a sentence if all cells are numbers with the same word behind them, as "23 y"; else empty."""
+    matches = [_WITH_UNIT.fullmatch(cell) for cell in filled]
+    units = {match[2] for match in matches if match}
+    if None in matches or len(units) != 1:
+        return ""
+    return f"; all its cells are numbers with {shown(units.pop())} behind them: leave that out, and it is a number"
 
 
 def _known(cells: npt.NDArray[Any]) -> list[str]:

@@ -52,7 +52,7 @@ class Table:
     row: IntArray
 
 
-def parse_csv(data: bytes, file: str, known: Collection[str]) -> Table:
+def parse_csv(data: bytes, file: str, known: Collection[str], or_else: str = "") -> Table:
     """Split a CSV file into named columns.
 
     Parameters
@@ -63,6 +63,8 @@ def parse_csv(data: bytes, file: str, known: Collection[str]) -> Table:
         Name to use in messages.
     known : collection of str
         Column names, in lower case, that are recognised in upper case too; other names are kept as they are.
+    or_else : str
+        Another remedy, the end of a sentence, for a table with another separator.
 
     Returns
     -------
@@ -91,7 +93,7 @@ def parse_csv(data: bytes, file: str, known: Collection[str]) -> Table:
         raise InputError(f"{file}: the file is empty; it needs a row of column names and rows of data")
     header = [cell.strip() for cell in records[0]]
     header = [name.lower() if name.lower() in known else name for name in header]
-    _check_header(header, records, file)
+    _check_header(header, records, file, or_else)
     width = np.fromiter(map(len, records), dtype=np.int64, count=len(records))
     _check_end(records, width, len(header), data[-1:] in (b"\n", b"\r"), file)
     _check_width(width, len(header), file)
@@ -120,7 +122,7 @@ def table_of(columns: Sequence[tuple[str, Cells]], file: str, known: Collection[
     return Table(file, {name: c[row] for name, (_, c) in zip(header, columns, strict=True) if name}, row + 2)
 
 
-def _check_header(header: list[str], records: list[list[str]], file: str) -> None:
+def _check_header(header: list[str], records: list[list[str]], file: str, or_else: str = "") -> None:
     """Refuse a first row that does not hold column names separated by commas."""
     if not any(header):
         raise InputError(f"{file}, row 1: the row is empty; put the column names into row 1")
@@ -129,7 +131,7 @@ def _check_header(header: list[str], records: list[list[str]], file: str) -> Non
             comma = any(re.search(r"\d,\d", ",".join(record)) for record in records[1:3])
             decimal = " and decimal commas to decimal points" if comma else ""
             raise InputError(
-                f"{file}, row 1: the columns are separated by {name}; change the separator to commas{decimal}"
+                f"{file}, row 1: the columns are separated by {name}; change the separator to commas{decimal}{or_else}"
             )
     if any(_is_number(cell) for cell in header):
         raise InputError(

@@ -17,7 +17,7 @@ from bayes_impedance.display import MOST_CURVES, MOST_ROWS, curves, heading, joi
 from bayes_impedance.errors import InputError
 from bayes_impedance.recordings.calibration import CommonError
 from bayes_impedance.recordings.csv_table import ComplexArray, FloatArray, has_control_character
-from bayes_impedance.runtime.user_table import similar
+from bayes_impedance.runtime.user_table import shown, similar
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -285,7 +285,7 @@ class Recordings:
         InputError
             If a name is unknown or given twice.
         """
-        chosen = tuple(names)
+        chosen = (names,) if isinstance(names, str) else tuple(names)
         known = {subject.name: subject for subject in self.subjects}
         for name in chosen:
             if name not in known:
@@ -295,6 +295,20 @@ class Recordings:
             if chosen.count(name) > 1:
                 raise InputError(f'subject "{name}" is selected twice; name it once')
         return replace(self, subjects=tuple(known[name] for name in chosen))
+
+
+def require_recordings(recordings: object) -> None:
+    """Refuse what are no recordings, such as the path of a dataset.
+
+    Raises
+    ------
+    InputError
+    """
+    if not isinstance(recordings, Recordings):
+        raise InputError(
+            f"recordings are {shown(recordings) if isinstance(recordings, str) else type(recordings).__name__}, but "
+            "must be Recordings: read a dataset with read_recordings(path)"
+        )
 
 
 def _pictures(recorded: list[tuple[FloatArray, ComplexArray]], unit: str) -> tuple[str, str]:

@@ -39,6 +39,8 @@ _REMEDY = {
     "magnitude": "add it, or give z_re and z_im",
     "phase_deg": "add it, with the phase in degrees, or give z_re and z_im",
 }
+OR_IMPORT = ", or make a dataset of another program's file with 'bayes-impedance import'"
+"""End of a sentence about a table that has another form."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,7 +119,7 @@ def parse_recordings(data: bytes, file: str) -> RecordingTable:
     InputError
         If a column is missing, a value is impossible, or the frequencies of one recording repeat or are not sorted.
     """
-    return check_cells(parse_csv(data, file, KNOWN))
+    return check_cells(parse_csv(data, file, KNOWN, OR_IMPORT))
 
 
 def check_cells(cells: Table, may_be_empty: bool = False) -> RecordingTable:
@@ -219,7 +221,9 @@ def _check_columns(cells: Table) -> tuple[tuple[str, str], tuple[str, ...]]:
             if name == "repetition" and guess is None:
                 continue  # everybody was measured once
             remedy = f'{_REMEDY[name]}, or rename "{guess}" if it is that' if guess else _REMEDY[name]
-            raise InputError(f'{cells.file}, row 1: column "{name}" is missing (found: {", ".join(found)}); {remedy}')
+            raise InputError(
+                f'{cells.file}, row 1: column "{name}" is missing (found: {", ".join(found)}); {remedy}{OR_IMPORT}'
+            )
     used = {"subject", "repetition", "frequency_hz", "noise_sd", *value_columns}
     ignored = tuple(
         f'{cells.file}: column "{name}" is not used'

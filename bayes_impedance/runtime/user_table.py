@@ -10,7 +10,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping
-from numbers import Real
+from numbers import Integral, Real
 from typing import Any
 
 from bayes_impedance.errors import InputError
@@ -100,6 +100,19 @@ def number_in(
     if not inside:
         raise InputError(f"{what} is {shown(value)}, but must be {wanted}")
     return number
+
+
+def whole_number_in(value: object, what: str, at_least: int) -> int:
+    """Return a value that must be a whole number, and no boolean, from `at_least` on.
+
+    Raises
+    ------
+    InputError
+        If it is not.
+    """
+    if not isinstance(value, Integral) or isinstance(value, bool) or value < at_least:
+        raise InputError(f"{what} is {shown(value)}, but must be a whole number from {at_least} on")
+    return int(value)
 
 
 def text_in(value: object, what: str) -> str:

@@ -133,7 +133,7 @@ def test_what_the_body_shares_differs_between_populations_only() -> None:
 
 def test_assumed_values_are_on_the_parameter_s_own_scale() -> None:
     text = "skin:(n3|r3)-tissue:(m2|r1|n1|p1^a1)"
-    result = extended(make_result(covariance="diagonal"), text, {"p1": 2.0, "a1": -1.0})
+    result = extended(make_result(covariance="diagonal"), text, {"p1": 2.0, "a1": np.nan})
     population = population_of(result, {"a1": 0.25})
     np.testing.assert_allclose(population.draw(5, seed=1).values["a1"], 0.25)
     with pytest.raises(InputError, match=r"cannot be 2\.0: it must be between 0 and 1"):

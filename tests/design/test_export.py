@@ -134,7 +134,8 @@ def test_a_device_of_ones_own(finished: Path, tmp_path: Path, capsys: pytest.Cap
         (["--share", "1.5"], "above 0 and below 1"),
         (["--damping", "-1"], "at least 0"),
         (["--assume", "n3"], "such as n3="),
-        (["--assume", "n9=1"], "elements among n3"),
+        (["--assume", "n9=1"], "assumed n9 = 1: assumed values must be positive and of elements among n3"),
+        (["--assume", "n3=1"], "the recordings determine n3"),
         (["--device", "none.toml"], "there is no such file"),
     ],
 )

@@ -111,6 +111,30 @@ def test_sheets_of_a_workbook(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert "no rows of numbers" in refused(capsys, tmp_path / "a.xlsx")
 
 
+def test_a_second_sheet_with_numbers_is_not_left_out_silently(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It may be another person; words and a few numbers are none."""
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    book.active.title = "S01"
+    remarks = book.create_sheet("remarks")
+    remarks.append(["gain", 2.0, 3.0, 4.0])
+    remarks.append(["measured", "on Monday"])
+    for sheet in (book["S01"], book.create_sheet("S02")):
+        sheet.append(["f (Hz)", "z_re", "z_im"])
+        for f, z in zip(F.tolist(), Z.tolist(), strict=True):
+            sheet.append([f, z.real, z.imag])
+    book.save(tmp_path / "a.xlsx")
+    said = refused(capsys, tmp_path / "a.xlsx")
+    assert '2 sheets ("S01", "S02")' in said
+    assert "--record" in said
+    np.testing.assert_allclose(imported(tmp_path, tmp_path / "a.xlsx", "--record", "S02").z[0], Z)
+    del book["S02"]
+    book.save(tmp_path / "a.xlsx")
+    np.testing.assert_allclose(imported(tmp_path, tmp_path / "a.xlsx").z[0], Z)
+
+
 def test_groups_of_tdms_are_realisations(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     nptdms = pytest.importorskip("nptdms")
     from simulated_signals import Multisine

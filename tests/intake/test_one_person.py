@@ -65,6 +65,28 @@ def test_one_person_in_71_files_is_refused(tmp_path: Path, capsys: pytest.Captur
     assert [len(one.repetitions) for one in read_recordings(out).subjects] == [71]
 
 
+@pytest.mark.parametrize(("again", "told"), [(0.03, True), (0.3, False)])
+def test_names_of_repetitions_are_pointed_out(
+    again: float, told: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Five people in three files each; or fifteen people who only have such names."""
+    rng = np.random.default_rng(7)
+    people = np.log(CENTRE) + 0.3 * rng.normal(size=(5, 1, 3)) + again * rng.normal(size=(5, 3, 3))
+    m, r, n = np.exp(people).reshape(15, 3).T[..., None]
+    z = S * m + r + 1 / (S * n)
+    folder = written(tmp_path / "files", z)
+    for i in range(15):
+        (folder / f"file{i}.csv").rename(folder / f"P{i // 3}_{i % 3 + 1}.csv")
+    assert main(["import", str(folder), "-o", str(tmp_path / "out")]) == 0
+    said = "".join(capsys.readouterr())
+    assert ("15 subjects have names in 5 groups" in said) == told
+    pattern = r"(?P<subject>.+?)[^\dA-Za-z]*(?P<repetition>\d+)$"
+    assert (pattern in said) == told
+    assert main(["import", str(folder), "-o", str(tmp_path / "five"), "--subject-from-name", pattern]) == 0
+    assert [len(one.repetitions) for one in read_recordings(tmp_path / "five").subjects] == [3] * 5
+    assert "groups that differ" not in "".join(capsys.readouterr())
+
+
 @pytest.mark.parametrize("name", ["file{}.csv", "P_{}.csv"])
 def test_a_file_that_was_cut_between_rows_is_refused(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from extended_results import extended
 from hypothesis import given
 from hypothesis import strategies as st
 from results_by_hand import VARIANTS, make_result
@@ -146,3 +147,17 @@ def test_the_prior_of_ordered_elements_is_that_of_its_draws() -> None:
     assert middle[True][0] < -1 < 1 < middle[True][1]
     del result.groups["prior"]
     priors(new_figure(8, 5), result)  # a result of an earlier version
+
+
+def test_what_may_be_negative_does_not_stretch_the_axis_of_dispersions() -> None:
+    """A stiffness of the rig has a prior in N/m, where others have one of a factor: exp of that is no number."""
+    plain = make_result()
+    result = extended(plain, "offset[k1*]((n3|r3)-(m2|r1|n1))", {"k1": 900.0})
+    old = plain.groups["constant_data"]
+    added = [plain.elements.index(name) if name in plain.elements else None for name in result.elements]
+    for key, own in (("prior_centre", 0.0), ("prior_centre_sd", 3e3), ("prior_dispersion_sd", 1e3)):
+        given = old.get(key, np.ones(len(plain.elements)))
+        result.groups["constant_data"][key] = np.array([own if k is None else given[k] for k in added])
+    panel = priors(new_figure(8, 5), result).axes[1]
+    assert 0 < panel.get_xlim()[1] < 10
+    assert len([a for a in panel.collections if a.get_label() == "prior"]) == len(plain.elements)

@@ -12,7 +12,7 @@ from conftest import SHORT
 from bayes_impedance.errors import InputError
 from bayes_impedance.mcmc.ensemble import SamplerSettings
 from bayes_impedance.population import starting_fits
-from bayes_impedance.population.fit import PopulationFit, fit_population
+from bayes_impedance.population.fit import FitSettings, PopulationFit, fit_population
 from bayes_impedance.population.simulate import Simulation
 from bayes_impedance.population.starting_fits import FirstFits
 from bayes_impedance.recordings.files import Recordings, Subject
@@ -164,6 +164,23 @@ def test_a_checkpoint_of_another_format_is_refused(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(checkpoint, "_FORMAT", 0)
     with pytest.raises(InputError, match="another version"):
         checkpoint.claim(tmp_path, ["a"], 1)
+
+
+def test_a_checkpoint_from_before_a_setting_existed_is_refused(
+    five: tuple[Recordings, PopulationFit], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What that version did in its place is not known for sure, and its arrays may lack what the setting needs."""
+    recordings, _ = five
+    whole = FitSettings.__repr__
+    with monkeypatch.context() as earlier:
+        earlier.setattr(FitSettings, "__repr__", lambda self: whole(self).replace(", distribution='normal'", ""))
+        assert "distribution" not in repr(VERY_SHORT)
+        fit_population(recordings, settings=VERY_SHORT, seed=7, checkpoint=tmp_path)
+    assert "distribution" in repr(VERY_SHORT)
+    before = {file: file.read_bytes() for file in tmp_path.iterdir()}
+    with pytest.raises(InputError, match="another version of the package; give the same ones, or start anew"):
+        fit_population(recordings, settings=VERY_SHORT, seed=7, checkpoint=tmp_path)
+    assert {file: file.read_bytes() for file in tmp_path.iterdir()} == before
 
 
 def test_damaged_first_fits_and_point_estimate_are_made_anew(

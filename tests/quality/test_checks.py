@@ -123,6 +123,13 @@ def test_hum_in_all_recordings_is_one_finding() -> None:
     assert "indicate a fault of the rig" in finding.message
 
 
+def test_names_that_differ_in_case_only() -> None:
+    data = simulate(1, subjects=5)
+    renamed = replace(data.subjects[3], name="s_01")
+    finding = only(replace(data, subjects=(*data.subjects[:3], renamed, data.subjects[4])), "subject_names")
+    assert finding.message.startswith('subjects "S01" and "s_01" have names that differ only in case')
+
+
 @pytest.mark.parametrize("factor", [2.0, 0.5, 1.2, -1.0, 1j])
 def test_jump(factor: complex) -> None:
     data = simulate(3, noise=0.002)

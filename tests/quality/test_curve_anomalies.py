@@ -93,6 +93,21 @@ def test_conjugated_phase(polar: bool) -> None:
     assert warnings(data) == []
 
 
+@pytest.mark.parametrize(
+    ("turned", "words"), [((0, 1, 2), 'subject "S05": '), ((1,), 'subject "S05", repetition "2": ')]
+)
+def test_one_conjugated_person_among_others(turned: tuple[int, ...], words: str) -> None:
+    """The median person does not show it, and the mean phase of such a curve need not be unusual."""
+
+    def edit(z: Complex) -> None:
+        z[list(turned)] = z[list(turned)].conj()
+
+    found = [f for f in warnings(change(simulate(1), 5, edit)) if f.id == "phase_conjugated"]
+    assert [f.subject for f in found] == ["S05"]
+    assert found[0].message.startswith(words)
+    assert "change the sign of its imaginary part" in found[0].message
+
+
 def test_damper_is_not_in_radians() -> None:
     f = np.geomspace(5, 5000, 101)
     rng = np.random.default_rng(1)

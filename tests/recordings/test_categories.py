@@ -5,7 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bayes_impedance.diagnosis import search_covariates
 from bayes_impedance.errors import InputError
+from bayes_impedance.population.covariates import standardised_covariates
 from bayes_impedance.recordings import Recordings, read_recordings, write_recordings
 from bayes_impedance.recordings.categories import indicators_of, is_categorical
 
@@ -71,3 +73,31 @@ def test_a_word_among_numbers_is_a_mistake(tmp_path: Path, cells: tuple[str, ...
 def test_decimal_commas_are_no_words(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="decimal comma"):
         read(tmp_path, "force_n", ('"1,5"',) * 3 + ('"2,5"',) * 3)
+
+
+@pytest.mark.parametrize(
+    ("cells", "kept"),
+    [
+        (("20 kg", "21 kg", "22 kg", "23 kg", "24 kg", "25 kg"), False),
+        (("20 kg", "20 kg", "20 kg", "25 kg", "25 kg", "25 kg"), True),
+    ],
+)
+def test_numbers_with_a_unit_are_pointed_out(tmp_path: Path, cells: tuple[str, ...], kept: bool) -> None:
+    """They are text, and what they mean would be lost, or be two groups, without this word."""
+    recordings = read(tmp_path, "mass", cells)
+    assert ("mass=25 kg" in recordings.subjects[0].covariates) == kept
+    (said,) = recordings.warnings
+    assert said.endswith('all its cells are numbers with "kg" behind them: leave that out, and it is a number')
+
+
+def test_why_a_column_is_no_covariate_is_said_where_one_is_asked_for(tmp_path: Path) -> None:
+    recordings = read(tmp_path, "mass", ("20 kg", "21 kg", "22 kg", "23 kg", "24 kg", "25 kg"))
+    with pytest.raises(InputError, match=r'"mass" cannot be used: .*subjects.csv: mass is text .*numbers with "kg"'):
+        standardised_covariates(recordings, ("mass",))
+    with pytest.raises(InputError, match=r'"weight" is not in the dataset'):
+        standardised_covariates(recordings, ("weight",))
+    only = (tmp_path / "subjects.csv").read_text(encoding="utf-8").splitlines()
+    without = [",".join(cell for k, cell in enumerate(line.split(",")) if k != 1) for line in only]
+    (tmp_path / "subjects.csv").write_text("\n".join(without) + "\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"no covariates: .*subjects.csv: mass is text"):
+        search_covariates(read_recordings(tmp_path), "r1")

@@ -50,7 +50,10 @@ BAD_RECORDINGS: dict[str, Bad] = {
     "text_after_gap": (GOOD.replace("1.1,", ",").replace("2.1,", "abc,"), ["row 6", 'z_re is "abc"']),
     "text_after_blank_rows": (GOOD.replace("B,1,20,2.1", "\n\nB,1,20,abc"), ["row 8", 'z_re is "abc"']),
     "underscore": (GOOD.replace("2.1,", "1_000,"), ["row 6", 'z_re is "1_000"']),
-    "semicolons": (GOOD.replace(",", ";"), ["row 1", "separated by semicolons", "to commas"]),
+    "semicolons": (
+        GOOD.replace(",", ";"),
+        ["row 1", "separated by semicolons", "to commas, or make", "bayes-impedance import"],
+    ),
     "semicolons_and_decimal_commas": (
         GOOD.replace(",", ";").replace(".", ","),
         ["row 1", "separated by semicolons", "decimal points"],

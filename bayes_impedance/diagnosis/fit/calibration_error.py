@@ -58,6 +58,12 @@ _PROBES = (0.5, 1.0, 2.0)
 """Dampers from which the rig's map is found, over the recordings' median size: three, as it has three numbers."""
 
 
+_NOT_REPEATED = (
+    "The calibration's error could not be estimated again with what was found, and is that of the network without it: "
+    "it may hold a part of what was found, whose values are then off by as much"
+)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Corrected:
     """Recordings without the calibration's most probable error.
@@ -74,6 +80,8 @@ class Corrected:
         Most probable parameters of the rig, in the dataset's units; empty without a calibration.
     uncertainty : ndarray, shape (S,)
         Their standard deviations by recordings and calibration, over those by the calibration alone.
+    not_repeated : str
+        Why the error was not estimated again with what was found; empty if it was, or nothing was found.
     """
 
     given: Recordings
@@ -81,6 +89,7 @@ class Corrected:
     network: Network | str | None
     values: Mapping[str, float] = field(default_factory=dict)
     uncertainty: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    not_repeated: str = ""
 
     def as_given(self, clean: Recordings) -> Recordings:
         """The recordings as measured, at the frequencies at which `clean` has recordings of the same subjects."""
@@ -91,11 +100,14 @@ class Corrected:
         return replace(self.given, subjects=subjects)
 
     def with_found(self, network: Network, seed: int, executor: Executor, progress: Progress) -> Corrected:
-        """The same with an error that was estimated with a larger network: these recordings if it has not moved."""
+        """The same with an error that was estimated with a larger network: these recordings if it has not moved.
+
+        They are also kept where the larger network cannot be fitted, which the remarks then say.
+        """
         try:
             again = without_calibration_error(self.given, network, seed, executor, progress)
-        except InputError:  # a network whose parameters no recordings determine, for example
-            return self
+        except InputError as error:  # a network whose parameters no recordings determine, for example
+            return replace(self, not_repeated=str(error))
         moved = np.abs(again.deviations - self.deviations) > _MOVED * again.uncertainty
         return replace(again, network=self.network) if moved.any() else self
 
@@ -123,10 +135,11 @@ class Corrected:
                 f"is improbable under the calibration (p = {self.probability:.1g}): its standard deviations are too "
                 "small, or the network lacks something. Nothing was removed for it, and the search finds what it is.",
             )
-        return (
+        removed = (
             "What the calibration leaves uncertain was estimated along with the network, with the calibration's own "
-            f"prior, and removed before the search, so that it is no finding: {told}.",
+            f"prior, and removed before the search, so that it is no finding: {told}."
         )
+        return (removed, f"{_NOT_REPEATED}: {self.not_repeated}.") if self.not_repeated else (removed,)
 
 
 def deviations_of(error: CommonError, values: Mapping[str, float]) -> np.ndarray:

@@ -97,6 +97,18 @@ def test_nothing_is_removed_for_an_improbable_error() -> None:
         np.testing.assert_array_equal(own.z, given.z)
 
 
+def test_it_is_said_where_the_network_with_what_was_found_cannot_be_fitted() -> None:
+    """Recordings stay as they are then, and what was found may be off by what the rig has taken of it."""
+    found = corrected(people("delay", left(DELAY)))
+    assert len(found.remarks) == 1
+    with ThreadPoolExecutor(1) as executor:
+        again = found.with_found(parse("m1|r1|n1|m_rig"), 1, executor, lambda *_: None)
+    assert again.recordings is found.recordings
+    assert again.remarks[0] == found.remarks[0]
+    assert "could not be estimated again with what was found" in again.remarks[1]
+    assert "m_rig" in again.remarks[1]
+
+
 def test_what_is_removed_is_the_rig() -> None:
     """Recordings within a rig of known parameters come back, with their noise."""
     load = people(None, None)
