@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from bayes_impedance.diagnosis.catalogue.coefficient import Coefficient
 from bayes_impedance.diagnosis.catalogue.effect import Effect, register
 from bayes_impedance.diagnosis.catalogue.rig import RESONATOR
@@ -210,6 +212,30 @@ BODY_BYPASS = register(
         operation="bypass",
         coefficients=(Coefficient("damping", "r"), Coefficient("stiffness", "k")),
         branch="n|r",
+    )
+)
+
+# Beside a damper or a spring of the network at the port, one of the two is part of it, and of the second path only the
+# other one can be seen: with both, a coefficient that the recordings do not determine decides about its sign.
+BODY_BYPASS_STIFFNESS = register(
+    replace(
+        BODY_BYPASS,
+        formula="z + k/s",
+        look_for="a change of Im z that falls as 1/frequency and differs between people",
+        operation="add",
+        coefficients=(Coefficient("stiffness", "k"),),
+        branch="n",
+    )
+)
+
+BODY_BYPASS_DAMPING = register(
+    replace(
+        BODY_BYPASS,
+        formula="z + r",
+        look_for="a constant offset of Re z that differs between people",
+        operation="add",
+        coefficients=(Coefficient("damping", "r"),),
+        branch="r",
     )
 )
 

@@ -184,8 +184,8 @@ class Effect:
 
     @property
     def form(self) -> str:
-        """What distinguishes entries with one id: the operation, or how the branch is connected."""
-        return self.operation or f"{self.connection} {self.branch}"
+        """What distinguishes entries with one id: operation and unit, or how the branch is connected."""
+        return f"{self.operation} {self.coefficients[0].unit}" if self.operation else f"{self.connection} {self.branch}"
 
     def sites(self, network: Network) -> tuple[Place, ...]:
         """Places of a network at which the effect may act, no two of them electrically equivalent.
