@@ -28,6 +28,7 @@ from bayes_impedance.diagnosis.fit.model import Model, build
 from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.residuals.locate import locate
+from bayes_impedance.diagnosis.selection.predictive_gain import names_that_predict
 from bayes_impedance.diagnosis.selection.stepwise import Found, search
 from bayes_impedance.diagnosis.selection.unnamed import structure_remains
 from bayes_impedance.network.notation import Network
@@ -162,6 +163,7 @@ def claim_of(
     """
     fitted = fit_network(simulation, network, seed, executor, progress)
     found = search(fitted.refitter, fitted.fit, simulation.names, effects, seed, executor, progress)
+    found, _ = names_that_predict(fitted.refitter, found, seed)  # as of recordings
     final = found.final
     p_value = locate(tuple(person_residuals(final, simulation.names, executor)), seed).p_value
     if not structure_remains(found, p_value):

@@ -80,7 +80,8 @@ def grown_network(
     fit = small.settle(small.fit(base.model, base.u[rows], base.population, _ROUNDS), seed, tries=3, rounds=1)
     start = fit
     for _ in range(_MOST_BRANCHES):
-        residuals = person_residuals(fit, [names[i] for i in some], executor)
+        # With a further branch, elements that the claimed network has driven to nothing come back.
+        residuals = person_residuals(fit, [names[i] for i in some], executor, returning=True)
         if fit is not start and locate(residuals, seed).p_value >= ALPHA:
             break
         branch = stand_in_network(small, fit, residuals, missing_one_ports(fit, residuals), seed, executor)

@@ -121,7 +121,7 @@ def test_every_effect_is_a_network(effect: Effect, pooling: str) -> None:
 
 
 def test_several_effects_at_one_place_and_inside_of_others() -> None:
-    by_form = {e.form: e for e in registered()}
+    by_form = {e.operation: e for e in registered()}
     skin = Addition(effect=by_form["beside_power"], place="skin", pooling="varying")
     spring = Addition(effect=by_form["relaxation"], place="n1", pooling="varying")
     delay = Addition(effect=by_form["delay"], place="port", pooling="shared")

@@ -90,7 +90,9 @@ _SHARPER = 1.5
 choice."""
 
 
-def person_residuals(fit: Refit, names: Sequence[str], executor: Executor | None = None) -> list[PersonResiduals]:
+def person_residuals(
+    fit: Refit, names: Sequence[str], executor: Executor | None = None, returning: bool = False
+) -> list[PersonResiduals]:
     """Residuals of a fitted model, whitened, with the elements' tangent spaces.
 
     Parameters
@@ -100,9 +102,13 @@ def person_residuals(fit: Refit, names: Sequence[str], executor: Executor | None
         Of the people.
     executor : Executor, optional
         Distributes the persons; without it they are computed one after the other.
+    returning : bool
+        Whether elements that were driven to nothing may come back with what is looked for, so that all directions of
+        the tangent space absorb.
     """
     ends = np.cumsum([d.z.shape[0] for d in fit.data])[:-1]
-    function = partial(_residuals_of, fit.model.kernel, fit.model.n_elements, FAINT / np.sqrt(len(fit.u)))
+    limits = (0.0, np.inf) if returning else (FAINT / np.sqrt(len(fit.u)), _BEYOND_REACH)
+    function = partial(_residuals_of, fit.model.kernel, fit.model.n_elements, limits)
     rows = np.split(fit.u, ends)
     if executor is None:
         return [function(*person) for person in zip(fit.data, names, rows, strict=True)]
@@ -110,9 +116,10 @@ def person_residuals(fit: Refit, names: Sequence[str], executor: Executor | None
 
 
 def _residuals_of(
-    kernel: Kernel, n_elements: int, faint: float, d: Likelihood, name: str, u: np.ndarray
+    kernel: Kernel, n_elements: int, limits: tuple[float, float], d: Likelihood, name: str, u: np.ndarray
 ) -> PersonResiduals:
-    """Residuals of one person, at u (J, P)."""
+    """Residuals of one person, at u (J, P), with the limits of what is faint and of what is beyond reach."""
+    faint, reach = limits
     frequency = d.omega / (2 * np.pi)
     z, dz = kernel.derivative(u, frequency)
     difference = (d.z[:, 0] + 1j * d.z[:, 1] - z) * np.sqrt(d.weight)
@@ -120,7 +127,7 @@ def _residuals_of(
     q, moved = directions(real_and_imaginary(dz[:, :n_elements] * np.sqrt(d.weight)[:, None]), faint)
     own = sharper_weight(own_weight(white, q), difference)
     left = np.abs(np.einsum("jfp,jf->jp", q, white)) * np.sqrt(own)
-    basis = q * (left <= _BEYOND_REACH * np.maximum(1.0, moved * np.sqrt(own)))[:, None, :]
+    basis = q * (left <= reach * np.maximum(1.0, moved * np.sqrt(own)))[:, None, :]
     own = sharper_weight(own_weight(white, basis), difference)
     sd = 1 / np.sqrt(d.weight * own)
     return PersonResiduals(
