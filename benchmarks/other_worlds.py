@@ -258,7 +258,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("-o", "--out", type=Path, default=HERE / "other_worlds.json")
     options = parser.parse_args(arguments)
     results: dict[str, Any] = json.loads(options.out.read_text(encoding="utf-8")) if options.out.is_file() else {}
-    timed_fit(WORLDS["shipped"], BESIDE_NUTS)  # fills the cache of compiled functions
+    timed_fit(WORLDS["shipped"], Size(FULL.people, BESIDE_NUTS.points))  # fills the cache of compiled functions
     here = machine()
     for name in options.only:
         parts: dict[str, Callable[[], Any]] = {
