@@ -4,7 +4,7 @@ The proposal q is a mixture: mostly a multivariate t (10 degrees of freedom: tai
 first around the person's mode, and in part the reference population itself, which covers regions far from the mode
 and bounds the importance weights (defensive mixture, Owen and Zhou 2000). Draws and weights of one round give the
 mean and covariance of the next round's t, which allows for posteriors that are wider on one side than the curvature
-at the mode suggests. If one round does not suffice, the draws of all rounds count, as if each came from the mixture
+at the mode suggests. If the best round is poor, the draws of all rounds count, as if each came from the mixture
 of all proposals (adaptive multiple importance sampling, Cornuet et al. 2012). Of these M draws only K are kept,
 because all that follows is computed for each of them: draw k with probability :math:`\pi_k \propto \sqrt{w_k}`, at
 most one, where :math:`w_k` is its weight under the reference, and with the weight :math:`w_k/\pi_k` (Horvitz and
@@ -52,9 +52,12 @@ By choice: half of the first round explores regions away from the mode; later an
 eight times the likelihood, at the cost of an eighth of the draws.
 """
 
-_MOST_ROUNDS, _ENOUGH = 6, 0.5
-"""Most rounds, and the effective share of the draws after which no more are made. By choice: the first round explores,
-and the proposal changes little after four more."""
+_MOST_ROUNDS, _ENOUGH, _POOR = 6, 0.5, 0.25
+"""Most rounds, the effective share of the draws after which no more are made, and the share of the best round below
+which the draws of all rounds count. By choice: the first round explores, and the proposal changes little after four
+more. Choosing from all rounds makes small weights equal and leaves the largest as they are, so that the tail of the
+weights looks heavier than it is (largest Pareto k of 33 people: 0.58 in the best round, 0.69 in all rounds, 1.09 when
+chosen from these); where one round is not poor that is not worth it."""
 
 _LEAST_ROOT = 1e-6
 """Least root of a weight, relative to the largest, with which the probability of being chosen goes. By choice: a draw
@@ -153,16 +156,15 @@ def draw(
         return _weighted(kernel, likelihood, ridge, reference, theta, log_q)
     centre = mode.theta
     laplace = covariance = np.linalg.inv(ridge.precision + np.linalg.inv(reference.covariance))
-    made, result = _Rounds(kernel, likelihood, ridge, reference), None
+    made, best = _Rounds(kernel, likelihood, ridge, reference), None
     for attempt, child in enumerate(seed.spawn(_MOST_ROUNDS)):
         share = _DEFENSIVE if attempt else _EXPLORING
-        last = made.another(_Proposal(centre, covariance, share), n if attempt else min(n, 256), child)
-        if attempt:
-            result = last if attempt == 1 else made.chosen(n, child)
-            if result.effective > _ENOUGH * n:
-                break
+        draws = made.another(_Proposal(centre, covariance, share), n if attempt else min(n, 256), child)
+        if attempt and (best is None or draws.effective > best.effective):
+            best = draws
+        if best is not None and best.effective > _ENOUGH * n:
+            break
         # Weights are tempered until enough draws are effective to estimate a covariance.
-        draws = last if attempt < 2 else made.together()
         log_weight = draws.log_weight
         while np.exp(-np.logaddexp.reduce(2 * log_weight)) < 6 * centre.size:
             log_weight = 0.7 * log_weight
@@ -171,8 +173,8 @@ def draw(
         centre = weight @ draws.theta
         offset = draws.theta - centre
         covariance = (offset * weight[:, None]).T @ offset + 0.02 * laplace
-    assert result is not None  # at least two rounds are made
-    return result
+    assert best is not None  # at least two rounds are made
+    return best if best.effective >= _POOR * n else made.chosen(n, seed.spawn(1)[0])
 
 
 @dataclass(frozen=True)

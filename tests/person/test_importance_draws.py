@@ -95,7 +95,8 @@ def test_effective_draws_stay_high_where_the_data_say_little() -> None:
 
 def test_rounds_together_have_the_marginal_likelihood(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two elements by quadrature; more rounds are made than are needed, and few of their draws are kept."""
-    monkeypatch.setattr(importance_draws, "_ENOUGH", 2.0)  # never: all six rounds count
+    monkeypatch.setattr(importance_draws, "_ENOUGH", 2.0)  # never: six rounds are made
+    monkeypatch.setattr(importance_draws, "_POOR", 2.0)  # always: all of them count
     kernel = Kernel(parse("r1|n1"))
     theta = np.log([5.0, 1e-3])
     likelihood = _record(kernel, theta, 0.5, np.random.default_rng(8), repetitions=1)
