@@ -57,8 +57,8 @@ class Size:
 
 
 FULL, BESIDE_NUTS = Size(71, 401), Size(12, 31)
-"""The size of the shipped recordings, and one at which NUTS comes to an end: with 20 people of eight elements it had
-not after four minutes of processor. Fewer than ten would have no correlations."""
+"""The size of the shipped recordings, and a smaller one. By choice, for time: a step of NUTS takes the longer the more
+people there are. Fewer than ten would have no correlations."""
 
 
 @dataclass(frozen=True, kw_only=True)
