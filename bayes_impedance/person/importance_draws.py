@@ -101,8 +101,6 @@ class Draws:
         What `log_ratio` lacks of the log density (:func:`bayes_impedance.person.absolute_density.log_constant`).
     deviations : Deviations, optional
         Likelihood of other dispersions between repetitions than that at which they were integrated out.
-    log_likelihood : ndarray, shape (K,), optional
-        ln L, while draws are made: what moves them starts from it.
     """
 
     theta: np.ndarray
@@ -110,7 +108,6 @@ class Draws:
     log_weight: np.ndarray
     constant: float = 0.0
     deviations: Deviations | None = None
-    log_likelihood: np.ndarray | None = None
 
     @property
     def effective(self) -> float:
@@ -153,7 +150,7 @@ def draw(
     """
     if along_valley:
         theta, log_q = _propose_along(kernel, likelihood, mode, reference, n, seed)
-        return _weighted(kernel, likelihood, ridge, reference, theta, log_q)
+        return _weighted(theta, marginal_log_likelihood(kernel, likelihood, ridge, theta) - log_q, reference)
     centre = mode.theta
     laplace = covariance = np.linalg.inv(ridge.precision + np.linalg.inv(reference.covariance))
     made, best = _Rounds(kernel, likelihood, ridge, reference), None
@@ -196,7 +193,7 @@ class _Rounds:
     """The draws of several rounds; the arguments are those of :func:`draw`."""
 
     def __init__(self, kernel: Kernel, likelihood: Likelihood, ridge: Ridge, reference: Reference) -> None:
-        self._of = kernel, likelihood, ridge, reference
+        self._of = kernel, likelihood, ridge
         self._reference = reference
         self._proposals: list[tuple[_Proposal, int]] = []
         self._theta: list[np.ndarray] = []
@@ -206,29 +203,27 @@ class _Rounds:
         """Make one round, and return its draws alone."""
         theta = _propose(proposal.centre, proposal.covariance, self._reference, proposal.share, n, seed)
         own = replace(proposal, share=round(proposal.share * n) / n)
-        draws = _weighted(*self._of, theta, own.log_density(theta, self._reference))
-        assert draws.log_likelihood is not None  # it has just been computed
+        log_likelihood = marginal_log_likelihood(*self._of, theta)
         self._proposals.append((own, n))
         self._theta.append(theta)
-        self._log_likelihood.append(draws.log_likelihood)
-        return draws
+        self._log_likelihood.append(log_likelihood)
+        return _weighted(theta, log_likelihood - own.log_density(theta, self._reference), self._reference)
 
     def together(self) -> Draws:
         """The draws of all rounds, as if each came from the mixture of all proposals."""
         theta, log_likelihood = np.concatenate(self._theta), np.concatenate(self._log_likelihood)
         of_each = [np.log(n / len(theta)) + q.log_density(theta, self._reference) for q, n in self._proposals]
         log_ratio = log_likelihood - np.logaddexp.reduce(of_each, axis=0)
-        return _normalised(theta, log_ratio, self._reference, log_likelihood)
+        return _weighted(theta, log_ratio, self._reference)
 
     def chosen(self, n: int, seed: np.random.SeedSequence) -> Draws:
         """As many of all rounds' draws as are kept, each with its probability of being chosen taken into account."""
         every = self.together()
-        assert every.log_likelihood is not None  # of the rounds
         inclusion = _inclusion(every.log_weight, n)
         ticks = np.arange(n) + np.random.default_rng(seed.spawn(1)[0]).random()
         rows = np.minimum(np.searchsorted(np.cumsum(inclusion), ticks, side="right"), len(inclusion) - 1)
         log_ratio = every.log_ratio[rows] + np.log(n / len(inclusion)) - np.log(inclusion[rows])
-        return _normalised(every.theta[rows], log_ratio, self._reference, every.log_likelihood[rows])
+        return _weighted(every.theta[rows], log_ratio, self._reference)
 
 
 def _inclusion(log_weight: np.ndarray, n: int) -> np.ndarray:
@@ -246,23 +241,10 @@ def _inclusion(log_weight: np.ndarray, n: int) -> np.ndarray:
         result[certain] = 1.0
 
 
-def _weighted(
-    kernel: Kernel,
-    likelihood: Likelihood,
-    ridge: Ridge,
-    reference: Reference,
-    theta: np.ndarray,
-    log_q: np.ndarray,
-) -> Draws:
-    """Points (n, P) from a proposal of log density (n,), with their weights under the reference."""
-    log_likelihood = marginal_log_likelihood(kernel, likelihood, ridge, theta)
-    return _normalised(theta, log_likelihood - log_q, reference, log_likelihood)
-
-
-def _normalised(theta: np.ndarray, log_ratio: np.ndarray, reference: Reference, log_likelihood: np.ndarray) -> Draws:
+def _weighted(theta: np.ndarray, log_ratio: np.ndarray, reference: Reference) -> Draws:
     """Draws with their weights under the reference."""
     log_weight = log_ratio + reference.log_density(theta)
-    return Draws(theta, log_ratio, log_weight - np.logaddexp.reduce(log_weight), log_likelihood=log_likelihood)
+    return Draws(theta, log_ratio, log_weight - np.logaddexp.reduce(log_weight))
 
 
 def _propose_along(

@@ -292,7 +292,7 @@ def _part(
     kept, how, responses = [], [], []
     for i, own in zip(range(len(means)), drawn, strict=False):
         theta[i], log_ratio[i] = own.draws.theta, own.draws.log_ratio
-        kept.append(replace(own.draws, theta=theta[i], log_ratio=log_ratio[i], log_likelihood=None))
+        kept.append(replace(own.draws, theta=theta[i], log_ratio=log_ratio[i]))
         if own.moved is not None:
             how.append(own.moved)
         if own.response is not None:

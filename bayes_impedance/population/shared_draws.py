@@ -212,9 +212,7 @@ def moved(
     terms = monomials(sharing.points)
     there = [likelihood.moved(likelihood.deviations + drift @ t) for t in sharing.points]
     path = _path(sharing, likelihood, there, ridge.theta, response, reference)
-    at_origin = draws.log_likelihood
-    if at_origin is None:
-        at_origin = marginal_log_likelihood(sharing.kernel, likelihood, ridge, draws.theta)
+    at_origin = marginal_log_likelihood(sharing.kernel, likelihood, ridge, draws.theta)
     changes = np.empty((len(sharing.points), len(draws.theta)))
     for row, (kernel, own, step) in enumerate(zip(sharing.kernels, there, terms @ path, strict=True)):
         along = Ridge(ridge.theta + step, ridge.slope, ridge.rho, ridge.precision)
