@@ -1,16 +1,13 @@
-"""The arithmetic floor: a lower bound of the time for a network's arithmetic on this machine.
+"""The arithmetic floor: a lower bound of the time for a network's arithmetic on one core of this machine.
 
-Multiplications, additions and divisions of the tree are counted, without those that do not depend on the frequency, and
-divided by the throughput of compiled loops over arrays in the first-level cache.
+Multiplications, additions and divisions of the tree are counted, without those that do not depend on the frequency. No
+program can do them faster than the machine's peak (:mod:`vector_peak`): all multiplications and additions paired into
+multiply-adds of full vectors that never leave the registers, and the divisions meanwhile in a unit of their own.
 """
 
 from __future__ import annotations
 
-import time
-from typing import Any
-
 import numpy as np
-from numba import njit
 
 from bayes_impedance.network.notation import Network
 from bayes_impedance.network.program import compile_network
@@ -38,32 +35,7 @@ def counted(network: Network) -> tuple[int, int]:
     return plain + _CHI_SQUARE, divisions
 
 
-@njit(cache=True)
-def _multiply_add(a: np.ndarray, b: np.ndarray, c: np.ndarray, times: int) -> None:
-    for _ in range(times):
-        for i in range(a.size):
-            c[i] = a[i] * b[i] + c[i]
-
-
-@njit(cache=True, error_model="numpy")
-def _divide(a: np.ndarray, b: np.ndarray, c: np.ndarray, times: int) -> None:
-    for k in range(times):
-        for i in range(a.size):
-            c[i] = a[i] / (b[i] + k)
-
-
-def throughput(n: int = 401, times: int = 20000, rounds: int = 7) -> tuple[float, float]:
-    """Multiplications and additions, and divisions, per second on one core: the best of some rounds."""
-    rng = np.random.default_rng(1)
-    a, b, c = rng.uniform(0.5, 1.0, n), rng.uniform(0.5, 1.0, n), np.zeros(n)
-
-    def best(function: Any, operations: int) -> float:
-        function(a, b, c, 1)
-        seconds = []
-        for _ in range(rounds):
-            started = time.perf_counter()
-            function(a, b, c, times)
-            seconds.append(time.perf_counter() - started)
-        return operations * n * times / min(seconds)
-
-    return best(_multiply_add, 2), best(_divide, 1)
+def floor_seconds(network: Network, multiply_adds_per_second: float, divisions_per_second: float) -> float:
+    """Seconds for one frequency of one chi-square: the longer of its multiply-adds and its divisions."""
+    plain, divisions = counted(network)
+    return max(0.5 * plain / multiply_adds_per_second, divisions / divisions_per_second)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from floor import counted, throughput
+from floor import counted, floor_seconds
 from peers import (
     ELEMENTS,
     NETWORK,
@@ -14,7 +14,8 @@ from peers import (
     numpy_chi_square,
     numpy_gradient,
 )
-from timing import ratio, seconds_of, spread
+from timing import ratio, seconds_of, shortest, spread
+from vector_peak import per_second
 
 from bayes_impedance.network.kernel import Kernel, compiled
 from bayes_impedance.network.notation import parse
@@ -57,9 +58,8 @@ def measure() -> dict[str, Any]:
         work["jax, gradient"] = lambda: jax[1](theta)[1].block_until_ready()
     seconds = seconds_of(work)
     per_set = {name: values / (1 if name == "impedance.py" else _SETS) for name, values in seconds.items()}
-    plain, divisions = counted(parse(NETWORK))
-    per_second = throughput()
-    floor = _POINTS * (plain / per_second[0] + divisions / per_second[1])
+    peak = {operation: per_second(operation) for operation in ("multiply-add", "division")}
+    floor = _POINTS * floor_seconds(parse(NETWORK), *peak.values())
     return {
         "seconds": {name: spread(values) for name, values in per_set.items()},
         "times ours": {
@@ -69,9 +69,10 @@ def measure() -> dict[str, Any]:
         },
         "floor": {
             "seconds": floor,
-            "operations per frequency": [plain, divisions],
-            "operations per second": list(per_second),
-            "ours over floor": spread(per_set["ours"] / floor),
+            "operations per frequency": list(counted(parse(NETWORK))),
+            "peak per second": peak,
+            "ours, shortest": (least := shortest(work["ours"]) / _SETS),
+            "ours over floor": least / floor,
         },
         "points": _POINTS,
         "sets per call": _SETS,

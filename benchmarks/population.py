@@ -59,7 +59,7 @@ def _against_joint(recordings: Recordings, seed: int, length: dict[str, int]) ->
         "per second": effective / seconds,
         "problems": list(fit.diagnostics.problems),
     }
-    row = _row(table, joint.seconds, joint.divergences, effective / seconds)
+    row = beside_nuts(table, joint.seconds, joint.divergences, effective / seconds)
     return {"people": len(recordings.subjects), "parameters": len(table), "ours": ours, "joint": row}, fit
 
 
@@ -96,12 +96,12 @@ def _against_marginal(fit: PopulationFit, seed: int) -> dict[str, Any]:
     ]
     return {
         "sampling alone per second": ours_sampling,
-        "marginal": _row(against_marginal, marginal_seconds, marginal_divergences, ours_sampling),
+        "marginal": beside_nuts(against_marginal, marginal_seconds, marginal_divergences, ours_sampling),
         "nlme": compare_with_nlme(fit),
     }
 
 
-def _row(table: list[Any], seconds: float, divergences: int, ours: float) -> dict[str, Any]:
+def beside_nuts(table: list[Any], seconds: float, divergences: int, ours: float) -> dict[str, Any]:
     effective = min(c.nuts.effective for c in table)
     odd = max(table, key=lambda c: abs(np.log(c.spread)))
     return {

@@ -38,6 +38,21 @@ def seconds_of(work: Mapping[str, Callable[[], Any]], rounds: int = 15) -> dict[
     return {name: np.array(values) for name, values in found.items()}
 
 
+def shortest(function: Callable[[], Any], rounds: int = 300) -> float:
+    """Seconds of the shortest of many calls: others on the machine make a call longer, never shorter.
+
+    For comparisons with what the machine can do at most; the call should take less than some milliseconds, for which a
+    system lets one process run.
+    """
+    function()
+    found = []
+    for _ in range(rounds):
+        started = time.perf_counter()
+        function()
+        found.append(time.perf_counter() - started)
+    return min(found)
+
+
 def spread(values: np.ndarray) -> list[float]:
     """Median, and the tenth and ninetieth percentile."""
     return [float(v) for v in np.percentile(values, [50, 10, 90])]

@@ -156,6 +156,8 @@ def prior_of(case: Case, recordings: Recordings) -> dict[str, tuple[float, float
             found[name] = 0.0, 1.5
         elif name[0] == "d":
             found[name] = 0.0, 3.0 / omega
+        elif name[0] == "f":
+            found[name] = 0.0, 3.0 * omega / (2 * np.pi)
         else:
             found[name] = float(natural[name[0]]), 3.0
     return found

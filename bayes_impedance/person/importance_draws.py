@@ -1,10 +1,16 @@
 r"""Importance sampling of one person's exact posterior under a reference population.
 
-The proposal q is a mixture: mostly a multivariate t (10 degrees of freedom: tails heavier than the target's), at first
-around the person's mode, and in part the reference population itself, which covers regions far from the mode and bounds
-the importance weights (defensive mixture, Owen and Zhou 2000). Draws and weights of one round give the mean and
-covariance of the next round's t, which allows for posteriors that are wider on one side than the curvature at the mode
-suggests. Points come from scrambled Sobol sequences, which cover eight dimensions far more evenly than random ones.
+The proposal q is a mixture: mostly a multivariate t (10 degrees of freedom: tails heavier than the target's), at
+first around the person's mode, and in part the reference population itself, which covers regions far from the mode
+and bounds the importance weights (defensive mixture, Owen and Zhou 2000). Draws and weights of one round give the
+mean and covariance of the next round's t, which allows for posteriors that are wider on one side than the curvature
+at the mode suggests. If the best round is poor, the draws of all rounds count, as if each came from the mixture
+of all proposals (adaptive multiple importance sampling, Cornuet et al. 2012). Of these M draws only K are kept,
+because all that follows is computed for each of them: draw k with probability :math:`\pi_k \propto \sqrt{w_k}`, at
+most one, where :math:`w_k` is its weight under the reference, and with the weight :math:`w_k/\pi_k` (Horvitz and
+Thompson 1952). The root is a compromise between weights that become equal and draws that count under other
+populations than the reference. No draw is chosen twice, so that the squared weights still say how large the error is.
+Points come from scrambled Sobol sequences, which cover eight dimensions far more evenly than random ones.
 
 Each draw is stored as its log elements and :math:`\ln L(\theta) - \ln q(\theta)`. Multiplied with **any** population
 density :math:`N(\theta; \mu, \Sigma)` and averaged, this estimates the person's marginal likelihood under that
@@ -14,7 +20,7 @@ much wider one leaves few effective draws for elements that a single person hard
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import gammaincinv, gammaln, ndtri
@@ -45,6 +51,17 @@ _EXPLORING, _DEFENSIVE = 0.5, 0.125
 By choice: half of the first round explores regions away from the mode; later an eighth bounds every weight by
 eight times the likelihood, at the cost of an eighth of the draws.
 """
+
+_MOST_ROUNDS, _ENOUGH, _POOR = 6, 0.5, 0.25
+"""Most rounds, the effective share of the draws after which no more are made, and the share of the best round below
+which the draws of all rounds count. By choice: the first round explores, and the proposal changes little after four
+more. Choosing from all rounds makes small weights equal and leaves the largest as they are, so that the tail of the
+weights looks heavier than it is (largest Pareto k of 33 people: 0.58 in the best round, 0.69 in all rounds, 1.09 when
+chosen from these); where one round is not poor that is not worth it."""
+
+_LEAST_ROOT = 1e-6
+"""Least root of a weight, relative to the largest, with which the probability of being chosen goes. By choice: a draw
+of a smaller weight counts for nothing, but some must be chosen where too few have more."""
 
 
 @dataclass(frozen=True)
@@ -133,21 +150,16 @@ def draw(
     """
     if along_valley:
         theta, log_q = _propose_along(kernel, likelihood, mode, reference, n, seed)
-        log_ratio = marginal_log_likelihood(kernel, likelihood, ridge, theta) - log_q
-        log_weight = log_ratio + reference.log_density(theta)
-        return Draws(theta, log_ratio, log_weight - np.logaddexp.reduce(log_weight))
+        return _weighted(theta, marginal_log_likelihood(kernel, likelihood, ridge, theta) - log_q, reference)
     centre = mode.theta
     laplace = covariance = np.linalg.inv(ridge.precision + np.linalg.inv(reference.covariance))
-    best: Draws | None = None
-    for attempt, child in enumerate(seed.spawn(6)):
+    made, best = _Rounds(kernel, likelihood, ridge, reference), None
+    for attempt, child in enumerate(seed.spawn(_MOST_ROUNDS)):
         share = _DEFENSIVE if attempt else _EXPLORING
-        theta, log_q = _propose(centre, covariance, reference, share, n if attempt else min(n, 256), child)
-        log_ratio = marginal_log_likelihood(kernel, likelihood, ridge, theta) - log_q
-        log_weight = log_ratio + reference.log_density(theta)
-        draws = Draws(theta, log_ratio, log_weight - np.logaddexp.reduce(log_weight))
+        draws = made.another(_Proposal(centre, covariance, share), n if attempt else min(n, 256), child)
         if attempt and (best is None or draws.effective > best.effective):
             best = draws
-        if best is not None and best.effective > 0.5 * n:
+        if best is not None and best.effective > _ENOUGH * n:
             break
         # Weights are tempered until enough draws are effective to estimate a covariance.
         log_weight = draws.log_weight
@@ -159,7 +171,80 @@ def draw(
         offset = draws.theta - centre
         covariance = (offset * weight[:, None]).T @ offset + 0.02 * laplace
     assert best is not None  # at least two rounds are made
-    return best
+    return best if best.effective >= _POOR * n else made.chosen(n, seed.spawn(1)[0])
+
+
+@dataclass(frozen=True)
+class _Proposal:
+    """A mixture of a t and a share of the reference; centre (P,) and covariance (P, P) are those of the t."""
+
+    centre: np.ndarray
+    covariance: np.ndarray
+    share: float
+
+    def log_density(self, theta: np.ndarray, reference: Reference) -> np.ndarray:
+        """Log density at points (n, P), shape (n,)."""
+        log_t = _log_t(theta, self.centre, np.linalg.cholesky(self.covariance))
+        log_reference = reference.log_density(theta) - 0.5 * self.centre.size * np.log(2 * np.pi)
+        return np.asarray(np.logaddexp(np.log1p(-self.share) + log_t, np.log(max(self.share, 1e-300)) + log_reference))
+
+
+class _Rounds:
+    """The draws of several rounds; the arguments are those of :func:`draw`."""
+
+    def __init__(self, kernel: Kernel, likelihood: Likelihood, ridge: Ridge, reference: Reference) -> None:
+        self._of = kernel, likelihood, ridge
+        self._reference = reference
+        self._proposals: list[tuple[_Proposal, int]] = []
+        self._theta: list[np.ndarray] = []
+        self._log_likelihood: list[np.ndarray] = []
+
+    def another(self, proposal: _Proposal, n: int, seed: np.random.SeedSequence) -> Draws:
+        """Make one round, and return its draws alone."""
+        theta = _propose(proposal.centre, proposal.covariance, self._reference, proposal.share, n, seed)
+        own = replace(proposal, share=round(proposal.share * n) / n)
+        log_likelihood = marginal_log_likelihood(*self._of, theta)
+        self._proposals.append((own, n))
+        self._theta.append(theta)
+        self._log_likelihood.append(log_likelihood)
+        return _weighted(theta, log_likelihood - own.log_density(theta, self._reference), self._reference)
+
+    def together(self) -> Draws:
+        """The draws of all rounds, as if each came from the mixture of all proposals."""
+        theta, log_likelihood = np.concatenate(self._theta), np.concatenate(self._log_likelihood)
+        of_each = [np.log(n / len(theta)) + q.log_density(theta, self._reference) for q, n in self._proposals]
+        log_ratio = log_likelihood - np.logaddexp.reduce(of_each, axis=0)
+        return _weighted(theta, log_ratio, self._reference)
+
+    def chosen(self, n: int, seed: np.random.SeedSequence) -> Draws:
+        """As many of all rounds' draws as are kept, each with its probability of being chosen taken into account."""
+        every = self.together()
+        inclusion = _inclusion(every.log_weight, n)
+        ticks = np.arange(n) + np.random.default_rng(seed.spawn(1)[0]).random()
+        rows = np.minimum(np.searchsorted(np.cumsum(inclusion), ticks, side="right"), len(inclusion) - 1)
+        log_ratio = every.log_ratio[rows] + np.log(n / len(inclusion)) - np.log(inclusion[rows])
+        return _weighted(every.theta[rows], log_ratio, self._reference)
+
+
+def _inclusion(log_weight: np.ndarray, n: int) -> np.ndarray:
+    """Probabilities, of sum n and at most one, that go with the root of the weights."""
+    root = np.exp(0.5 * (log_weight - log_weight.max()))
+    root = np.maximum(root, _LEAST_ROOT)
+    result = np.ones(len(root))
+    certain = np.zeros(len(root), dtype=bool)
+    while True:
+        rest = ~certain
+        result[rest] = root[rest] * (n - certain.sum()) / root[rest].sum()
+        if not np.any(result[rest] > 1):
+            return result
+        certain |= result > 1
+        result[certain] = 1.0
+
+
+def _weighted(theta: np.ndarray, log_ratio: np.ndarray, reference: Reference) -> Draws:
+    """Draws with their weights under the reference."""
+    log_weight = log_ratio + reference.log_density(theta)
+    return Draws(theta, log_ratio, log_weight - np.logaddexp.reduce(log_weight))
 
 
 def _propose_along(
@@ -193,8 +278,8 @@ def _propose(
     share: float,
     n: int,
     seed: np.random.SeedSequence,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Points (n, P) of the mixture of a t and a share of the reference, and their log density (n,)."""
+) -> np.ndarray:
+    """Points (n, P) of the mixture of a t and a share of the reference."""
     from scipy.stats import qmc  # half a second to import
 
     dimension, nu = centre.size, _DEGREES_OF_FREEDOM
@@ -209,17 +294,13 @@ def _propose(
     own = uniform(n - from_reference, dimension + 1, seeds[0])
     stretch = np.sqrt(nu / (2 * gammaincinv(nu / 2, own[:, -1])))
     factor = np.linalg.cholesky(covariance)
-    theta = np.vstack(
+    return np.vstack(
         [
             centre + (ndtri(own[:, :-1]) * stretch[:, None]) @ factor.T,
             reference.mean
             + ndtri(uniform(from_reference, dimension, seeds[1])) @ np.linalg.cholesky(reference.covariance).T,
         ]
     )
-    log_t = _log_t(theta, centre, factor)
-    log_reference = reference.log_density(theta) - 0.5 * dimension * np.log(2 * np.pi)
-    part = from_reference / n
-    return theta, np.logaddexp(np.log1p(-part) + log_t, np.log(max(part, 1e-300)) + log_reference)
 
 
 def _log_t(theta: np.ndarray, centre: np.ndarray, factor: np.ndarray) -> np.ndarray:

@@ -45,14 +45,17 @@ _WIDER = 2.0
 """Factor on the reference population's standard deviations if the effective number of draws is too small: the
 populations not covered are wider than the reference. By choice."""
 _DRAWS_AGAIN, _DRAWS_OF_ALL = (8, 16), 2**14
-"""Factor on the number of draws when they are made for the populations of a chain: the second if at first all persons
-together had no more than this number. By choice, for time: sampling takes as many times longer. With 8 an error of 0.2
-to 0.4 fell to 0.1 to 0.12 in narrow bands, which is not quite what is wanted, with 16 to 0.06 to 0.08 (24 persons)."""
+"""Largest factor on the number of draws when they are made for the populations of a chain: the second if at first all
+persons together had no more than this number. By choice, for time: sampling takes as many times longer. With 8 an error
+of 0.2 to 0.4 fell to 0.1 to 0.12 in narrow bands, not quite what is wanted, with 16 to 0.06 to 0.08 (24 persons)."""
+_FEWEST_AGAIN = 2
+"""Least such factor. By choice: it is a power of two."""
 _DRAWS_AGAIN_SHARED = 4
 """The same where parameters are shared by all. By choice, for time: each draw is computed at up to 86 points."""
 _BEYOND_CHAIN = 2.0
-"""Factor on the standard deviations of the reference population that follows from a chain. Measured in a band of 100 to
-101 Hz: the smallest effective number of draws (5 % quantile of populations) was 37 with 1, 57 with 1.5, 120 with 2."""
+"""Factor on the standard deviations of the reference population that follows from a chain, along valleys. Measured in a
+band of 100 to 101 Hz: the smallest effective number of draws (5 % quantile of populations) was 37 with 1, 57 with 1.5,
+120 with 2. Where one t holds near the mode it is too wide: of 71 people with eight elements one was left with 1."""
 _PILOT = SamplerSettings(ensembles=2, burn_in=(60, 60), chunk=60, longest=60)
 """Short chains that give the mean and the covariance to which the reference is moved. By choice: convergence is not
 required."""
@@ -247,14 +250,13 @@ class Posterior:
 
     def error(self, chains: Chains) -> DrawError:
         """Error by the draws in the posterior that was sampled."""
-        return draw_error(
-            self.marginal, chains.coordinates.reshape(-1, self.coordinates.n_dimensions), self._sampled(chains)
-        )
+        flat = chains.coordinates.reshape(-1, self.coordinates.n_dimensions)
+        return draw_error(self.marginal, flat, self._sampled(chains))
 
     def moved_to(
-        self, chains: Chains, seed: np.random.SeedSequence, executor: Executor, progress: Progress
+        self, chains: Chains, excess: float, seed: np.random.SeedSequence, executor: Executor, progress: Progress
     ) -> Posterior:
-        """The posterior from other draws, along everybody's valley, for the populations of a chain.
+        """The posterior from other draws for the populations of a chain, whose error exceeds the wanted by a factor.
 
         A person's posterior, averaged over these populations, is that under a population of their mean covariance plus
         the covariance of their means: such a reference reaches as far as the chain's populations together.
@@ -267,17 +269,13 @@ class Posterior:
         more = _DRAWS_AGAIN[-1] if before * self.repetitions.size <= _DRAWS_OF_ALL else _DRAWS_AGAIN[0]
         if self.coordinates.shared_free:
             more = min(more, _DRAWS_AGAIN_SHARED)
-        other._draw_centred(
-            there.mu.mean(axis=0),
-            there.slopes.mean(axis=0),
-            covariance,
-            _BEYOND_CHAIN,
-            more * before,
-            seed,
-            executor,
-            progress,
-            True,
-        )
+        mu, slopes = there.mu.mean(axis=0), there.slopes.mean(axis=0)
+        other._share_as(there, mu + self.covariates @ slopes.T, covariance)
+        needed = self.drawn * np.clip(excess**2, _FEWEST_AGAIN, more)
+        n_draws = min(more * before, 2 ** int(np.ceil(np.log2(needed))))
+        reach = _BEYOND_CHAIN if (along := self.along_valley) else widening(self.repetitions.size)
+        other._draw_centred(mu, slopes, covariance, reach, n_draws, seed, executor, progress, along, True)
+        other.along_valley = True  # should these draws not hold either
         other._variance(there[np.linspace(0, len(there.mu) - 1, _PILOTS).astype(int)])
         other.redrawn = self.redrawn + 1
         return other
@@ -308,15 +306,17 @@ class Posterior:
         executor: Executor,
         progress: Progress,
         along_valley: bool,
+        centred: bool = False,
     ) -> None:
         """Draw under a population made wider, and again while the shared parameters are not at their centre."""
         means, wide = mu + self.covariates @ slopes.T, covariance * reach**2
-        if self.coordinates.shared_free:
+        if self.coordinates.shared_free and not centred:
             for _ in range(_CENTRINGS):
                 self._draw_once(means, wide, n_draws // _FEWER, seed, executor, progress, along_valley)
-                if self._spread_of_shared() <= _SPREAD_ALLOWED:
+                near = self._spread_of_shared() <= _SPREAD_ALLOWED
+                self._centre_shared(means, covariance)  # even if near: else all draws may find it beyond the limit
+                if near:
                     break
-                self._centre_shared(means, covariance)
         self._draw_once(means, wide, n_draws, seed, executor, progress, along_valley)
         if self.coordinates.shared_free and self._spread_of_shared() > _SPREAD_ALLOWED:
             self._centre_shared(means, covariance)
@@ -340,7 +340,7 @@ class Posterior:
         along_valley: bool,
     ) -> None:
         """Draw under a reference population, and find the mode and the normal approximation of the posterior."""
-        self.drawn = n_draws
+        self.drawn, self.along_valley = n_draws, along_valley
         if self.pooling.names:
             self.sharing = Sharing.around(self.pooling, self.point.shared, self.shared_covariance)
         self.marginal = KeptDraws.made(
@@ -371,8 +371,7 @@ class Posterior:
     def _centre_shared(self, means: np.ndarray, covariance: np.ndarray) -> None:
         """Move the shared parameters of the draws, and everybody's mode along, to the normal approximation."""
         free = list(self.coordinates.shared_free)
-        mean, moment = self._shared_approximation()
-        before, origin = self.point.shared[free], self.point.shared.copy()
+        (mean, moment), before, origin = self._shared_approximation(), self.point.shared[free], self.point.shared.copy()
         origin[free] = mean
         self.point = moved_to(self.point, origin, means, covariance)
         ours = np.linalg.cholesky(self.shared_covariance[np.ix_(free, free)])
@@ -383,6 +382,14 @@ class Posterior:
         factor = ours @ vectors * np.sqrt(np.clip(values, 1 / _MOST_GROWTH, _MOST_GROWTH))
         self.shared_covariance = self.shared_covariance.copy()
         self.shared_covariance[np.ix_(free, free)] = factor @ factor.T
+
+    def _share_as(self, there: PopulationParameters, means: np.ndarray, covariance: np.ndarray) -> None:
+        """Move the shared parameters of the draws to those of a chain."""
+        if there.shared is None or not self.coordinates.shared_free:
+            return
+        free, origin, own = list(self.coordinates.shared_free), self.point.shared.copy(), self.shared_covariance.copy()
+        origin[free], own[np.ix_(free, free)] = there.shared[:, free].mean(axis=0), np.cov(there.shared[:, free].T)
+        self.point, self.shared_covariance = moved_to(self.point, origin, means, covariance), own
 
     def _spread_of_shared(self) -> float:
         """Largest spread of the shared parameters about the origin of the draws, in the units of their reach."""

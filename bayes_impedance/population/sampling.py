@@ -94,7 +94,8 @@ def sampled(
         if error.interval_end <= ERROR_WANTED or time == _MOST_TIMES or hopeless:
             break
         with clock.measure("draws"):
-            other = posterior.moved_to(chains, drawing.spawn(1)[0], executor, progress)
+            excess = error.interval_end / ERROR_WANTED
+            other = posterior.moved_to(chains, excess, drawing.spawn(1)[0], executor, progress)
         if _height(other) < _height(posterior) - _MUCH_LOWER:  # draws that miss what the first ones had found
             break
         posterior = other
@@ -103,5 +104,7 @@ def sampled(
 
 
 def _height(posterior: Posterior) -> float:
-    """Log density at the mode of the normal approximation."""
-    return float(posterior.log_probability(posterior.mode[None])[0])
+    """Log density at the mode of the normal approximation, with constants that differ between sets of draws."""
+    coordinates, mode = posterior.coordinates, posterior.mode[None]
+    value = posterior.marginal.log_density(coordinates.unpack(mode)) + coordinates.log_prior(mode)
+    return float(value[0])

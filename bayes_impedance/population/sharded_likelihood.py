@@ -164,6 +164,13 @@ class KeptDraws:
         """Log likelihood of W sets of population parameters, shape (W,)."""
         return np.asarray(np.sum(self._kept.ask(_log_likelihood, parameters), axis=0))
 
+    def log_density(self, parameters: PopulationParameters) -> np.ndarray:
+        """Log density of all recordings under W sets, shape (W,): with what the likelihood leaves out for these draws.
+
+        Likelihoods from different draws differ by a constant; these do not.
+        """
+        return np.asarray(np.sum([np.sum(own, axis=1) for own in self._kept.ask(_log_densities, parameters)], axis=0))
+
     def gradient(self, parameters: PopulationParameters, n_draws: int) -> ParameterGradient:
         """Gradient of the log likelihood of W sets of population parameters, from about `n_draws` of each person's."""
         return reduce(ParameterGradient.__add__, self._kept.ask(_gradient, parameters, n_draws))
@@ -312,6 +319,10 @@ def _size(part: Part) -> int:
 
 def _log_likelihood(part: Part, parameters: PopulationParameters) -> np.ndarray:
     return part.marginal(parameters)
+
+
+def _log_densities(part: Part, parameters: PopulationParameters) -> np.ndarray:
+    return part.log_densities(parameters)
 
 
 def _gradient(part: Part, parameters: PopulationParameters, n_draws: int) -> ParameterGradient:

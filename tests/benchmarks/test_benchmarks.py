@@ -16,8 +16,9 @@ from bayes_impedance.network.notation import parse
 from bayes_impedance.person.likelihood import Likelihood, log_likelihood
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-peers, floor, timing, report, constructs, kernel = (
-    importlib.import_module(name) for name in ("peers", "floor", "timing", "report", "constructs", "kernel")
+peers, floor, timing, report, constructs, kernel, vector_peak = (
+    importlib.import_module(name)
+    for name in ("peers", "floor", "timing", "report", "constructs", "kernel", "vector_peak")
 )
 
 
@@ -86,6 +87,24 @@ def test_jax_evaluates_the_same(case: dict[str, Any]) -> None:
 )
 def test_operations_are_counted(network: str, plain: int, divisions: int) -> None:
     assert floor.counted(parse(network)) == (plain, divisions)
+
+
+def test_the_floor_is_the_longer_of_multiply_adds_and_divisions() -> None:
+    network = parse("m1-n1")  # 15 multiplications and additions, 1 division
+    assert floor.floor_seconds(network, 1.0, 1e9) == 7.5
+    assert floor.floor_seconds(network, 1e9, 0.25) == 4.0
+
+
+@pytest.mark.parametrize("operation", ["multiply-add", "division"])
+def test_the_peak_is_of_operations_that_are_done(operation: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    width, n_vectors, times = 2, 4, 7
+    value = np.array([[1.0 + 0.1 * k + 0.01 * i for i in range(width)] for k in range(n_vectors)])
+    for _ in range(times):
+        value = (1 - 1e-9) * value + 1e-9 if operation == "multiply-add" else (1 - 1e-9) / value
+    assert vector_peak._loop(operation, width, n_vectors)(times) == pytest.approx(value.sum(), rel=1e-14)
+    monkeypatch.setattr(vector_peak, "_WIDTHS", (width,))
+    monkeypatch.setattr(vector_peak, "_VECTORS", {operation: (n_vectors,)})
+    assert 0 < vector_peak.per_second(operation) < np.inf
 
 
 def test_rivals_take_turns() -> None:

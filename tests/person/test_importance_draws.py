@@ -6,7 +6,8 @@ from scipy import stats
 
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
-from bayes_impedance.person.importance_draws import Reference, _log_t, draw
+from bayes_impedance.person import importance_draws
+from bayes_impedance.person.importance_draws import Reference, _inclusion, _log_t, draw
 from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood, log_likelihood
 from bayes_impedance.person.marginal_likelihood import Ridge, find_ridge
 from bayes_impedance.person.mode import Mode, find_mode
@@ -90,6 +91,50 @@ def test_effective_draws_stay_high_where_the_data_say_little() -> None:
     weight = np.exp(draws.log_weight)
     spread = np.sqrt(weight @ (draws.theta[:, 0] - weight @ draws.theta[:, 0]) ** 2)
     assert spread > 0.6
+
+
+def test_rounds_together_have_the_marginal_likelihood(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two elements by quadrature; more rounds are made than are needed, and few of their draws are kept."""
+    monkeypatch.setattr(importance_draws, "_ENOUGH", 2.0)  # never: six rounds are made
+    monkeypatch.setattr(importance_draws, "_POOR", 2.0)  # always: all of them count
+    kernel = Kernel(parse("r1|n1"))
+    theta = np.log([5.0, 1e-3])
+    likelihood = _record(kernel, theta, 0.5, np.random.default_rng(8), repetitions=1)
+    reference = Reference(theta + 0.2, np.diag([0.25, 1.0]))
+    mode = find_mode(kernel, likelihood, theta[None], reference.mean, np.linalg.inv(reference.covariance))
+    axes = [np.linspace(c - 5, c + 5, 401) for c in theta]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    cell = np.log(axes[0][1] - axes[0][0]) + np.log(axes[1][1] - axes[1][0])
+    on_grid = log_likelihood(kernel, likelihood, grid)
+    made = [
+        draw(kernel, likelihood, mode, _ridge(kernel, likelihood, mode), reference, 128, seed)
+        for seed in np.random.SeedSequence(9).spawn(40)
+    ]
+    for away, width in ((0.2, 1.0), (0.0, 0.8), (0.4, 0.5)):
+        population = Reference(theta + away, width**2 * reference.covariance)
+        exact = np.logaddexp.reduce(on_grid + population.log_density(grid)) + cell
+        estimates = [np.mean(np.exp(d.log_ratio + population.log_density(d.theta) - exact)) for d in made]
+        error = np.std(estimates, ddof=1) / np.sqrt(len(made))
+        assert error < 0.02
+        assert abs(np.mean(estimates) - 1) < 4 * error
+    assert all(len(np.unique(d.theta, axis=0)) == 128 for d in made)  # none is kept twice
+
+
+def test_draws_are_chosen_with_probabilities_that_go_with_the_root_of_their_weights() -> None:
+    rng = np.random.default_rng(10)
+    log_weight = rng.normal(scale=2, size=500)
+    log_weight[:3] = -np.inf
+    inclusion = _inclusion(log_weight, 64)
+    assert inclusion.sum() == pytest.approx(64)
+    assert np.all((inclusion > 0) & (inclusion <= 1))
+    certain = inclusion == 1
+    assert 0 < certain.sum() < 64
+    rest = ~certain & np.isfinite(log_weight)
+    np.testing.assert_allclose(np.diff(np.log(inclusion[rest])), 0.5 * np.diff(log_weight[rest]), atol=1e-9)
+    assert log_weight[certain].min() > log_weight[rest].max()
+    # Also where fewer draws count than are to be chosen.
+    few = np.where(np.arange(500) < 10, 0.0, -np.inf)
+    np.testing.assert_allclose(_inclusion(few, 64), np.where(np.arange(500) < 10, 1.0, 54 / 490))
 
 
 def test_density_of_the_t_is_that_of_scipy() -> None:

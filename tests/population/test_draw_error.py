@@ -17,6 +17,7 @@ from bayes_impedance.population.draw_error import ERROR_WANTED, POPULATIONS, Dra
 from bayes_impedance.population.fit import FitSettings, PopulationFit, fit_population
 from bayes_impedance.population.importance_likelihood import ImportanceLikelihood
 from bayes_impedance.population.parameters import PopulationParameters
+from bayes_impedance.population.posterior import Posterior
 from bayes_impedance.population.sharded_likelihood import KeptDraws, Part
 from bayes_impedance.population.simulate import VirtualPopulation, simulate_recordings
 from bayes_impedance.recordings.files import Recordings
@@ -139,10 +140,29 @@ def test_other_draws_are_made_until_the_error_is_met(
     assert not same(plain, again)
 
 
+def test_draws_made_anew_are_compared_by_densities_that_do_not_depend_on_them(
+    six: Recordings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A set of draws leaves a constant out of the likelihood that is sampled, and each set another one."""
+    heights, relative = [], []
+
+    def watched(posterior: Posterior, height=sampling._height) -> float:
+        heights.append(height(posterior))
+        relative.append(float(posterior.log_probability(posterior.mode[None])[0]))
+        return heights[-1]
+
+    monkeypatch.setattr(sampling, "ERROR_WANTED", 1e-9)
+    monkeypatch.setattr(sampling, "_height", watched)
+    fit_population(six, settings=SHORT, seed=4, workers=1)
+    assert len(heights) == 4  # twice, both sets of draws
+    assert np.ptp(heights) < 0.1
+    assert np.ptp(relative) > 0.3
+
+
 def test_an_interrupted_repetition_is_continued(
     six: Recordings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sampling, "ERROR_WANTED", 0.0)
+    monkeypatch.setattr(sampling, "ERROR_WANTED", 1e-9)
     whole = fit_population(six, settings=SHORT, seed=4, workers=1)
     kept_on_disk = fit_population(six, settings=SHORT, seed=4, workers=1, checkpoint=tmp_path)
     files = sorted(tmp_path.glob("ensemble_*.h5"))

@@ -129,6 +129,22 @@ def test_a_change_of_another_file_is_compiled_in(module: Path, before: str, afte
     assert result() == f"{expected} 1\n"
 
 
+def test_what_was_compiled_is_found_by_another_installation(module: Path, tmp_path: Path) -> None:
+    """The same sources elsewhere, made later; other sources under the same names; and the first ones again."""
+    cache = {name: str(tmp_path / "home") for name in ("HOME", "XDG_CACHE_HOME")}
+    cache["NUMBA_CACHE_DIR"] = ""
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "script.py").write_text(COMPILED)
+    assert run(["script.py"], module, **cache).stdout == "3.0 0\n"
+    assert not list((module / "__pycache__").glob("*.nbc"))
+    (elsewhere / "module.py").write_text(MODULE)
+    assert run(["script.py"], elsewhere, **cache).stdout == "3.0 1\n"
+    (elsewhere / "module.py").write_text(MODULE.replace("a + b", "a - b"))
+    assert run(["script.py"], elsewhere, **cache).stdout == "-1.0 0\n"
+    assert run(["script.py"], module, **cache).stdout == "3.0 1\n"
+
+
 def test_where_nothing_can_be_written_a_temporary_folder_serves(module: Path, tmp_path: Path) -> None:
     """A file stands where each of numba's three folders would be made."""
     (module / "__pycache__").write_text("")
