@@ -72,13 +72,15 @@ WIDE, ONE_PER_CENT = (5.0, 1000.0), (100.0, 101.0)
 def test_six_seeds_agree_within_their_error(network: str, band_hz: tuple[float, float], repetitions: int) -> None:
     """Every pair of reliable fits. In one per cent, centres were 0.45 standard deviations apart, spreads a factor 1.6.
 
-    A fit whose draws collapse to a few, in spite of being made anew, is refused: one seed of six, in that band.
+    A fit whose draws collapse to a few, in spite of being made anew, or whose ensembles see different parts of a
+    valley, is refused: one seed of six, in that band.
     """
     made = recordings(network, band_hz, repetitions=repetitions)
     fits = [fit_population(made, network, settings=QUICK_SETTINGS, seed=seed) for seed in range(1, 7)]
     reliable = [fit for fit in fits if not fit.diagnostics.problems]
     collapsed = [fit for fit in fits if fit.diagnostics.problems]
-    assert all("importance draws" in " ".join(fit.diagnostics.problems) for fit in collapsed)
+    said = [" ".join(fit.diagnostics.problems) for fit in collapsed]
+    assert all("importance draws" in why or "ensembles disagree" in why for why in said)
     assert len(collapsed) <= (1 if band_hz == ONE_PER_CENT else 0) or repetitions > 1
     for one, other in combinations(reliable, 2):
         assert (one.identified == other.identified).all()
