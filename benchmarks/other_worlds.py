@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 from population import beside_nuts
 from report import replace_between
-from run import machine
+from this_machine import machine
 
 from bayes_impedance.population.fingertip import FINGERTIP
 from bayes_impedance.population.fit import FitSettings, PopulationFit, fit_population

@@ -9,47 +9,21 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import platform
 import subprocess
 import sys
 import time
 from collections.abc import Mapping
-from datetime import date
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from report import draw, replace_between, table
+from this_machine import machine
 
 HERE = Path(__file__).resolve().parent
 PARTS = ("kernel", "constructs", "one_curve", "population", "diagnosis", "end_to_end")
-_PACKAGES = ("bayes_impedance", "numpy", "scipy", "numba", "emcee", "jax", "numpyro", "impedance", "lmfit")
 _BUSY, _PATIENCE_S = 0.5, 180
 """Load average from which another process competes for the cores, and the wait for it to fall below, in seconds: in
 three minutes the load of the part before has decayed by exp(-3)."""
-
-
-def machine() -> dict[str, Any]:
-    """Description of the machine and the versions that the numbers belong to."""
-    names = [
-        line.split(":")[1].strip()
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        if line.startswith("model name")
-    ]
-    installed = {}
-    for package in _PACKAGES:
-        try:
-            installed[package] = version(package)
-        except PackageNotFoundError:
-            installed[package] = "not installed"
-    return {
-        "processor": names[0] if names else platform.processor(),
-        "cores": os.cpu_count(),
-        "system": platform.platform(terse=True),
-        "python": platform.python_version(),
-        "packages": installed,
-        "date": date.today().isoformat(),
-    }
 
 
 def one_part(name: str, options: argparse.Namespace) -> dict[str, Any]:

@@ -30,7 +30,7 @@ _MAINS_ALPHA = 1e-3
 out."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FirstFit:
     """The network's fit to the points that hum does not affect.
 
@@ -82,14 +82,17 @@ def fit_without_hum(
     Parameters are those of :func:`~bayes_impedance.diagnosis.fit.baseline.fit_network`.
     """
     fitted = fit_network(recordings, network, seed, executor, progress, checkpoint, given)
+    first = FirstFit(
+        clean=recordings, fitted=fitted, hum=None, spoilt=None, everything=recordings, to_everything=fitted
+    )
     residuals = person_residuals(fitted.fit, recordings.names, executor)
     hum = _hum_in(residuals)
     if hum is None:
-        return FirstFit(recordings, fitted, None, None, recordings, fitted)
+        return first
     spoilt = snapshot("with hum", recordings, fitted.fit, residuals, seed)
     clean = without_hum(recordings, hum)
     again = fit_network(clean, network, seed, executor, progress, given=given)
-    return FirstFit(clean, again, hum, spoilt, recordings, fitted)
+    return replace(first, clean=clean, fitted=again, hum=hum, spoilt=spoilt)
 
 
 def _hum_in(residuals: Sequence[PersonResiduals]) -> Hum | None:

@@ -44,6 +44,7 @@ from bayes_impedance.population.fit import FitSettings, fit_population
 from bayes_impedance.population.held_out_person import held_out_log_densities
 from bayes_impedance.population.recording_noise import noise_of
 from bayes_impedance.recordings.files import Recordings
+from bayes_impedance.results.arviz_layout import for_file
 from bayes_impedance.results.result import DENSITY_ATTRIBUTE, Result
 from bayes_impedance.runtime.progress import Progress
 
@@ -143,7 +144,8 @@ def leave_one_out(result: Result) -> LeftOut:
         raise InputError(
             "networks are compared by how well each person is predicted from the others: give two or more people"
         )
-    elpd, k, p_loo = smoothed(result.groups["posterior"], result.groups["log_likelihood"]["recordings"])
+    written, _ = for_file(result.groups, result.coords)  # whose efficiency is that which arviz sees in the file
+    elpd, k, p_loo = smoothed(written["posterior"], result.groups["log_likelihood"]["recordings"])
     return LeftOut(subjects, elpd, k, np.zeros(elpd.size, dtype=bool), p_loo)
 
 

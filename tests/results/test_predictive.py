@@ -24,7 +24,14 @@ def test_bands_are_ordered_and_nested(predictive: Predictive) -> None:
             assert np.all(np.diff(rows, axis=0) > 0)
     widths = [b.magnitude[4] - b.magnitude[0] for b in (predictive.centre, predictive.person, predictive.recording)]
     assert np.all(widths[0] < widths[1])  # what is known of the centre is less uncertain than a person is different
-    assert np.mean(widths[1] < widths[2]) > 0.6  # a recording has noise on top; bands of 1000 curves wobble
+    assert np.abs(np.log(widths[2] / widths[1])).max() < 0.15  # one per cent of noise; bands of 1000 curves wobble
+
+
+def test_a_recording_has_noise_on_top_of_what_people_differ_by(small_fit: PopulationFit) -> None:
+    noisy = predict(replace(small_fit, noise=tuple(20 * own for own in small_fit.noise)), seed=2)
+    person, recording = (b.magnitude[4] - b.magnitude[0] for b in (noisy.person, noisy.recording))
+    assert np.mean(person < recording) > 0.95
+    assert np.mean(np.log(recording / person)) > 0.03
 
 
 def test_person_band_is_that_of_the_posterior(predictive: Predictive, small_fit: PopulationFit) -> None:
