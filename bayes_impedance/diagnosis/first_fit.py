@@ -43,8 +43,6 @@ class FirstFit:
     hum : Hum or None
     spoilt : Snapshot or None
         Of the fit to all points, if there is hum.
-    everything : Recordings
-        With all points.
     to_everything : Fitted
         Fit to all points.
     """
@@ -53,7 +51,6 @@ class FirstFit:
     fitted: Fitted
     hum: Hum | None
     spoilt: Snapshot | None
-    everything: Recordings
     to_everything: Fitted
 
     def imagined(self, final: Refit, executor: Executor) -> bool:
@@ -61,11 +58,11 @@ class FirstFit:
         if self.hum is None:
             return False
         beside = replace(final, data=self.to_everything.fit.data)
-        return _hum_in(person_residuals(beside, self.everything.names, executor)) is None
+        return _hum_in(person_residuals(beside, self.to_everything.recordings.names, executor)) is None
 
     def of_everything(self) -> FirstFit:
         """The fit to all points, as if there were no hum."""
-        return replace(self, clean=self.everything, fitted=self.to_everything, hum=None, spoilt=None)
+        return replace(self, clean=self.to_everything.recordings, fitted=self.to_everything, hum=None, spoilt=None)
 
 
 def fit_without_hum(
@@ -82,9 +79,7 @@ def fit_without_hum(
     Parameters are those of :func:`~bayes_impedance.diagnosis.fit.baseline.fit_network`.
     """
     fitted = fit_network(recordings, network, seed, executor, progress, checkpoint, given)
-    first = FirstFit(
-        clean=recordings, fitted=fitted, hum=None, spoilt=None, everything=recordings, to_everything=fitted
-    )
+    first = FirstFit(clean=recordings, fitted=fitted, hum=None, spoilt=None, to_everything=fitted)
     residuals = person_residuals(fitted.fit, recordings.names, executor)
     hum = _hum_in(residuals)
     if hum is None:

@@ -15,7 +15,7 @@ the window is narrow and a sharp rise of the noise is resolved; with one person 
 With one repetition the noise is estimated from the second difference over frequency of the residual from the fitted
 network. (The second difference of the data would count their curvature as noise.)
 
-The level is that of the median person: everybody has a scale of the own in the likelihood, and a few persons whose
+The level is that of the median person: everybody has a scale of their own in the likelihood, and a few persons whose
 elements have not been found yet must not make their misfit look like everybody's noise.
 
 At a given frequency, the noise of different persons is either proportional to the magnitude or independent of it; the

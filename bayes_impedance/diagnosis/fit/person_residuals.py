@@ -74,7 +74,7 @@ class PersonResiduals:
         return np.asarray(vectors - np.einsum("jfp,jp...->jf...", self.basis, inside))
 
 
-FAINT = 0.1
+_FAINT = 0.1
 """Change of a score, in standard errors, by a factor e in the elements of all recordings, below which a combination of
 elements absorbs nothing. By choice: so small that what the recordings hardly determine does not become evidence."""
 
@@ -107,7 +107,7 @@ def person_residuals(
         the tangent space absorb.
     """
     ends = np.cumsum([d.z.shape[0] for d in fit.data])[:-1]
-    limits = (0.0, np.inf) if returning else (FAINT / np.sqrt(len(fit.u)), _BEYOND_REACH)
+    limits = (0.0, np.inf) if returning else (_FAINT / np.sqrt(len(fit.u)), _BEYOND_REACH)
     function = partial(_residuals_of, fit.model.kernel, fit.model.n_elements, limits)
     rows = np.split(fit.u, ends)
     if executor is None:
