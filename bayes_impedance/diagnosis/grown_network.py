@@ -106,10 +106,7 @@ def _more(fit: Refit, start: Refit) -> int:
 
 def _thinned(d: Likelihood) -> Likelihood:
     """A person's recordings at a few dozen frequencies."""
-    kept = thinned_points(d.omega.size)
-    omega, z, weight = (np.ascontiguousarray(a[..., kept]) for a in (d.omega, d.z, d.weight))
-    lost = (d.omega.size - kept.size) * d.z.shape[0]
-    return Likelihood(omega, z, weight, d.deviations, max(d.count - float(lost), 1.0))
+    return d.at(thinned_points(d.omega.size))
 
 
 def _as_elements(refitter: Refitter, fit: Refit) -> Refit:

@@ -111,7 +111,7 @@ def deviations_of(kernel: Kernel, likelihood: Likelihood, theta: np.ndarray) -> 
     residual = kernel.impedance(theta + own, d.omega / (2 * np.pi)) - (d.z[:, 0] + 1j * d.z[:, 1])
     at_mode = np.sum(d.weight * np.abs(residual) ** 2)
     at_zero = at_mode - np.sum(own * (gradient - pull))
-    return Deviations(curvature, (rows @ pull).ravel(), float(at_zero), d.z.shape[0] * d.omega.size)
+    return Deviations(curvature, (rows @ pull).ravel(), float(at_zero), d.values)
 
 
 def log_constant(likelihood: Likelihood, ridge: Ridge, deviations: Deviations) -> float:

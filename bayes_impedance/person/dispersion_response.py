@@ -30,6 +30,7 @@ from bayes_impedance.network.program import Program
 from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood, normal_equations
 from bayes_impedance.person.marginal_likelihood import Ridge
 from bayes_impedance.person.noise import contrasts
+from bayes_impedance.person.small_matrices import inverted
 
 
 def responses(kernel: Kernel, likelihood: Likelihood, ridge: Ridge, theta: np.ndarray, nodes: np.ndarray) -> np.ndarray:
@@ -64,6 +65,8 @@ def responses(kernel: Kernel, likelihood: Likelihood, ridge: Ridge, theta: np.nd
             d.omega,
             d.z,
             d.weight,
+            SCALE_SHAPE + d.values,
+            d.beta,
             contrasts(len(d.z)),
             np.ascontiguousarray(nodes),
         )
@@ -80,10 +83,10 @@ def response_of(information: np.ndarray, gradient: np.ndarray, rho: np.ndarray, 
 def _one_at_a_time(information: np.ndarray, gradient: np.ndarray, rho: np.ndarray, nodes: np.ndarray) -> np.ndarray:
     size, n_elements = gradient.size, rho.size
     n_contrasts = size // n_elements
-    curvature = information.copy()
+    inverse = information.copy()
     for a in range(size):
-        curvature[a, a] += rho[a % n_elements] ** -2.0
-    inverse = np.linalg.inv(curvature)
+        inverse[a, a] += rho[a % n_elements] ** -2.0
+    inverted(inverse)
     at = inverse @ gradient
     result = np.empty(nodes.shape)
     factor, solved = np.empty((n_contrasts, n_contrasts)), np.empty(n_contrasts)
@@ -119,11 +122,12 @@ def _responses(
     omega: np.ndarray,
     z: np.ndarray,
     weight: np.ndarray,
+    exponent: float,
+    beta: float,
     rows: np.ndarray,
     nodes: np.ndarray,
 ) -> np.ndarray:
     n_repetitions, n_elements = deviations.shape
-    exponent = SCALE_SHAPE + n_repetitions * omega.size
     n_contrasts = n_repetitions - 1
     result = np.empty((theta.shape[0], *nodes.shape))
     information = np.empty((n_contrasts * n_elements, n_contrasts * n_elements))
@@ -142,7 +146,7 @@ def _responses(
                     information[a * n_elements : (a + 1) * n_elements, b * n_elements : (b + 1) * n_elements] += (
                         rows[a, j] * rows[b, j]
                     ) * h
-        w = exponent / (SCALE_SHAPE + 0.5 * chi)
+        w = exponent / (beta + 0.5 * chi)
         if np.isfinite(w):
             result[i] = _one_at_a_time(w * information, w * gradient, rho, nodes)
         else:

@@ -22,7 +22,7 @@ integrated out, see :mod:`bayes_impedance.person.marginal_likelihood`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -46,7 +46,7 @@ _summing: Any = kept_njit(nogil=True, fastmath={"reassoc", "contract"})
 """Decorator of long sums: the compiler may reorder them, and so use vector instructions."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Likelihood:
     """Data of one person, ready for the compiled functions.
 
@@ -62,6 +62,11 @@ class Likelihood:
         Log elements of each repetition less the person's; columns sum to zero.
     count : float
         Number N of complex values that inform theta and the noise scale.
+    values : int
+        Number of all complex values, J times that of the recordings' frequencies.
+    rest : float
+        Chi-square that no theta changes, to be added to that of `z`: not zero where `z` sums up more frequencies
+        (:mod:`bayes_impedance.person.condensed`).
     """
 
     omega: np.ndarray
@@ -69,6 +74,8 @@ class Likelihood:
     weight: np.ndarray
     deviations: np.ndarray
     count: float
+    values: int
+    rest: float = 0.0
 
     @classmethod
     def make(cls, frequency_hz: np.ndarray, z: np.ndarray, noise_sd: np.ndarray, deviations: np.ndarray) -> Likelihood:
@@ -76,19 +83,41 @@ class Likelihood:
         parts = np.ascontiguousarray(np.stack([z.real, z.imag], axis=1))
         count = z.size - 0.5 * (z.shape[0] - 1) * deviations.shape[1]
         weight = np.ascontiguousarray(np.broadcast_to(noise_sd, z.shape) ** -2.0)
-        return cls(2 * np.pi * np.ascontiguousarray(frequency_hz), parts, weight, deviations, max(count, 1.0))
+        return cls(
+            omega=2 * np.pi * np.ascontiguousarray(frequency_hz),
+            z=parts,
+            weight=weight,
+            deviations=deviations,
+            count=max(count, 1.0),
+            values=z.size,
+        )
+
+    @property
+    def beta(self) -> float:
+        """The beta of the inverse gamma prior, and what of chi-square no theta changes."""
+        return SCALE_SHAPE + 0.5 * self.rest
 
     def thinned(self, n: int) -> Likelihood:
         """The data at about n of the frequencies, evenly spread: for decisions that need no precision."""
         f = self.omega.size
-        points = np.unique(np.linspace(0, f - 1, min(n, f)).round().astype(int))
-        parts = (np.ascontiguousarray(a[..., points]) for a in (self.omega, self.z, self.weight))
-        omega, z, weight = parts
-        return Likelihood(omega, z, weight, self.deviations, max(self.count - (f - points.size) * z.shape[0], 1.0))
+        return self.at(np.unique(np.linspace(0, f - 1, min(n, f)).round().astype(int)))
+
+    def at(self, points: np.ndarray) -> Likelihood:
+        """The data at some of the frequencies, given by their indices (integer) or as a mask."""
+        omega, z, weight = (np.ascontiguousarray(a[..., points]) for a in (self.omega, self.z, self.weight))
+        lost = (self.omega.size - omega.size) * len(z)
+        return replace(
+            self,
+            omega=omega,
+            z=z,
+            weight=weight,
+            count=max(self.count - lost, 1.0),
+            values=max(self.values - lost, 1),
+        )
 
     def moved(self, deviations: np.ndarray) -> Likelihood:
         """The same data with other deviations of the repetitions."""
-        return Likelihood(self.omega, self.z, self.weight, np.ascontiguousarray(deviations), self.count)
+        return replace(self, deviations=np.ascontiguousarray(deviations))
 
 
 @compiled
@@ -213,14 +242,15 @@ def _log_likelihoods(
     omega: np.ndarray,
     z: np.ndarray,
     weight: np.ndarray,
-    count: float,
+    exponent: float,
+    beta: float,
 ) -> np.ndarray:
     """Log likelihood with the noise scale integrated out, up to a constant, for parameter sets (S, P): shape (S,)."""
     sums, outputs = workspace(program, omega)
     result = np.empty(theta.shape[0])
     for i in range(theta.shape[0]):
         chi = chi_square(program, theta[i], deviations, omega, z, weight, sums, outputs)
-        result[i] = -(SCALE_SHAPE + count) * np.log(SCALE_SHAPE + 0.5 * chi)
+        result[i] = -exponent * np.log(beta + 0.5 * chi)
     return result
 
 
@@ -250,5 +280,6 @@ def log_likelihood(kernel: Kernel, likelihood: Likelihood, theta: np.ndarray) ->
     """
     d = likelihood
     theta = np.ascontiguousarray(theta)
-    values = _log_likelihoods(kernel.program, theta, d.deviations, d.omega, d.z, d.weight, d.count)
+    exponent = SCALE_SHAPE + d.count
+    values = _log_likelihoods(kernel.program, theta, d.deviations, d.omega, d.z, d.weight, exponent, d.beta)
     return np.where(np.isfinite(values), values, -np.inf)

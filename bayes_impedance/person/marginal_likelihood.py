@@ -29,6 +29,7 @@ from bayes_impedance.person.likelihood import (
     normal_equations,
     repetition_equations,
 )
+from bayes_impedance.person.small_matrices import inverted
 
 LEAST_RHO = 1e-3
 """Least dispersion between repetitions, in logarithms, for which deviations are integrated out. By choice: a thousandth
@@ -111,6 +112,8 @@ def marginal_log_likelihood(kernel: Kernel, likelihood: Likelihood, ridge: Ridge
         d.omega,
         d.z,
         d.weight,
+        SCALE_SHAPE + d.values,
+        d.beta,
     )
     return np.where(np.isfinite(values), values, -np.inf)
 
@@ -126,46 +129,62 @@ def _marginal_log_likelihoods(
     omega: np.ndarray,
     z: np.ndarray,
     weight: np.ndarray,
+    exponent: float,
+    beta: float,
 ) -> np.ndarray:
     n_repetitions, n_elements = deviations.shape
-    exponent = SCALE_SHAPE + n_repetitions * omega.size
     sums, outputs = workspace(program, omega)
     inverses = np.empty((n_repetitions, n_elements, n_elements))
     gradients = np.empty((n_repetitions, n_elements))
+    total, moved = np.empty((n_elements, n_elements)), np.empty((n_repetitions, n_elements))
+    multiplier, step = np.empty(n_elements), np.empty(n_elements)
     result = np.empty(theta.shape[0])
     for i in range(theta.shape[0]):
-        moved = deviations.copy()
         for j in range(n_repetitions):
-            moved[j] += slope[j] @ (theta[i] - centre)
+            for p in range(n_elements):
+                moved[j, p] = deviations[j, p]
+                for q in range(n_elements):
+                    moved[j, p] += slope[j, p, q] * (theta[i, q] - centre[q])
         chi = 0.0
         for j in range(n_repetitions):
             c, gradients[j], inverses[j] = normal_equations(program, theta[i] + moved[j], omega, z[j], weight[j])
             chi += c
-        w = exponent / (SCALE_SHAPE + 0.5 * chi)
+        w = exponent / (beta + 0.5 * chi)
         if not np.isfinite(w):
             result[i] = -np.inf
             continue
         log_determinant = 0.0
-        total = np.zeros((n_elements, n_elements))
-        pulled = np.zeros(n_elements)
+        total[:], multiplier[:] = 0.0, 0.0
         for j in range(n_repetitions):
-            curvature = w * inverses[j]
             for p in range(n_elements):
-                curvature[p, p] += rho[p] ** -2.0
+                for q in range(p + 1):
+                    inverses[j, p, q] *= w
+                inverses[j, p, p] += rho[p] ** -2.0
                 gradients[j, p] = -w * gradients[j, p] - moved[j, p] / rho[p] ** 2.0
-            factor = np.linalg.cholesky(curvature)
-            log_determinant += 2.0 * np.log(np.diag(factor)).sum()
-            inverses[j] = np.linalg.inv(curvature)
-            gradients[j] = inverses[j] @ gradients[j]
-            total += inverses[j]
-            pulled += gradients[j]
-        log_determinant += 2.0 * np.log(np.diag(np.linalg.cholesky(total / n_repetitions))).sum()
-        multiplier = -np.linalg.solve(total, pulled)
+            log_determinant += inverted(inverses[j])
+            for p in range(n_elements):
+                step[p] = 0.0
+                for q in range(n_elements):
+                    step[p] += inverses[j, p, q] * gradients[j, q]
+                    total[p, q] += inverses[j, p, q] / n_repetitions
+            for p in range(n_elements):
+                gradients[j, p] = step[p]  # the free step; its sum over repetitions must vanish
+                multiplier[p] -= step[p] / n_repetitions
+        log_determinant += inverted(total)
+        for p in range(n_elements):
+            step[p] = 0.0
+            for q in range(n_elements):
+                step[p] += total[p, q] * multiplier[q]
         square = 0.0
         for j in range(n_repetitions):
-            step = gradients[j] + inverses[j] @ multiplier
-            moved[j] += step / max(1.0, 2.0 * np.abs(step).max())
-            square += np.sum((moved[j] / rho) ** 2)
+            longest = 0.0
+            for p in range(n_elements):
+                for q in range(n_elements):
+                    gradients[j, p] += inverses[j, p, q] * step[q]
+                longest = max(longest, abs(gradients[j, p]))
+            for p in range(n_elements):
+                moved[j, p] += gradients[j, p] / max(1.0, 2.0 * longest)
+                square += (moved[j, p] / rho[p]) ** 2.0
         chi = chi_square(program, theta[i], moved, omega, z, weight, sums, outputs)
-        result[i] = -exponent * np.log(SCALE_SHAPE + 0.5 * chi) - 0.5 * square - 0.5 * log_determinant
+        result[i] = -exponent * np.log(beta + 0.5 * chi) - 0.5 * square - 0.5 * log_determinant
     return result

@@ -81,11 +81,12 @@ def _gradient(
     z: np.ndarray,
     weight: np.ndarray,
     exponent: float,
+    beta: float,
     prior_mean: np.ndarray,
     prior_precision: np.ndarray,
 ) -> np.ndarray:
     chi, gradient, _ = all_repetitions(program, theta, deviations, omega, z, weight)
-    result: np.ndarray = exponent / (SCALE_SHAPE + 0.5 * chi) * gradient + prior_precision @ (theta - prior_mean)
+    result: np.ndarray = exponent / (beta + 0.5 * chi) * gradient + prior_precision @ (theta - prior_mean)
     return result
 
 
@@ -98,6 +99,7 @@ def _hessian(
     z: np.ndarray,
     weight: np.ndarray,
     exponent: float,
+    beta: float,
     prior_mean: np.ndarray,
     prior_precision: np.ndarray,
 ) -> np.ndarray:
@@ -107,7 +109,7 @@ def _hessian(
     for p in range(n):
         shift = np.zeros(n)
         shift[p] = 1e-4
-        args = (deviations, omega, z, weight, exponent, prior_mean, prior_precision)
+        args = (deviations, omega, z, weight, exponent, beta, prior_mean, prior_precision)
         ahead = _gradient(program, theta + shift, *args)
         behind = _gradient(program, theta - shift, *args)
         result[p] = (ahead - behind) / 2e-4
@@ -122,7 +124,8 @@ def _minimise(
     omega: np.ndarray,
     z: np.ndarray,
     weight: np.ndarray,
-    count: float,
+    exponent: float,
+    beta: float,
     prior_mean: np.ndarray,
     prior_precision: np.ndarray,
     max_iterations: int,
@@ -133,22 +136,23 @@ def _minimise(
     objectives = np.full(starts.shape[0], np.inf)
     decrements = np.full(starts.shape[0], np.inf)
     n_elements = starts.shape[1]
-    exponent = SCALE_SHAPE + count
     for i in range(starts.shape[0]):
         theta = starts[i].copy()
         damping = 1e-2
         chi, gradient, information = all_repetitions(program, theta, deviations, omega, z, weight)
         offset = theta - prior_mean
-        objective = exponent * np.log(SCALE_SHAPE + 0.5 * chi) + 0.5 * offset @ (prior_precision @ offset)
+        objective = exponent * np.log(beta + 0.5 * chi) + 0.5 * offset @ (prior_precision @ offset)
         if not np.isfinite(objective):
             continue
         for iteration in range(max_iterations):
-            w = exponent / (SCALE_SHAPE + 0.5 * chi)
+            w = exponent / (beta + 0.5 * chi)
             g = w * gradient + prior_precision @ (theta - prior_mean)
             curvature = w * information + prior_precision
             diagonal = np.diag(curvature).copy()
             if iteration >= _GAUSS_NEWTON_ITERATIONS:
-                exact = _hessian(program, theta, deviations, omega, z, weight, exponent, prior_mean, prior_precision)
+                exact = _hessian(
+                    program, theta, deviations, omega, z, weight, exponent, beta, prior_mean, prior_precision
+                )
                 lowest = np.linalg.eigvalsh(exact)[0]
                 if lowest > 0.0:
                     curvature = exact
@@ -172,7 +176,7 @@ def _minimise(
                 trial = theta + step
                 trial_chi = chi_square(program, trial, deviations, omega, z, weight, sums, outputs)
                 offset = trial - prior_mean
-                value = exponent * np.log(SCALE_SHAPE + 0.5 * trial_chi) + 0.5 * offset @ (prior_precision @ offset)
+                value = exponent * np.log(beta + 0.5 * trial_chi) + 0.5 * offset @ (prior_precision @ offset)
                 if value <= objective:
                     accepted = True
                     break
@@ -205,7 +209,8 @@ def all_modes(
         d.omega,
         d.z,
         d.weight,
-        d.count,
+        SCALE_SHAPE + d.count,
+        d.beta,
         np.ascontiguousarray(prior_mean),
         np.ascontiguousarray(prior_precision),
         max_iterations,
@@ -249,10 +254,10 @@ def mode_at(
     d = likelihood
     chi, _, information = all_repetitions(kernel.program, theta, d.deviations, d.omega, d.z, d.weight)
     exponent = SCALE_SHAPE + d.count
-    w = exponent / (SCALE_SHAPE + 0.5 * chi)
+    w = exponent / (d.beta + 0.5 * chi)
     offset = theta - prior_mean
-    objective = exponent * np.log(SCALE_SHAPE + 0.5 * chi) + 0.5 * offset @ prior_precision @ offset
-    scale = float(np.sqrt((SCALE_SHAPE + 0.5 * chi) / exponent))  # inf, and no error, where chi is
+    objective = exponent * np.log(d.beta + 0.5 * chi) + 0.5 * offset @ prior_precision @ offset
+    scale = float(np.sqrt((d.beta + 0.5 * chi) / exponent))  # inf, and no error, where chi is
     return Mode(
         theta=theta,
         objective=float(objective),

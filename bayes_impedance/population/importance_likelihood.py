@@ -96,6 +96,9 @@ class ImportanceLikelihood:
         same = bool(np.all(reference_means == reference_means[0]))
         self._same_means = not covariates.shape[1] and same and sharing is None
         self.reference_factor = np.linalg.cholesky(reference_covariance)
+        self.whitening = np.linalg.inv(self.reference_factor)
+        self._means_in_u = reference_means @ self.whitening.T
+        self._path_in_u = np.moveaxis(self.path @ self.whitening.T, 0, 1) if moved else np.empty((0, 0, 0))
         self.pairs = np.tril_indices(n_elements)
         # Twice the entry, except on the diagonal: coefficients of the monomials u_p u_q, p >= q.
         self._multiplicity = np.where(self.pairs[0] == self.pairs[1], 1.0, 2.0)
@@ -137,7 +140,7 @@ class ImportanceLikelihood:
         return sum(array.nbytes for array in arrays)
 
     def _monomials(self, draws: Draws, mean: np.ndarray) -> np.ndarray:
-        u = np.linalg.solve(self.reference_factor, (draws.theta - mean).T)
+        u = self.whitening @ (draws.theta - mean).T
         ratio = draws.log_ratio - draws.log_ratio.max()
         rows, columns = self.pairs
         return np.vstack([u[rows] * u[columns], u, ratio[None]]).astype(np.float32)
@@ -212,18 +215,26 @@ class ImportanceLikelihood:
         self, parameters: PopulationParameters
     ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
         """Block by block: the persons, their features, coefficients and constants of W normal populations."""
-        populations = {j: self.population_in_reference(parameters, int(j)) for j in np.unique(self.repetitions)}
-        shared: dict[int, tuple[np.ndarray, np.ndarray]] = {}
-        for j, persons, features in self.blocks:
-            if j not in shared or not self._same_means:
-                shared[j] = self._coefficients(parameters, *populations[j], persons)
-            yield persons, features, *shared[j]
+        moving = self.moving(parameters)
+        for j in np.unique(self.repetitions):
+            group = np.flatnonzero(self.repetitions == j)
+            coefficients, constants = self._coefficients(parameters, int(j), group, moving)
+            begin = 0
+            for own, persons, features in self.blocks:
+                if own != j:
+                    continue
+                rows = slice(begin, begin + persons.size)
+                begin = rows.stop
+                if self._same_means:
+                    yield persons, features, coefficients[0], constants
+                else:
+                    yield persons, features, coefficients[rows], constants[:, rows]
 
     def _products(
         self, coefficients: np.ndarray, features: np.ndarray, n_persons: int, values: np.ndarray
     ) -> np.ndarray:
         """Log weights (W, B, K), written into `values` if that has the same shape."""
-        shape = coefficients.shape[0], n_persons, self.n_draws
+        shape = coefficients.shape[-2], n_persons, self.n_draws
         if values.shape != shape:  # allocating an array for every product would take longer than the product
             values = np.empty(shape, dtype=np.float32)
         if coefficients.ndim == 2:  # the same for every person: one product
@@ -233,7 +244,7 @@ class ImportanceLikelihood:
             own = features.reshape(features.shape[0], n_persons, self.n_draws)
             for n in range(n_persons):  # if a dispersion vanishes it overflows, and is refused later
                 with np.errstate(over="ignore", invalid="ignore"):
-                    np.matmul(coefficients[:, n], own[:, n], out=values[:, n])
+                    np.matmul(coefficients[n], own[:, n], out=values[:, n])
         return values
 
     def _by_node(self, parameters: PopulationParameters) -> Iterator[tuple[np.ndarray, slice, np.ndarray, np.ndarray]]:
@@ -250,7 +261,7 @@ class ImportanceLikelihood:
             for start in range(0, n_sets, at_once):
                 rows = slice(start, min(start + at_once, n_sets))
                 nodes = slice(rows.start * NODES, rows.stop * NODES)
-                values = self._products(coefficients[nodes], features, persons.size, values)
+                values = self._products(coefficients[..., nodes, :], features, persons.size, values)
                 yield persons, rows, values, offsets[nodes]
 
     def _exponents_with_tails(
@@ -281,22 +292,22 @@ class ImportanceLikelihood:
         return np.swapaxes(whitened, -1, -2) @ whitened, log_determinant
 
     def _coefficients(
-        self, parameters: PopulationParameters, precision: np.ndarray, log_determinant: np.ndarray, persons: np.ndarray
+        self, parameters: PopulationParameters, repetitions: int, persons: np.ndarray, moving: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Coefficients of the monomials, (W, m) if all persons share them or else (W, B, m), and constants (W, B)."""
-        moving = self.moving(parameters)
-        shift = self.shifted_means(parameters, persons, moving)
-        v = np.swapaxes(np.linalg.solve(self.reference_factor, np.swapaxes(shift, -1, -2)), -1, -2)
+        """Coefficients of some persons' monomials, (n, W, m), and constants (W, n); n = 1 if they share them."""
+        precision, log_determinant = self.population_in_reference(parameters, repetitions)
+        v = self.means_in_reference(parameters, persons, moving)
         linear = v @ precision
-        constants = log_determinant[:, None] - 0.5 * np.einsum("wnp,wnp->wn", v, linear)
-        quadratic = -0.5 * self._multiplicity * precision[:, self.pairs[0], self.pairs[1]]
-        own = np.broadcast_to(quadratic[:, None], (*linear.shape[:2], quadratic.shape[1]))
+        constants = log_determinant[:, None] - 0.5 * np.sum(v * linear, axis=2)
+        n_squares, n_linear = self.pairs[0].size, v.shape[2]
         of_dispersions = [] if self.span is None else [self.span.terms(parameters.between_repetitions)]
         rest = np.concatenate([np.ones((len(moving), 1)), moving, *of_dispersions], axis=1)
-        rest = np.broadcast_to(rest[:, None], (*linear.shape[:2], rest.shape[1]))
+        coefficients = np.empty((v.shape[1], len(v), n_squares + n_linear + rest.shape[1]), dtype=np.float32)
         with np.errstate(over="ignore", invalid="ignore"):  # as above: a vanishing dispersion is refused later
-            coefficients = np.concatenate([own, linear, rest], axis=2).astype(np.float32)
-        return (coefficients[:, 0] if coefficients.shape[1] == 1 else coefficients), constants
+            coefficients[..., :n_squares] = -0.5 * self._multiplicity * precision[:, self.pairs[0], self.pairs[1]]
+            coefficients[..., n_squares : n_squares + n_linear] = np.swapaxes(linear, 0, 1)
+            coefficients[..., n_squares + n_linear :] = rest
+        return coefficients, constants
 
     def moving(self, parameters: PopulationParameters) -> np.ndarray:
         """Monomials in the parameters that are the same for everybody, (W, M); M = 0 without such."""
@@ -304,13 +315,17 @@ class ImportanceLikelihood:
             return np.empty((len(parameters.mu), 0))
         return monomials(self.sharing.standardised(parameters.shared))
 
-    def shifted_means(self, parameters: PopulationParameters, persons: np.ndarray, moving: np.ndarray) -> np.ndarray:
-        """Population means less those of the reference and the persons' paths: (W, B, P), or (W, 1, P) if all agree."""
-        shift = parameters.mu[:, None, :] - self.reference_means[persons]
+    def means_in_reference(
+        self, parameters: PopulationParameters, persons: np.ndarray, moving: np.ndarray
+    ) -> np.ndarray:
+        """Population means less the persons' paths, in the coordinates u: (W, n, P), or (W, 1, P) if all agree."""
+        v = (parameters.mu @ self.whitening.T)[:, None, :]
+        if self._same_means:
+            return np.asarray(v - self._means_in_u[:1])
+        v = v - self._means_in_u[persons]
         if self.covariates.shape[1]:
-            shift = shift + np.einsum("wpq,nq->wnp", parameters.slopes, self.covariates[persons])
-        elif self._same_means or (
-            self.sharing is None and np.all(self.reference_means[persons] == self.reference_means[persons[0]])
-        ):
-            shift = shift[:, :1]
-        return np.asarray(shift - np.einsum("nmp,wm->wnp", self.path[persons], moving) if moving.size else shift)
+            v += np.einsum("wpq,nq->wnp", self.whitening @ parameters.slopes, self.covariates[persons])
+        if moving.size:
+            path = self._path_in_u[:, persons]
+            v -= (moving @ path.reshape(len(path), -1)).reshape(v.shape)
+        return np.asarray(v)

@@ -114,28 +114,26 @@ def _normal(
     on_terms: np.ndarray | float = 0.0
     scatter = {int(j): np.zeros((n_sets, n_elements, n_elements)) for j in np.unique(marginal.repetitions)}
     precisions = {j: marginal.population_in_reference(parameters, j)[0] for j in scatter}
-    whitening = np.linalg.inv(factor)
-    for (persons, values, _), (j, _, features) in zip(marginal.exponents(parameters), marginal.blocks, strict=True):
-        normalise_rows(values)
-        if probability is not None:
-            values *= probability[:, persons, None].astype(np.float32)
-        own = features.reshape(len(features), persons.size, marginal.n_draws)
-        # Means of the draws' monomials, (W, B, m).
-        moments = np.swapaxes(np.swapaxes(values, 0, 1) @ own.transpose(1, 2, 0), 0, 1).astype(float)
-        shift = marginal.shifted_means(parameters, persons, moving)
-        v = np.broadcast_to(shift, (n_sets, persons.size, n_elements)) @ whitening.T
+    all_moments = _moments(marginal, parameters, probability)
+    for j in scatter:
+        persons = np.flatnonzero(marginal.repetitions == j)
+        moments = all_moments[:, persons]
+        v = np.broadcast_to(
+            marginal.means_in_reference(parameters, persons, moving), (n_sets, persons.size, n_elements)
+        )
         part = v if probability is None else probability[:, persons, None] * v  # moments are weighted too
         first, squares = moments[:, :, n_squares:n_quadratic], moments[:, :, :n_squares].sum(axis=1)
         cross = np.swapaxes(first, 1, 2) @ v
         scatter[j] += np.swapaxes(part, 1, 2) @ v - cross - np.swapaxes(cross, 1, 2)
         scatter[j][:, rows, columns] += squares
         scatter[j][:, columns, rows] += squares * (rows != columns)
-        pull = (first - part) @ precisions[j] @ whitening
+        pull = (first - part) @ precisions[j] @ marginal.whitening
         mean += pull.sum(axis=1)
         slopes += np.swapaxes(pull, 1, 2) @ marginal.covariates[persons]
         if moving.size:
             on_monomials += moments[:, :, n_quadratic + 1 : n_quadratic + 1 + moving.shape[1]].sum(axis=1)
-            on_monomials -= np.einsum("wbp,bmp->wm", pull, marginal.path[persons])
+            path = np.moveaxis(marginal.path[persons], 1, 0)
+            on_monomials -= pull.reshape(n_sets, -1) @ path.reshape(len(path), -1).T
         if marginal.span is not None:
             on_terms = on_terms + moments[:, :, n_quadratic + 1 + moving.shape[1] :].sum(axis=1)
     covariance = np.zeros((n_sets, n_elements, n_elements))
@@ -143,7 +141,7 @@ def _normal(
     for j, spread in scatter.items():
         alike = marginal.repetitions == j
         n = int(np.sum(alike)) if probability is None else probability[:, alike].sum(axis=1)[:, None, None]
-        inverse = whitening.T @ precisions[j] @ whitening  # of T
+        inverse = marginal.whitening.T @ precisions[j] @ marginal.whitening  # of T
         own = 0.5 * (inverse @ (factor @ spread @ factor.T) @ inverse - n * inverse)
         covariance += own
         repetitions += 2 * parameters.between_repetitions / j * np.diagonal(own, axis1=1, axis2=2)
@@ -164,3 +162,17 @@ def _normal(
         shared=shared,
         tail=np.zeros(n_sets),
     )
+
+
+def _moments(
+    marginal: ImportanceLikelihood, parameters: PopulationParameters, probability: np.ndarray | None
+) -> np.ndarray:
+    """Means of every person's monomials over the weighted draws, (W, N, m); parts of them where persons count so."""
+    result = np.empty((len(parameters.mu), marginal.repetitions.size, len(marginal.blocks[0][2])))
+    for (persons, values, _), (_, _, features) in zip(marginal.exponents(parameters), marginal.blocks, strict=True):
+        normalise_rows(values)
+        if probability is not None:
+            values *= probability[:, persons, None].astype(np.float32)
+        own = features.reshape(len(features), persons.size, marginal.n_draws)
+        result[:, persons] = np.swapaxes(np.swapaxes(values, 0, 1) @ own.transpose(1, 2, 0), 0, 1)
+    return result

@@ -13,9 +13,10 @@ import numpy as np
 
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.person.absolute_density import deviations_of, log_constant
+from bayes_impedance.person.condensed import NODES_PER_DECADE, condensed, holds
 from bayes_impedance.person.importance_draws import Draws, Reference, draw
 from bayes_impedance.person.likelihood import Likelihood
-from bayes_impedance.person.marginal_likelihood import find_ridge
+from bayes_impedance.person.marginal_likelihood import Ridge, find_ridge
 from bayes_impedance.population.e_step import PersonFit
 from bayes_impedance.population.moved_dispersions import DispersionRange, with_responses
 from bayes_impedance.population.shared import SharedEquations
@@ -88,12 +89,33 @@ def draws_of(
     # The ridge fixes rho; contrasts and the draws' responses give the likelihood of other values of rho.
     ridge = find_ridge(plan.kernel, likelihood, fit.theta, fit.mode.scale, plan.rho)
     reference = Reference(mean, stretch * plan.covariance)
-    draws = draw(plan.kernel, likelihood, fit.mode, ridge, reference, plan.n_draws, seed, plan.along_valley)
     deviations = deviations_of(plan.kernel, likelihood, fit.theta)
-    draws = replace(draws, constant=log_constant(likelihood, ridge, deviations), deviations=deviations)
+    constant = log_constant(likelihood, ridge, deviations)
+    draws, likelihood = _drawn(plan, likelihood, fit, ridge, reference, seed)
+    draws = replace(draws, constant=constant, deviations=deviations)
     response, along = None, None
     if plan.span is not None:
         draws, response = with_responses(plan.kernel, plan.span, likelihood, fit, ridge, draws)
     if plan.sharing is not None and equations is not None:
         draws, along = moved(plan.sharing, equations, likelihood, ridge, reference, draws)
     return PersonDraws(draws, along, response)
+
+
+def _drawn(
+    plan: DrawingPlan,
+    likelihood: Likelihood,
+    fit: PersonFit,
+    ridge: Ridge,
+    reference: Reference,
+    seed: np.random.SeedSequence,
+) -> tuple[Draws, Likelihood]:
+    """Draws, and the recordings from which their likelihood was computed: summed up where that changes nothing."""
+    for per_decade in NODES_PER_DECADE:
+        small = condensed(plan.kernel, likelihood, fit.theta, per_decade)
+        if small is None:
+            break
+        draws = draw(plan.kernel, small, fit.mode, ridge, reference, plan.n_draws, seed, plan.along_valley)
+        if holds(plan.kernel, likelihood, small, ridge, draws.theta, draws.log_weight):
+            return draws, small
+    draws = draw(plan.kernel, likelihood, fit.mode, ridge, reference, plan.n_draws, seed, plan.along_valley)
+    return draws, likelihood

@@ -1,5 +1,7 @@
 """Draws from one person's posterior: simulation-based calibration, and the marginal likelihood against integration."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -30,7 +32,7 @@ def _record(
     z = clean + scale * sd * (rng.normal(size=clean.shape) + 1j * rng.normal(size=clean.shape))
     # No deviations are estimated here, so all numbers count.
     likelihood = Likelihood.make(GRID, z, sd, np.zeros((repetitions, theta.size)))
-    return Likelihood(likelihood.omega, likelihood.z, likelihood.weight, likelihood.deviations, float(z.size))
+    return replace(likelihood, count=float(z.size))
 
 
 @pytest.mark.parametrize("noise", [0.02, 0.3])

@@ -132,7 +132,7 @@ def test_count_stays_positive():
 
 def derivative_arguments(likelihood, mean, precision):
     d = likelihood
-    return d.deviations, d.omega, d.z, d.weight, SCALE_SHAPE + d.count, mean, precision
+    return d.deviations, d.omega, d.z, d.weight, SCALE_SHAPE + d.count, d.beta, mean, precision
 
 
 def test_gradient_and_hessian_equal_differences():

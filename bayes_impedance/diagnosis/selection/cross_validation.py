@@ -138,6 +138,4 @@ def _without(d: Likelihood, low: float, high: float) -> Likelihood:
     keep = ~((np.log(d.omega) >= low) & (np.log(d.omega) < high))
     if keep.sum() < 3:
         keep[:] = True
-    parts = (np.ascontiguousarray(a[..., keep]) for a in (d.omega, d.z, d.weight))
-    omega, z, weight = parts
-    return Likelihood(omega, z, weight, d.deviations, max(d.count - float((~keep).sum() * d.z.shape[0]), 1.0))
+    return d.at(keep)
