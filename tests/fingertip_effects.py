@@ -46,7 +46,12 @@ NAIL = Effect(
 PAD = replace(NAIL, id="body.pad", name="pad", branch="r|m", connection="series", formula="1/(1/z + 1/(r + s m))")
 CABLE = replace(NAIL, id="rig.cable", name="cable", side="rig", pooling="shared", branch="n-r", places=("port",))
 FOOT = replace(CABLE, id="rig.foot", name="foot", branch="n|r", connection="series")
-BRANCHES = (NAIL, PAD, CABLE, FOOT)
+CREEP = replace(NAIL, id="body.creep", name="creep", branch="r1-p1^a1", formula="z + 1/(1/r + s^(1-a)/p)")
+GEL = replace(PAD, id="body.gel", name="gel", branch="p1^0.5", formula="1/(1/z + s^0.5/p)")
+RUBBER = replace(
+    NAIL, id="body.rubber", name="rubber", branch="m1-hysteretic[e1](n1)", formula="z + m and (1 + j e)/(s n)"
+)
+BRANCHES = (NAIL, PAD, CABLE, FOOT, CREEP, GEL, RUBBER)
 
 
 def own_name(entry: object) -> str:

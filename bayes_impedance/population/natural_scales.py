@@ -70,6 +70,10 @@ class NaturalScales:
         """Frequency in the middle of the recordings."""
         return float(np.exp(self.log_frequency))
 
+    def centre(self, parameter: Parameter) -> tuple[float, float]:
+        """Prior centre and standard deviation of a parameter's unbounded u; a signed one's are others."""
+        return (0.0, LOGIT_SD) if parameter.link == LOGIT else (self.log_value(parameter), LOG_SD)
+
     def log_value(self, parameter: Parameter) -> float:
         """Logarithm of a parameter's natural value as it stands in the formulas."""
         letter = parameter.letter

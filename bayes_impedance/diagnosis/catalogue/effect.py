@@ -32,10 +32,13 @@ import numpy as np
 from bayes_impedance.diagnosis.catalogue.coefficient import Coefficient, Scales
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.elements import KINDS, kind_of
+from bayes_impedance.network.extensions import RADIAN_PER_SECOND, PowerLaw
 from bayes_impedance.network.notation import Element, Network, Parallel, Place, Series, parse
 from bayes_impedance.network.operation_traits import PLACES, Setting, Traits
 from bayes_impedance.network.operations import N_PARAMETERS, NAMES, TRAITS
+from bayes_impedance.network.parameters import LOGIT, Parameter
 from bayes_impedance.network.transform import transform_many
+from bayes_impedance.population.natural_scales import with_references
 from bayes_impedance.runtime.user_table import choice_in, shown, text_in
 
 SIDES, POOLINGS, CONNECTIONS = ("rig", "body"), ("shared", "varying", "some"), ("beside", "series")
@@ -47,6 +50,9 @@ _DAMPER_LEVELS = (0.1, 0.5)
 """Impedance of a resonant branch's dampers relative to that of its mass at the resonance. By choice: one level of weak
 and one of strong damping; each further level adds as many candidates again."""
 
+_EXPONENTS, _LOSS = (0.2, 0.5, 0.8), 0.2
+"""Exponents of a branch's power laws above their lower bound, and loss factor, at which it is scanned. By choice: three
+exponents are at most 0.2 from any other; rubber and soft tissue lose about a fifth."""
 
 _PLACES_OF = {"m": "masses", "n": "springs", "r": "dampers"}
 """Kind of place that an element is."""
@@ -74,7 +80,8 @@ class Effect:
     coefficients : tuple of Coefficient
         For an operation: the linear coefficient first, then its other parameters.
     branch, connection : str
-        Notation of a one-port put ``beside`` the place or in ``series`` with it.
+        Notation of a one-port put ``beside`` the place or in ``series`` with it: any network of the language, in which
+        a power law without a reference frequency has the middle of the recordings' band.
     signed : bool
         Whether the coefficient may be negative.
     needs_repetitions : bool
@@ -127,14 +134,16 @@ class Effect:
             self._check_branch(what)
 
     def _check_branch(self, what: str) -> None:
-        """A branch is tried over a grid of its elements' values, which only masses, compliances and dampers have."""
-        others = [name for name in parse(self.branch).elements if name[0] not in KINDS]
-        if others:
+        """What is the same for everybody is said by the pooling; something must be left to estimate."""
+        branch = parse(self.branch)
+        same = [p.name for p in branch.parameters if p.shared]
+        if same:
             raise InputError(
-                f"{what}: its branch has the parameter '{others[0]}', but a branch may have masses (m), compliances "
-                "(n) and dampers (r) only; power laws, reflexes, delays and filters are operations, such as "
-                "operation='beside_power'"
+                f"{what}: its branch marks {same[0]}* as the same for everybody; leave the mark out, because the "
+                "effect's pooling says that ('shared')"
             )
+        if not branch.elements:
+            raise InputError(f"{what}: its branch holds all its parameters; leave one without a value to be estimated")
 
     def _check_coefficients(self, what: str) -> None:
         """Check number, units and links of the coefficients against what the operation takes."""
@@ -181,6 +190,10 @@ class Effect:
             high=scales.high,
             compliance=compliance,
         )
+
+    def network(self, scales: Scales) -> Network:
+        """Its branch, with a reference frequency in the band for every power law."""
+        return with_references(parse(self.branch), scales.middle / (2 * np.pi))
 
     @property
     def form(self) -> str:
@@ -259,14 +272,34 @@ def shape_grid(effect: Effect, scales: Scales) -> Iterator[dict[str, float]]:
 
 
 def _branch_grid(effect: Effect, scales: Scales) -> Iterator[dict[str, float]]:
-    elements = parse(effect.branch).elements
-    letters = {e[0] for e in elements}
-    resonates = {"m", "n"} <= letters
-    levels = _DAMPER_LEVELS if resonates and "r" in letters else (1.0,)
-    n = max(4, round(_BRANCH_FREQUENCIES * np.log10(scales.high / scales.low))) if len(elements) > 1 else 1
+    network = effect.network(scales)
+    parameters = [p for p in network.parameters if not p.held]
+    laws = {node.size.name: node for _, node in network.walk() if isinstance(node, PowerLaw)}
+    letters = {p.letter for p in parameters}
+    levels = _DAMPER_LEVELS if {"m", "n", "r"} <= letters else (1.0,)
+    exponents = [p.name for p in parameters if p.link == LOGIT]
+    # With one size, and no time beside it, another frequency is another size only.
+    several = len(parameters) - len(exponents) - ("e" in letters) > 1
+    n = max(4, round(_BRANCH_FREQUENCIES * np.log10(scales.high / scales.low))) if several else 1
     for omega in np.geomspace(scales.low, scales.high, n):
-        for level in levels:
-            yield {e: kind_of(e).value_at(level if e[0] == "r" else 1.0, float(omega) / (2 * np.pi)) for e in elements}
+        for level, *shares in product(levels, *(_EXPONENTS for _ in exponents)):
+            given = dict(zip(exponents, shares, strict=True))
+            given = {p.name: p.quantity.low + given[p.name] for p in parameters if p.name in given}
+            yield {p.name: given.get(p.name, _typical(p, float(omega), level, given, laws)) for p in parameters}
+
+
+def _typical(
+    parameter: Parameter, omega: float, level: float, exponents: dict[str, float], laws: dict[str, PowerLaw]
+) -> float:
+    """Value of a branch's parameter that shows at omega: an element's impedance is one there, a damper's the level."""
+    letter = parameter.letter
+    if letter in KINDS:
+        return kind_of(parameter.name).value_at(level if letter == "r" else 1.0, omega / (2 * np.pi))
+    if letter == "p":
+        law = laws[parameter.name]
+        exponent = exponents[law.exponent.name] if law.exponent.value is None else law.exponent.value
+        return float((omega / (2 * np.pi * (law.reference_hz or RADIAN_PER_SECOND))) ** (1 - exponent))
+    return {"d": 1 / omega, "t": 1 / omega, "f": omega / (2 * np.pi), "k": omega, "e": _LOSS, "g": 1.0}.get(letter, 0.0)
 
 
 def direction(effect: Effect, shape: dict[str, float], scales: Scales, omega: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -289,7 +322,7 @@ def direction(effect: Effect, shape: dict[str, float], scales: Scales, omega: np
         For an operation per unit of x, in its own unit.
     """
     if not effect.operation:
-        branch = parse(effect.branch).impedance(1j * omega, shape)
+        branch = effect.network(scales).impedance(1j * omega, shape)
         return np.broadcast_to(branch, z.shape) if effect.connection == "beside" else np.asarray(-(z**2) / branch)
     traits = effect.traits
     if traits.direction is not None:

@@ -22,7 +22,6 @@ import numpy as np
 from bayes_impedance.diagnosis.fit.model import Model
 from bayes_impedance.diagnosis.fit.normal_equations import marginal, quadratic
 from bayes_impedance.diagnosis.fit.refit import Refit
-from bayes_impedance.network.elements import kind_of
 from bayes_impedance.units import INTERVAL, unit_of
 
 _DRAWS = 2000
@@ -164,10 +163,12 @@ def reported(model: Model, addition: int, posterior: CoefficientPosterior, eleme
     result = []
     if not effect.operation:
         added = [model.kernel.elements[model.n_elements + column] for column in columns]
-        kinds = [kind_of(element) for element in added]
-        for k, (element, kind) in enumerate(zip(added, kinds, strict=True)):
-            name = f"{kind.name} {element}" if kinds.count(kind) > 1 else kind.name  # no name twice
-            result.append(_reported(name, kind.unit(scales.unit), np.exp(draws[:, k]), dispersions[:, k]))
+        by_name = {p.name: p for p in model.kernel.network.parameters}
+        kinds = [by_name[name].quantity.name for name in added]
+        for k, (own, kind) in enumerate(zip(added, kinds, strict=True)):
+            name = f"{kind} {own}" if kinds.count(kind) > 1 else kind  # no name twice
+            parameter = by_name[own]
+            result.append(_reported(name, parameter.unit(scales.unit), parameter.value(draws[:, k]), dispersions[:, k]))
         return result
     values: list[np.ndarray] = []
     spreads: list[np.ndarray] = []

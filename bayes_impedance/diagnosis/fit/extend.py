@@ -16,6 +16,9 @@ from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.fit.spike_slab import members
 from bayes_impedance.network.notation import parse
 
+_SCALED = {"m": 1, "r": 1, "p": 1, "k": 1, "n": -1}
+"""Power of a factor on a branch's impedance in each parameter; exponents, times and losses do not change it."""
+
 
 def extended(model: Model, candidate: Candidate, pooling: str, size: float) -> Model:
     """The model with one more addition."""
@@ -24,7 +27,7 @@ def extended(model: Model, candidate: Candidate, pooling: str, size: float) -> M
     shape = candidate.shape
     if not effect.operation:  # scaled as a whole: masses and dampers in proportion, compliances inversely
         factor = max(size, 1e-12) if effect.connection == "beside" else 1 / max(size, 1e-12)
-        shape = {e: v / factor if e[0] == "n" else v * factor for e, v in shape.items()}
+        shape = {e: v * factor ** _SCALED.get(e[0], 0) for e, v in shape.items()}
     return build(model.network, [*model.additions, addition], model.scales, [*starts_of(model), shape])
 
 
@@ -43,7 +46,8 @@ def shape_values(model: Model, addition: int) -> list[float]:
     effect = model.additions[addition].effect
     own = [p for p in model.parameters if p.addition == addition]
     if not effect.operation:
-        return [float(np.exp(p.start)) for p in own]
+        by_name = {p.name: p for p in model.kernel.network.parameters}
+        return [float(by_name[p.name].value(np.array(p.start))) for p in own]
     return [float(c.value(p.centre, model.scales)) for c, p in zip(effect.coefficients, own, strict=True)]
 
 

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import operator
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
+from itertools import count
 
 import numpy as np
 
 from bayes_impedance.diagnosis.catalogue.coefficient import Scales
 from bayes_impedance.diagnosis.catalogue.effect import Effect, operation_constants
-from bayes_impedance.network.elements import band_scale, kind_of
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Element, Network, Parallel, Place, Wrapped, parse
 from bayes_impedance.network.operations import Operation
+from bayes_impedance.population.natural_scales import NaturalScales
 from bayes_impedance.recordings.files import Recordings
-
-ELEMENT_SD = 3.0
-"""Prior standard deviation of a log element around its natural scale, as everywhere in the package."""
 
 COEFFICIENT_SD = 30.0
 """Prior standard deviation of a linear coefficient around zero, in units of its scale: nearly flat, because an effect
@@ -142,7 +141,7 @@ class Model:
 
     @property
     def notation(self) -> str:
-        """The network with those additions that are made of masses, springs and dampers."""
+        """The network with those additions that are branches."""
         return self._grown()[0]
 
     @property
@@ -159,7 +158,7 @@ class Model:
             addition = self.additions[i]
             if addition.effect.branch:
                 target = Place((), "port") if addition.effect.is_outermost else _find(network, names[addition.place])
-                branch = _renamed(parse(addition.effect.branch), network)
+                branch, _ = _renamed(addition.effect.network(self.scales), network)
                 beside = addition.effect.connection == "beside"
                 network = network.beside(target, branch) if beside else network.in_series(target, branch)
                 branches[i] = str(branch)
@@ -242,22 +241,23 @@ def build(network: Network, additions: Sequence[Addition], scales: Scales, start
             parameters += own
             found.append((addition, tuple(p.name for p in own), i))
         else:
-            branch = _renamed(parse(effect.branch), grown)
+            written = effect.network(scales)
+            branch, names_there = _renamed(written, grown)
             target = Place((), "port") if effect.is_outermost else _find(grown, names[addition.place])
             grown = grown.beside(target, branch) if effect.connection == "beside" else grown.in_series(target, branch)
-            z, f = scales.z_middle, scales.middle / (2 * np.pi)
-            shared = addition.pooling == "shared"
-            for own_name, e in zip(parse(effect.branch).elements, branch.elements, strict=True):
-                centre = band_scale(e, z, f)
-                start = float(np.log(shape[own_name])) if own_name in shape else centre
+            natural = NaturalScales(float(np.log(scales.z_middle)), float(np.log(scales.middle / (2 * np.pi))))
+            for p in written.parameters:
+                if p.held:
+                    continue
+                centre, sd = natural.centre(p)
                 branch_parameters.append(
                     Parameter(
-                        name=e,
+                        name=names_there[p.name],
                         addition=i,
-                        shared=shared,
+                        shared=addition.pooling == "shared",
                         centre=centre,
-                        prior_sd=ELEMENT_SD,
-                        start=start,
+                        prior_sd=sd,
+                        start=float(p.u(shape[p.name])) if p.name in shape else centre,
                         is_coefficient=False,
                         dispersion=addition.dispersion,
                     )
@@ -351,12 +351,12 @@ def _without_labels(network: Network) -> Network:
     return joined if kept is None else joined.labelled(kept)
 
 
-def _renamed(branch: Network, network: Network) -> Network:
-    """The branch with its elements renamed to names that are free in a network."""
+def _renamed(branch: Network, network: Network) -> tuple[Network, dict[str, str]]:
+    """The branch with its parameters renamed to names that are free in a network, and the new names by the old."""
+    taken, names = {*network.elements, *(p.name for p in branch.parameters)}, dict[str, str]()
     for old in branch.elements:
-        letter, number = kind_of(old).letter, 1
-        taken = {*network.elements, *branch.elements}
-        while f"{letter}{number}" in taken:
-            number += 1
-        branch = branch.replaced(branch.place(old), Element(f"{letter}{number}"))
-    return branch
+        number = next(k for k in count(1) if f"{old[0]}{k}" not in taken)
+        names[old] = f"{old[0]}{number}"
+        taken.add(names[old])
+    word = re.compile("|".join(rf"\b{old}\b" for old in names))
+    return parse(word.sub(lambda found: names[found[0]], str(branch))), names

@@ -36,12 +36,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from bayes_impedance.diagnosis.fit.model import ELEMENT_SD
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.next_experiment.virtual_recordings import Port, Recording, present_recordings
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.elements import MASS, kind_of
 from bayes_impedance.person.likelihood import SCALE_SHAPE
+from bayes_impedance.population.natural_scales import LOG_SD
 from bayes_impedance.units import hertz, number_with_unit, significant
 
 WIDER = 3.0
@@ -308,9 +308,9 @@ class _Follower:
         responses = []
         for k, i in enumerate(self.owner):
             z, dz = self.ports[k].derivative(self._at(state, k), self.recordings[k].frequency_hz)
-            away = (self.start.elements[k] - state.elements[k]) / ELEMENT_SD
+            away = (self.start.elements[k] - state.elements[k]) / LOG_SD
             white = np.r_[_stacked((self.truth[k] - z) / self.sd[k]), away]
-            columns = np.r_[_stacked(dz / self.sd[k]).T, np.eye(n_elements, n_elements + a) / ELEMENT_SD]
+            columns = np.r_[_stacked(dz / self.sd[k]).T, np.eye(n_elements, n_elements + a) / LOG_SD]
             q, triangle = np.linalg.qr(columns[:, :n_elements])
             seen = np.c_[white, columns[:, n_elements:]]
             inside = q.T @ seen
@@ -335,7 +335,7 @@ class _Follower:
 
     def _objective(self, state: _State) -> float:
         total = float(self._apart(state).sum()) + self._moved(state)
-        total += float(np.sum((state.elements - self.start.elements) ** 2)) / ELEMENT_SD**2
+        total += float(np.sum((state.elements - self.start.elements) ** 2)) / LOG_SD**2
         for k, (r, port) in enumerate(zip(self.recordings, self.ports, strict=True)):
             z = port.impedance(self._at(state, k), r.frequency_hz)
             total += float(np.sum(np.abs((self.truth[k] - z) / self.sd[k]) ** 2))

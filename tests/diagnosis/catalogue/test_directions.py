@@ -114,8 +114,11 @@ def test_directions_of_branches(effect: Effect) -> None:
 
             def curve(x: float, model: Model = model, shape: dict[str, float] = shape) -> np.ndarray:
                 weak = x if effect.connection == "beside" else 1 / x
-                values = [v / weak if e[0] == "n" else v * weak for e, v in shape.items()]
-                return model.kernel.impedance(np.column_stack([THETA, np.tile(np.log(values), (3, 1))]), FREQUENCY)
+                power = {"n": -1, "e": 0, "a": 0}
+                values = [v * weak ** power.get(e[0], 1) for e, v in shape.items()]
+                by_name = {p.name: p for p in model.kernel.network.parameters}
+                own = [by_name[name].u(v) for name, v in zip(model.kernel.elements[8:], values, strict=True)]
+                return model.kernel.impedance(np.column_stack([THETA, np.tile(own, (3, 1))]), FREQUENCY)
 
             here = local[place.name]
             change = direction(effect, shape, SCALES, OMEGA, here.z)
