@@ -26,13 +26,25 @@ def check_dataset(
         another quantity than impedance.
     """
     from bayes_impedance.quality.checks import check_recordings, describe
-    from bayes_impedance.quality.copies import require_distinct
     from bayes_impedance.recordings.files import read_recordings
 
-    recordings = read_recordings(dataset).in_memory()
-    require_distinct(replace(recordings, title=str(dataset)))
+    recordings = distinct(read_recordings(dataset).in_memory(), dataset)
     require_quantity(recordings, network)
     return describe(recordings), recordings.warnings, check_recordings(recordings)
+
+
+def distinct(recordings: Recordings, dataset: Path) -> Recordings:
+    """The recordings of a dataset, refused if they are copies of one another.
+
+    Raises
+    ------
+    InputError
+        If there are copies; it names the dataset and the subjects.
+    """
+    from bayes_impedance.quality.copies import require_distinct
+
+    require_distinct(replace(recordings, title=str(dataset)))
+    return recordings
 
 
 def require_quantity(recordings: Recordings, network: str | None) -> None:
