@@ -53,7 +53,8 @@ def centres(dataset: Path, way: str, seed: int) -> list[dict[str, object]]:
     if fit.diagnostics.problems:
         print(f"seed {seed}, {way}: {'; '.join(fit.diagnostics.problems)}")
     people = without_noise(FINGERTIP, SUBJECTS, REPETITIONS, FREQUENCY_HZ, seed).log_elements.mean(axis=0)
-    mu = fit.parameters.mu
+    columns = [fit.kernel.elements.index(name) for name in ELEMENTS]  # beside those of what the calibration leaves
+    mu = fit.parameters.mu[:, columns]
     return [
         {
             "seed": seed,

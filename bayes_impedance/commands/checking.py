@@ -26,17 +26,36 @@ def check_dataset(
         another quantity than impedance.
     """
     from bayes_impedance.quality.checks import check_recordings, describe
-    from bayes_impedance.quality.copies import require_distinct
+    from bayes_impedance.quality.findings import of_all
     from bayes_impedance.recordings.files import read_recordings
 
-    recordings = read_recordings(dataset).in_memory()
+    recordings = distinct(read_recordings(dataset).in_memory(), dataset)
+    doubt = require_quantity(recordings, network)
+    doubts = () if doubt is None else (of_all("other_quantity", doubt),)
+    return describe(recordings), recordings.warnings, (*doubts, *check_recordings(recordings))
+
+
+def distinct(recordings: Recordings, dataset: Path) -> Recordings:
+    """The recordings of a dataset, refused if they are copies of one another.
+
+    Raises
+    ------
+    InputError
+        If there are copies; it names the dataset and the subjects.
+    """
+    from bayes_impedance.quality.copies import require_distinct
+
     require_distinct(replace(recordings, title=str(dataset)))
-    require_quantity(recordings, network)
-    return describe(recordings), recordings.warnings, check_recordings(recordings)
+    return recordings
 
 
-def require_quantity(recordings: Recordings, network: str | None) -> None:
+def require_quantity(recordings: Recordings, network: str | None) -> str | None:
     """Refuse another quantity than impedance; not decided without a network, or with one that cannot be read.
+
+    Returns
+    -------
+    str or None
+        A doubt, in a sentence.
 
     Raises
     ------
@@ -49,10 +68,10 @@ def require_quantity(recordings: Recordings, network: str | None) -> None:
         try:
             parse(recordings.network or "")
         except InputError:  # it is a finding of `check`, and a fit refuses it
-            return
+            return None
     from bayes_impedance.population.other_quantity import require_impedance  # takes seconds to import
 
-    require_impedance(recordings, network)
+    return require_impedance(recordings, network)
 
 
 def require_prior(recordings: Recordings, network: str | None, prior: GivenPrior | None) -> None:

@@ -6,6 +6,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bayes_impedance.commands.checking import distinct
 from bayes_impedance.commands.jobs import FitOptions, fit_dataset, selected
 from bayes_impedance.commands.result_folders import PICTURE_KINDS
 from bayes_impedance.errors import InputError
@@ -43,7 +44,7 @@ def compare_dataset(
     from bayes_impedance.plots.comparison import COMPARISON_PICTURES
     from bayes_impedance.recordings.files import read_recordings
 
-    recordings = selected(read_recordings(dataset), options).in_memory()
+    recordings = distinct(selected(read_recordings(dataset), options).in_memory(), dataset)
     names = ["comparison.json", "comparison.csv", *(f"{n}.{k}" for n in COMPARISON_PICTURES for k in PICTURE_KINDS)]
     if result is None:
         with output_folder(out, names, options.overwrite):  # before the fit: it takes long

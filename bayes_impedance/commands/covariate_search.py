@@ -38,13 +38,13 @@ def search_dataset(dataset: Path, out: Path, options: FitOptions, progress: Prog
     InputError
         If the input cannot be used; nothing was written then.
     """
-    from bayes_impedance.commands.checking import require_quantity
+    from bayes_impedance.commands.checking import distinct, require_quantity
     from bayes_impedance.diagnosis.covariate_search import search_covariates
     from bayes_impedance.population.covariate_terms import with_terms
     from bayes_impedance.recordings.files import read_recordings
     from bayes_impedance.runtime.executors import executor_of
 
-    recordings = selected(read_recordings(dataset), options).in_memory()
+    recordings = distinct(selected(read_recordings(dataset), options).in_memory(), dataset)
     require_quantity(recordings, options.network)
     recordings, names = with_terms(recordings, options.covariates)
     with output_folder(out, TABLES, options.overwrite):

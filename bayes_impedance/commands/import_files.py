@@ -45,7 +45,8 @@ def import_dataset(options: argparse.Namespace, progress: Progress) -> Imported:
     settings = settings_of(options)
     imported = import_recordings(options.sources, settings, progress)
     named = replace(imported.recordings, title=str(options.sources[0]))
-    require_quantity(named, None)
+    doubt = require_quantity(named, None)
+    imported = replace(imported, notes=(*imported.notes, *([doubt] if doubt else ())))
     require_distinct(named)
     if settings.who is None and imported.named_by_files:
         require_persons(named.subjects, named.title)

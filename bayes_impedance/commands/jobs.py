@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bayes_impedance.commands.checking import require_prior, require_quantity
+from bayes_impedance.commands.checking import distinct, require_prior, require_quantity
 from bayes_impedance.commands.finished_fit import examined_result, model_before, write_extended, write_pages
 from bayes_impedance.commands.result_folders import (
     CHECKPOINT_FOLDER,
@@ -256,7 +256,8 @@ def diagnose_dataset(
     """
     from bayes_impedance.recordings.files import read_recordings
 
-    recordings, options = with_terms_of(selected(read_recordings(dataset), options).in_memory(), options)
+    recordings = distinct(selected(read_recordings(dataset), options).in_memory(), dataset)
+    recordings, options = with_terms_of(recordings, options)
     recordings = _with_covariates(recordings, options.covariates)
     claimed = None if simulation is None else with_terms_of(read_recordings(simulation).in_memory(), options)[0]
     if claimed is not None and claimed.unit != recordings.unit:
@@ -314,13 +315,11 @@ def diagnose_dataset(
 
 
 def _read(dataset: Path, options: FitOptions) -> tuple[Recordings, FitOptions, Clock]:
-    from bayes_impedance.quality.copies import require_distinct
     from bayes_impedance.recordings.files import read_recordings
 
     clock = Clock()
     with clock.measure("read"):
-        recordings = selected(read_recordings(dataset), options)
-        require_distinct(replace(recordings, title=str(dataset)))
+        recordings = distinct(selected(read_recordings(dataset), options), dataset)
         require_quantity(recordings, options.network)
         recordings, options = with_terms_of(recordings, options)
         return recordings, options, clock

@@ -10,6 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bayes_impedance.commands.checking import distinct
 from bayes_impedance.commands.jobs import FitOptions, fit_dataset, selected, with_terms_of
 from bayes_impedance.commands.proposed_network import proposed_network
 from bayes_impedance.commands.result_folders import FIT_FILES, interrupted, remove
@@ -83,7 +84,8 @@ def compare_networks(
     from bayes_impedance.results.leave_one_out import FEWEST_PEOPLE, leave_one_out
     from bayes_impedance.results.network_comparison import Entry, NetworkComparison
 
-    recordings, options = with_terms_of(selected(read_recordings(dataset), options).in_memory(), options)
+    recordings = distinct(selected(read_recordings(dataset), options).in_memory(), dataset)
+    recordings, options = with_terms_of(recordings, options)
     if len(recordings.subjects) < FEWEST_PEOPLE:
         raise InputError(
             f"{dataset}: networks are compared by how well each person is predicted from the others; give two or more "

@@ -28,6 +28,7 @@ from bayes_impedance.intake.periodic import (
 )
 from bayes_impedance.intake.quantities import FORMS, IMPEDANCE_UNIT, si_response
 from bayes_impedance.intake.ratio import FloatArray, Ratio
+from bayes_impedance.intake.single_sweep import SWEEPS_ONCE, is_single_sweep
 from bayes_impedance.intake.spectrum import SAME_FREQUENCY, Spectrum
 from bayes_impedance.intake.stepped_sine import FREQUENCY_TOLERANCE, SETTLE, stepped_ratio
 from bayes_impedance.recordings.repetitions import MINIMUM_POINTS
@@ -341,6 +342,7 @@ def _noise(records: Sequence[Record], settings: SignalSettings) -> tuple[Ratio, 
     force, motion = (np.concatenate([pair[i] for pair in cut]) for i in (0, 1))
     spectra = averaged_spectra(force, motion, first.rate_hz, settings.window or "hann", settings.overlap)
     notes = [f"{len(force)} segments of {length / first.rate_hz:g} s, worth {spectra.averages:.1f} independent ones"]
+    notes += [SWEEPS_ONCE] if any(is_single_sweep(r.force.samples) for r in records) else []
     return ratio_of(spectra, settings.estimator), notes
 
 

@@ -259,7 +259,15 @@ def _require_points(one: str, other: str, split: Splitter, file: str) -> None:
 def _cut_short(cells: Sequence[str], where: str) -> tuple[str, ...]:
     """A remark if a file seems to end in the middle of a number, or an error if it surely does."""
     *others, last = map(len, cells)
-    if len(others) < _FEWEST_ROWS or last >= min(others):
+    *places, own = map(_decimals, cells)
+    if len(others) < _FEWEST_ROWS:
+        return ()
+    if own < min(places) == max(places):
+        raise InputError(
+            f"{where}: the file ends with {shown(cells[-1])}, without an end of the line, and all numbers above have "
+            f"{places[0][0]} decimals: it is cut short; copy it again, or delete the row"
+        )
+    if last >= min(others):
         return ()
     said = (
         f"{where}: the file ends with {shown(cells[-1])}, without an end of the line, and all numbers above are longer"
@@ -267,6 +275,12 @@ def _cut_short(cells: Sequence[str], where: str) -> tuple[str, ...]:
     if last <= min(others) / 2:
         raise InputError(f"{said}: it is cut short; copy it again, or delete the row")
     return (f"{said}: it may be cut short",)
+
+
+def _decimals(cell: str) -> tuple[int, bool]:
+    """Digits behind the decimal mark of a number, and whether it has an exponent."""
+    mantissa, _, exponent = cell.strip().lower().partition("e")
+    return len(re.split("[.,]", mantissa)[-1]) if re.search("[.,]", mantissa) else 0, bool(exponent)
 
 
 def _decimal(columns: Sequence[Sequence[str]], file: str) -> str:

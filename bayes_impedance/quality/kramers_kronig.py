@@ -83,6 +83,12 @@ MOST_NOISE = 0.1
 """Largest noise of each part relative to |z| (root mean square) of a curve that is tested. By choice: lines of a
 spectrum with so much hold leakage and the like, which is no noise, as an analyser's export of real spectra shows."""
 
+_MOST_DIGITS = 9
+"""Digits of rounded values. By choice: with more a step is below a thousandth of :data:`FLOOR` in most of a band."""
+_MULTIPLE = 1e-3
+"""Distance from a whole number that is one. By choice: above the rounding of doubles of so many digits, and below what
+sixty values that are not rounded have by chance."""
+
 _ORDERS = (4, 8, 12, 16, 20, 26, 32)
 """Numbers of poles. By choice: networks of the package have up to ten, lines and delays need up to thirty."""
 _SHARE = 0.4
@@ -132,7 +138,7 @@ def violations(subjects: Sequence[Subject]) -> tuple[list[Violation], int]:
         sd = None if given is None else np.sqrt(np.sum(given**2, axis=0)) / len(given)
         if testable(one.frequency_hz):
             tested += 1
-            sizes = disagreement(one.frequency_hz, one.mean, sd)
+            sizes = disagreement(one.frequency_hz, one.mean, sd, len(one.repetitions))
             found += [] if sizes is None else [Violation(one.name, *sizes)]
     return found, tested
 
@@ -143,7 +149,7 @@ def testable(frequency_hz: FloatArray) -> bool:
 
 
 def disagreement(
-    frequency_hz: FloatArray, z: ComplexArray, noise_sd: FloatArray | None = None
+    frequency_hz: FloatArray, z: ComplexArray, noise_sd: FloatArray | None = None, repetitions: int = 1
 ) -> tuple[float, float] | None:
     """What the best causal model leaves of a curve, if that is not causal.
 
@@ -154,6 +160,8 @@ def disagreement(
     z : ndarray of complex, shape (F,)
     noise_sd : ndarray of float, shape (F,), optional
         Standard deviation of each of real and imaginary part; by default the roughness.
+    repetitions : int
+        Of which z is the mean: rounded values have a mean that is not rounded to the same step.
 
     Returns
     -------
@@ -164,7 +172,7 @@ def disagreement(
     magnitude = np.maximum(running_median(np.abs(z), 5), np.finfo(float).tiny)
     if noise_sd is None:
         noise_sd = noise_scale(deviation(frequency_hz, z)) * magnitude
-    sd = np.maximum(np.maximum(noise_sd, FLOOR * magnitude), _rounding(z))
+    sd = np.maximum(np.maximum(noise_sd, FLOOR * magnitude), _rounding(z, repetitions))
     used = np.flatnonzero(~outliers(frequency_hz, z[None])[0])
     if used.size > MOST_POINTS:
         used = used[np.linspace(0, used.size - 1, MOST_POINTS).astype(int)]
@@ -196,7 +204,22 @@ def _left_by_causal(s: ComplexArray, z: ComplexArray, sd: FloatArray) -> Complex
     return residual if causal > CAUSAL_LIMIT and (described or causal > GAIN_LIMIT * either) else None
 
 
-def _rounding(z: ComplexArray) -> float:
-    """Smallest step between different values of either part: a file of few digits is not known better."""
-    steps = [np.diff(np.unique(part)).min(initial=np.inf) for part in (z.real, z.imag)]
-    return float(max((step for step in steps if np.isfinite(step)), default=0.0))
+def _rounding(z: ComplexArray, repetitions: int) -> float:
+    """Decimal step of either part: a file of few digits is not known better. Zero if there is none.
+
+    A smooth curve has a smallest difference as well, but only rounded values are multiples of one.
+    """
+    return max(_decimal_step(part * repetitions) / repetitions for part in (z.real, z.imag))
+
+
+def _decimal_step(values: FloatArray) -> float:
+    """Largest power of ten of which all values are multiples, with up to `_MOST_DIGITS` digits; zero if none is."""
+    largest = float(np.abs(values).max())
+    if not largest > 0:
+        return 0.0
+    first = int(np.floor(np.log10(largest)))
+    for exponent in range(first, first - _MOST_DIGITS, -1):
+        steps = values / 10.0**exponent
+        if np.all(np.abs(steps - np.round(steps)) < _MULTIPLE):
+            return float(10.0**exponent)
+    return 0.0

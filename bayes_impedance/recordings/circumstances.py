@@ -33,12 +33,27 @@ OF_THE_ESTIMATE = frozenset(
 )
 """Columns in which an import of signals says how it estimated the impedance: they are no circumstances of it."""
 
-_AMPLITUDE = re.compile(r"(?:^|_)(drive|excitation|amplitude|shaker)(?:_|$)")
+_AMPLITUDE = re.compile(
+    r"(?<![a-z])(drive|driving|excitation|amplitude|magnitude|stroke|vibration|shaker(?=[^a-z]+(?!id|no|number)[a-z]))"
+    r"(?![a-z])"
+)
+"""Words of the field for how far or how hard a load is moved. A shaker alone is a device, and a number or a name of
+one is no level."""
+_WORD_BEGINS = re.compile(r"(?<=[a-z])(?=[A-Z])")
+_LEVELS = frozenset({"full", "half", "high", "large", "low", "max", "medium", "mid", "min", "small", "strong", "weak"})
+"""Values of a column of text that are levels. Others, as in ``excitation=sweep``, may be kinds of signals."""
 
 
 def is_amplitude(name: str) -> bool:
-    """Whether a circumstance says, by its name, how far or how hard the load was moved (``drive_level_v``)."""
-    return _AMPLITUDE.search(name.lower()) is not None
+    """Whether a circumstance says, by its name, how far or how hard the load was moved (``drive_level_v``).
+
+    Parameters
+    ----------
+    name : str
+        Of a column of numbers, or ``column=value`` of one of text.
+    """
+    column, is_text, value = _WORD_BEGINS.sub("_", name).lower().partition("=")
+    return _AMPLITUDE.search(column) is not None and (not is_text or value.strip() in _LEVELS)
 
 
 @dataclass(frozen=True)

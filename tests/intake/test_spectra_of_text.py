@@ -267,12 +267,27 @@ def test_a_file_that_ends_in_the_middle_of_a_number(
     last: str, status: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file, out = tmp_path / "a.csv", tmp_path / "out"
-    rows = [f"{f:.6f},{z.real:.12f},{z.imag:+.12f}" for f, z in zip(F.tolist(), Z.tolist(), strict=True)]
+    rows = [f"{f:.6f},{z.real:.12f},{z.imag:+.{12 + k % 2}f}" for k, (f, z) in enumerate(zip(F, Z, strict=True))]
     rows[-1] = rows[-1].rpartition(",")[0] + f",{last}"
     file.write_text("f [Hz],Re [N s/m],Im [N s/m]\n" + "\n".join(rows), encoding="utf-8")
     assert main(["import", str(file), "-o", str(out)]) == status
     said = "".join(capsys.readouterr())
     assert ("it is cut short" in said, "it may be cut short" in said) == (status == 2, status == 0)
+
+
+@pytest.mark.parametrize(("form", "cut"), [("{:.6f}", (1, 3, 5)), ("{:.5e}", (4, 6))])
+def test_a_file_of_one_format_that_ends_in_the_middle_of_a_number_is_refused_wherever_it_ends(
+    form: str, cut: tuple[int, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, out = tmp_path / "a.csv", tmp_path / "out"
+    rows = [",".join(map(form.format, (f, z.real, z.imag))) for f, z in zip(F.tolist(), Z.tolist(), strict=True)]
+    whole = "f [Hz],Re [N s/m],Im [N s/m]\n" + "\n".join(rows)
+    file.write_text(whole, encoding="utf-8")
+    assert main(["import", str(file), "-o", str(out / "whole")]) == 0
+    for lost in cut:
+        file.write_text(whole[:-lost], encoding="utf-8")
+        assert main(["import", str(file), "-o", str(out / str(lost))]) == 2
+        assert "it is cut short" in capsys.readouterr().err
 
 
 def test_parentheses_inside_of_the_brackets_of_a_unit(tmp_path: Path) -> None:

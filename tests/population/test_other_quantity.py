@@ -83,7 +83,54 @@ def test_what_is_better_by_the_likelihood_alone_needs_a_negative_real_part() -> 
     ],
 )
 def test_an_impedance_behind_a_lag_or_filter_is_none(change: Change) -> None:
-    require_impedance(people(change))
+    assert require_impedance(people(change)) is None
+
+
+FINGER = "(n3|r3)-(m2|r1|n1|(m1-(n2|r2)))"
+OF_A_FINGER = {"n3": 2e-4, "r3": 3.0, "m2": 2e-4, "r1": 1.5, "n1": 6e-4, "m1": 2e-2, "n2": 3e-3, "r2": 8.0}
+WIDE = 2j * np.pi * np.geomspace(5.0, 2000.0, 80)
+
+
+def fingers(change: Change) -> Recordings:
+    """Six fingers whose other quantities have a positive real part at most frequencies."""
+    rng, kernel, subjects = np.random.default_rng(4), Kernel(parse(FINGER)), []
+    for i in range(6):
+        u = np.log([OF_A_FINGER[name] for name in kernel.elements]) + 0.2 * rng.normal(size=8)
+        z = kernel.impedance(u, WIDE.imag / (2 * np.pi))
+        z = z * (1 + 0.005 * (rng.normal(size=80) + 1j * rng.normal(size=80)))
+        subjects.append(
+            Subject(name=f"P{i}", frequency_hz=WIDE.imag / (2 * np.pi), z=change(z)[None], repetitions=("1",))
+        )
+    return Recordings(title="test", unit="N s/m", network=FINGER, source="", licence="", subjects=tuple(subjects))
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("dynamic stiffness", lambda z: z * WIDE),
+        ("receptance", lambda z: 1 / (WIDE * z)),
+        ("mobility", lambda z: 1 / z),
+    ],
+)
+def test_what_a_filter_explains_less_well_is_doubted_and_not_refused(name: str, change: Change) -> None:
+    doubt = require_impedance(fingers(change))
+    assert doubt is not None
+    assert f"--form '{name}'" in doubt
+    assert "this is not sure" in doubt
+    assert require_impedance(replace(fingers(change), quantity="impedance")) is None
+
+
+def test_fingers_are_not_doubted() -> None:
+    assert require_impedance(fingers(lambda z: z)) is None
+
+
+def test_a_doubt_is_told_by_import_and_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_recordings(fingers(lambda z: z * WIDE), tmp_path / "in")
+    assert main(["check", str(tmp_path / "in")]) == 0
+    assert "if they are dynamic stiffness" in capsys.readouterr().out
+    words = [str(tmp_path / "in" / "recordings.csv"), "--network", FINGER]
+    assert main(["import", *words, "-o", str(tmp_path / "out")]) == 0
+    assert "if they are dynamic stiffness" in capsys.readouterr().out
 
 
 def test_who_declares_an_impedance_is_believed(tmp_path: Path) -> None:

@@ -57,13 +57,23 @@ def test_one_person_71_times_is_refused_by_every_command(tmp_path: Path, capsys:
     (one,) = simulate(1, subjects=1).subjects
     data = replace(simulate(1), subjects=tuple(replace(one, name=f"P{i:02d}") for i in range(71)))
     write_recordings(data, tmp_path / "data")
-    for command in (["check", "data"], ["run", "data", "-o", "out"], ["import", "data/recordings.csv", "-o", "out"]):
-        assert main([str(tmp_path / word) if "data" in word or word == "out" else word for word in command]) == 2
+    with_output = (
+        "run data",
+        "fit data",
+        "diagnose data",
+        "compare data",
+        "covariates data",
+        "import data/recordings.csv",
+    )
+    several = "compare data --networks m1|r1 n1|r1"
+    for command in ("check data", *(f"{words} -o out" for words in (*with_output, several))):
+        words = command.split()
+        assert main([str(tmp_path / word) if "data" in word or word == "out" else word for word in words]) == 2
         said = capsys.readouterr().err
         assert "71 recordings are copies of one another" in said
         assert "those of 2 more groups" in said
         assert '"P00", "P01"' in said
-        assert not (tmp_path / "out" / "recordings.csv").exists()
+        assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("noise", [1e-3, 0.05])

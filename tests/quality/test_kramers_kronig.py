@@ -13,7 +13,7 @@ from faulty_recordings import Complex, change, gaussian, only, simulate, warning
 
 from bayes_impedance import FINGERTIP, simulate_recordings
 from bayes_impedance.quality.causal_model import misfits
-from bayes_impedance.quality.kramers_kronig import LEAST_BAND, LEAST_POINTS, disagreement, violations
+from bayes_impedance.quality.kramers_kronig import LEAST_BAND, LEAST_POINTS, _rounding, disagreement, violations
 
 sys.path.insert(0, str(DATA.parent / "analyses" / "kramers_kronig"))
 worlds = importlib.import_module("worlds")
@@ -167,3 +167,35 @@ def test_a_fault_that_has_another_name_is_said_once() -> None:
         z[:, 100:] *= 1.4
 
     assert {one.id for one in warnings(change(data, 4, edit))} == {"jump"}
+
+
+# Rounding
+
+
+@pytest.mark.parametrize(
+    ("values", "repetitions", "step"),
+    [
+        (np.round(np.linspace(0.0123, 4.56, 90), 2), 1, 0.01),
+        (np.linspace(120.0, 4500.0, 90).round(-1), 1, 10.0),
+        (np.full(90, 0.25), 1, 0.01),
+        (np.round(np.linspace(0.0123, 4.56, 90), 2) / 3, 3, 0.01 / 3),  # the mean of three
+        (np.sqrt(np.arange(1.0, 91.0)), 1, 0.0),
+        (np.pi * np.arange(1.0, 91.0), 1, 0.0),  # even steps of an ideal mass, and nothing rounded
+        (np.zeros(90), 1, 0.0),
+    ],
+)
+def test_only_rounded_values_have_a_step(values: np.ndarray, repetitions: int, step: float) -> None:
+    assert _rounding(values + 0j, repetitions) == pytest.approx(step)
+    assert _rounding(1j * values, repetitions) == pytest.approx(step)
+
+
+def test_a_steep_curve_on_an_even_grid_is_not_taken_for_rounded() -> None:
+    """The smallest difference between values of the reactance is many times the noise there, and hid the fault."""
+    f = np.linspace(5.0, 500.0, 100)
+    s = 2j * np.pi * f
+    z = s * 5e-3 + 2 + 1 / (1 / 4 + s / 5e3)
+    fault = np.abs(z) * np.exp(0.8j * np.angle(z))
+    for seed in range(5):
+        noise = 1 + 1e-3 * gaussian(np.random.default_rng(seed), 100)
+        assert disagreement(f, z * noise) is None
+        assert disagreement(f, fault * noise) is not None

@@ -313,8 +313,7 @@ BODY_AMPLITUDE = register(
         formula="z exp(x h), h = a^2/(1 + a^2), a = (f_0/f)^q",
         story="The tissue is softer or stiffer the further it moves, and it moves less at higher frequencies. "
         "An element therefore has another value at the low end of the band than at its high end.",
-        look_for="a slope of the magnitude over frequency without the corresponding phase; drive levels that are noted "
-        "of repetitions are not read for it, but tested as circumstances",
+        look_for="a slope of the magnitude over frequency without the corresponding phase",
         separates="a recording at another drive level, at which the step lies at another frequency",
         source="Fairley and Griffin 1989: a body softens with the magnitude of the vibration",
         operation="amplitude",

@@ -2,9 +2,9 @@
 
 The order matters: of two entries that explain recordings equally well the earlier one is named first, the simpler
 before the richer, and the rig before the body. Effects that concern how elements are distributed between people or
-repetitions (``body.covariate``, ``body.subgroup``, ``body.drift`` over repetitions, ``body.correlation``) change no
-formula. They stand at the end, and :mod:`bayes_impedance.diagnosis.heterogeneity.person_likelihoods` is the basis of
-their tests.
+repetitions (``body.covariate``, ``body.subgroup``, ``body.drift`` over repetitions, ``body.amplitude`` over drive
+levels, ``body.correlation``) change no formula. They stand at the end, and
+:mod:`bayes_impedance.diagnosis.heterogeneity.person_likelihoods` is the basis of their tests.
 """
 
 from __future__ import annotations
@@ -86,6 +86,17 @@ STRUCTURES = {
             source="Creep of about 0.5 % per second under load",
         ),
         Structure(
+            id="body.amplitude",
+            name="tissue that follows the amplitude",
+            pooling="shared",
+            formula="log element = mu + b ln(drive level)",
+            story="The load is not linear. "
+            "An element differs between the drive levels at which the same person was recorded.",
+            look_for="a trend over the drive levels noted of the repetitions",
+            separates="drive levels in random order, the contact force held constant",
+            source="Fairley and Griffin 1989: a body softens with the magnitude of the vibration",
+        ),
+        Structure(
             id="body.correlation",
             name="elements vary together",
             pooling="shared",
@@ -98,3 +109,13 @@ STRUCTURES = {
         ),
     )
 }
+
+OF_AMPLITUDE = {
+    ("n", True): "The spring is softer the further it moves.",
+    ("n", False): "The spring is stiffer the further it moves.",
+    ("r", True): "The damper resists more than in proportion to the velocity, as turbulent flow does.",
+    ("r", False): "The damper resists less than in proportion to the velocity, as friction does.",
+    ("m", True): "More mass moves along at larger amplitudes.",
+    ("m", False): "Less mass moves along at larger amplitudes.",
+}
+"""What it means that an element grows (True) or falls with the amplitude, by the first letter of its name."""

@@ -22,7 +22,7 @@ from bayes_impedance.diagnosis.heterogeneity.within_persons import (
     within_persons_model,
 )
 
-HELD_OUT = ("body.covariate", "body.drift")
+HELD_OUT = ("body.covariate", "body.drift", "body.amplitude")
 """Effects whose gain is computed here; for other structures only a likelihood ratio is computed."""
 
 

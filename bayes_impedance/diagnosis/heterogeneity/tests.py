@@ -26,7 +26,12 @@ from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLik
 from bayes_impedance.diagnosis.heterogeneity.regression import find_covariates
 from bayes_impedance.diagnosis.heterogeneity.subgroups import Subgroup, find_subgroup
 from bayes_impedance.diagnosis.heterogeneity.trends import Trend, regressors_of
-from bayes_impedance.diagnosis.heterogeneity.within_persons import DRIFT, RepetitionLikelihoods, find_within_persons
+from bayes_impedance.diagnosis.heterogeneity.within_persons import (
+    DRIFT,
+    RepetitionLikelihoods,
+    find_within_persons,
+    indistinguishable,
+)
 from bayes_impedance.person.marginal_likelihood import LEAST_RHO
 from bayes_impedance.recordings.files import Recordings
 
@@ -138,6 +143,25 @@ def _recordings(fit: Refit, columns: Sequence[int]) -> tuple[np.ndarray, np.ndar
     return h, np.einsum("mpq,mq->mp", h, fit.u[:, c]) - w[:, None] * fit.equations.gradient[:, c]
 
 
+@dataclass(frozen=True)
+class OtherVariable:
+    """What elements may follow in place of what was found: the recordings cannot tell.
+
+    Attributes
+    ----------
+    covariate : str or None
+        None for the number of the repetition.
+    element : str
+        That follows it most significantly.
+    behind : float
+        Gain on held-out people by which it stands behind what was found; negative if it is ahead.
+    """
+
+    covariate: str | None
+    element: str
+    behind: float
+
+
 @dataclass(frozen=True, kw_only=True)
 class ElementTrends:
     """Elements that follow one covariate or the repetitions.
@@ -154,6 +178,8 @@ class ElementTrends:
         Of the first; an element is its own place.
     within : bool
         Whether they follow it from repetition to repetition, and not from person to person.
+    others : tuple of OtherVariable
+        Which they may follow in its place.
     """
 
     covariate: str | None
@@ -162,6 +188,7 @@ class ElementTrends:
     gain_se: float
     place: str
     within: bool = False
+    others: tuple[OtherVariable, ...] = ()
 
 
 Structure = ElementTrends | Subgroup | CorrelationTest
@@ -196,15 +223,14 @@ def find_structures(
             regressor = regressors_of({name: values[name]}, [])[name][0]
             gain = gain_of_covariate(with_added, regressor, [t.element for t in rows], seed)
             place = places.get(rows[0].element, rows[0].element)
-            found.append(_trends(name, rows, gain, place))
+            found.append(ElementTrends(covariate=name, trends=rows, gain=gain[0], gain_se=gain[1], place=place))
     if any(len(s.repetitions) > 1 for s in recordings.subjects):
         repetitions = repetition_likelihoods(fit, recordings)
         within = find_within_persons(repetitions)
         remarks += [f"Repetitions: {text}" for text in within.remarks] if repetitions.circumstances else []
         for name in dict.fromkeys(t.covariate for t in within.trends if t.p_corrected < ALPHA):
             rows = tuple(t for t in within.trends if t.covariate == name and t.p_corrected < ALPHA)
-            gain = gain_within_persons(repetitions, [t.element for t in rows], seed, name)
-            found.append(_trends(None if name == DRIFT else name, rows, gain, rows[0].element, within=True))
+            found.append(_within(repetitions, name, rows, within.beside, seed))
     e = fit.model.n_elements
     group = find_subgroup(people, fit.population.mu[:e], fit.population.covariance[:e, :e], seed)
     if group.p_corrected < ALPHA:
@@ -216,10 +242,34 @@ def find_structures(
     return tuple(found), remarks
 
 
-def _trends(
-    covariate: str | None, rows: tuple[Trend, ...], gain: tuple[float, float], place: str, within: bool = False
+def _within(
+    repetitions: RepetitionLikelihoods, name: str, rows: tuple[Trend, ...], beside: Sequence[str], seed: int
 ) -> ElementTrends:
-    return ElementTrends(covariate=covariate, trends=rows, gain=gain[0], gain_se=gain[1], place=place, within=within)
+    """Elements that follow a variable of the repetitions, with what they may follow in its place."""
+    elements = [t.element for t in rows]
+    gain, se = gain_within_persons(repetitions, elements, seed, name)
+    others = tuple(
+        OtherVariable(
+            _covariate(t.covariate),
+            t.element,
+            gain - gain_within_persons(repetitions, elements, seed, t.covariate)[0],
+        )
+        for t in indistinguishable(repetitions, name, beside)
+    )
+    return ElementTrends(
+        covariate=_covariate(name),
+        trends=rows,
+        gain=gain,
+        gain_se=se,
+        place=rows[0].element,
+        within=True,
+        others=others,
+    )
+
+
+def _covariate(variable: str) -> str | None:
+    """Name of a circumstance; None for the number of the repetition."""
+    return None if variable == DRIFT else variable
 
 
 def covariates_of(recordings: Recordings) -> dict[str, np.ndarray]:

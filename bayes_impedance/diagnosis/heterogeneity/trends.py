@@ -3,8 +3,8 @@ r"""Slopes of elements on something that differs between persons or repetitions,
 A covariate x that is positive enters as ln x. Elements are positive and their logarithms normal, so the simplest law
 between two positive quantities is a power, :math:`\text{element} \propto x^b`: stiffness and damping of a fingertip
 grow with contact force as :math:`F^{0.35}`. Its exponent has no unit. Covariates that are not positive or take two
-values (a code, where ln is the same test in an odd unit), and temperatures in Celsius, whose zero is arbitrary, enter
-linearly.
+values (a code, where ln is the same test in an odd unit), temperatures in Celsius, whose zero is arbitrary, and
+decibels, which are logarithms, enter linearly. Two drive levels are no code: only their ratio has a meaning.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 
 from bayes_impedance.diagnosis.heterogeneity.reml import Fit
 from bayes_impedance.diagnosis.multiple_testing import holm
+from bayes_impedance.recordings.circumstances import is_amplitude
 
 ALPHA = 0.005
 """Corrected p-value below which a covariate is added to the model in which the others are tested. By choice."""
@@ -23,8 +24,8 @@ ALPHA = 0.005
 MINIMUM_PERSONS = 5
 """With fewer persons a slope has hardly any degrees of freedom, and nothing is tested. By choice."""
 
-_CELSIUS = ("_c", "_degc", "_celsius")
-"""Endings of the names of covariates whose zero is arbitrary: no logarithm is taken."""
+_NO_RATIOS = ("_c", "_degc", "_celsius", "_db", "_dbv", "_dbu", "_dbm", "_dbfs")
+"""Endings of the names of covariates whose ratios mean nothing, as the zero is arbitrary: no logarithm is taken."""
 
 LARGEST_SLOPE_SD = 1.0
 """Largest standard error with which a slope is tested, in log elements per standard deviation of the covariate (per
@@ -155,7 +156,7 @@ def regressors_of(
             remarks.append(f"covariate '{name}' is known for {known.size} {of} only")
         elif np.ptp(known) <= 1e-9 * np.abs(known).max():
             remarks.append(f"covariate '{name}' is the same for all {of}")
-        elif known.min() > 0 and np.unique(known).size > 2 and not name.lower().endswith(_CELSIUS):
+        elif known.min() > 0 and not _is_code(name, known) and not name.lower().endswith(_NO_RATIOS):
             found[name] = np.log(values), "log"
         elif np.abs(known).max() > LARGEST_COVARIATE:
             remarks.append(f"covariate '{name}' has a value of {known[np.argmax(np.abs(known))]:g}: correct it")
@@ -164,3 +165,8 @@ def regressors_of(
         if name in found and known.size < values.size:
             remarks.append(f"covariate '{name}' is unknown for {values.size - known.size} {of}, which were left out")
     return found
+
+
+def _is_code(name: str, known: np.ndarray) -> bool:
+    """Whether the values may stand for two groups."""
+    return np.unique(known).size == 2 and not is_amplitude(name)

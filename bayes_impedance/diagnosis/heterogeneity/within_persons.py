@@ -21,7 +21,8 @@ delta is one of them:
 Means, variances and degrees of freedom are those of :mod:`bayes_impedance.diagnosis.heterogeneity.reml`. Each variable
 is tested beside those already found, as covariates are: a temperature that rises from repetition to repetition is not
 taken for a drift if it alone explains the elements, and a variable that is proportional to another one is not tested
-beside it.
+beside it. Where two of them went together, as drive levels that rise from one repetition to the next, neither is
+significant beside the other, and which of them the elements follow is not known: :func:`indistinguishable`.
 """
 
 from __future__ import annotations
@@ -184,6 +185,43 @@ def find_within_persons(repetitions: RepetitionLikelihoods, *, alpha: float = AL
     found = [t for r in rows.values() for t in r]
     reason = "" if found else "no element is determined"
     return Trends(corrected(found), tried, tuple(beside), reason, tuple(remarks))
+
+
+def indistinguishable(
+    repetitions: RepetitionLikelihoods, claimed: str, beside: Sequence[str], *, alpha: float = ALPHA
+) -> tuple[Trend, ...]:
+    """Other variables that the elements may follow in place of one that was found.
+
+    Parameters
+    ----------
+    repetitions : RepetitionLikelihoods
+    claimed : str
+        The variable that was found.
+    beside : sequence of str
+        All variables in the model, as in :class:`~bayes_impedance.diagnosis.heterogeneity.trends.Trends`.
+    alpha : float
+        Level at which the other one must be significant in its place, and at which it is not beside the other one.
+
+    Returns
+    -------
+    tuple of Trend
+        The most significant slope on each of them, smallest p first.
+    """
+    variables = variables_of(repetitions, [])
+    rest = [q for q in beside if q != claimed]
+    found = []
+    for other in variables:
+        if other == claimed or other in rest:
+            continue
+        instead = _slopes(repetitions, variables, rest, other)
+        if _least(instead) < alpha and _least(_slopes(repetitions, variables, [*rest, other], claimed)) >= alpha:
+            found.append(min(instead, key=lambda t: t.p_value))
+    return tuple(sorted(found, key=lambda t: t.p_value))
+
+
+def _least(rows: Sequence[Trend]) -> float:
+    """Smallest p-value of some slopes, corrected for their number; 1 if there are none."""
+    return bonferroni(min((t.p_value for t in rows), default=1.0), max(len(rows), 1))
 
 
 def variables_of(

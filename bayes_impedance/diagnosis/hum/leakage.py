@@ -68,6 +68,10 @@ the level of 1 % with noise alone, normal or of a t distribution with 5 degrees 
 150 at each of 4 to 32 people and 100 or 200 points (4 of 3300 in all), and none in 16 drawn populations of 8 to 34
 people, most of whose networks lack something else. The second by choice."""
 
+_ROUNDING = 1e-9
+"""Root mean square of contrasts, relative to the impedance, that is rounding and no scatter: of nine digits in a file.
+A person's contrasts count by their own mean square, so that such a person would outweigh all others."""
+
 _REACH = (0.38, 13.0)
 """Frequency range of the test, in multiples of the first harmonics: low-frequency noise below it is excluded. By
 choice."""
@@ -169,6 +173,8 @@ def _scatter(residuals: Sequence[PersonResiduals]) -> tuple[np.ndarray, np.ndarr
         n = (1 - 1 / len(value)) * left.sum(axis=(0, 1))
         energy = np.sum(np.abs(contrast) ** 2, axis=0)
         own = energy.sum() / n.sum()
+        if own < _ROUNDING**2:
+            continue
         total += energy / own
         freedom += n
         felt += n / own * np.mean(magnitude**-2.0, axis=0)
@@ -182,19 +188,23 @@ def _roughness(residuals: Sequence[PersonResiduals]) -> tuple[np.ndarray, np.nda
     What all people have in common at a point is a misfit of the network, such as a narrow resonance, and is subtracted:
     the phase of the hum differs between them.
     """
+    size = residuals[0].frequency_hz.size
+    square, freedom, felt = np.ones(size), np.zeros(size), np.ones(size)
     values, lefts = zip(*(projected(person) for person in residuals), strict=True)
     relative = np.array([v[0] * p.sd[0] / np.abs(p.model[0]) for v, p in zip(values, residuals, strict=True)])
     contrast = relative[:, 1:-1] - (relative[:, :-2] + relative[:, 2:]) / 2
+    rough = np.flatnonzero(np.mean(np.abs(contrast) ** 2, axis=1) >= _ROUNDING**2)
+    if rough.size < 2:
+        return square, freedom, felt
+    contrast, lefts = contrast[rough], [lefts[i] for i in rough.tolist()]
     own = np.sum(np.abs(contrast) ** 2, axis=1, keepdims=True)
     weight = np.mean(own) / own
     contrast = contrast - np.sum(weight * contrast, axis=0) / weight.sum()
     n = np.array([_beside(left.sum(axis=(0, 1)))[1:-1] for left in lefts]) * (1 - weight / weight.sum())
     own = np.sum(np.abs(contrast) ** 2, axis=1, keepdims=True) / _NEIGHBOURS / n.sum(axis=1, keepdims=True)
-    size = residuals[0].frequency_hz.size
-    square, freedom, felt = np.ones(size), np.zeros(size), np.ones(size)
     freedom[1:-1] = n.sum(axis=0)
     square[1:-1] = np.sum(np.abs(contrast) ** 2 / own, axis=0) / _NEIGHBOURS / freedom[1:-1]
-    magnitude = np.array([np.abs(person.model[0]) for person in residuals])[:, 1:-1]
+    magnitude = np.array([np.abs(residuals[i].model[0]) for i in rough.tolist()])[:, 1:-1]
     felt[1:-1] = np.sum(n / own * magnitude**-2.0, axis=0) / freedom[1:-1]
     return square, freedom / _OVERLAP, felt
 

@@ -142,7 +142,8 @@ _WORDS = {
     ),
     "body.amplitude": Words(
         "element that follows the amplitude",
-        "An element depends on how large the current is, and so has another value at either end of the band.",
+        "An element depends on how large the current is, and so differs between drive levels, and between the ends of "
+        "a band over which the current changes.",
         "a recording at another drive level, at which the step lies at another frequency",
     ),
     "body.covariate": Words(

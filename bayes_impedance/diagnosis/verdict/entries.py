@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.special import ndtri
 
-from bayes_impedance.diagnosis.catalogue.population_structure import STRUCTURES
 from bayes_impedance.diagnosis.fit.coefficient_posterior import (
     CoefficientPosterior,
     Reported,
@@ -20,10 +18,6 @@ from bayes_impedance.diagnosis.fit.extend import dispersion_of_shared
 from bayes_impedance.diagnosis.fit.model import Model
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
 from bayes_impedance.diagnosis.fit.spike_slab import Members, members
-from bayes_impedance.diagnosis.heterogeneity.correlations import CorrelationTest
-from bayes_impedance.diagnosis.heterogeneity.subgroups import Subgroup
-from bayes_impedance.diagnosis.heterogeneity.tests import ElementTrends, Structure
-from bayes_impedance.diagnosis.hum.line import Hum
 from bayes_impedance.diagnosis.next_experiment.expected_separation import best_sentence, separation
 from bayes_impedance.diagnosis.selection.step import Step
 from bayes_impedance.diagnosis.selection.stepwise import Found, rivals
@@ -32,21 +26,14 @@ from bayes_impedance.diagnosis.verdict_types import (
     Alias,
     EvidenceOfEffect,
     Joint,
-    Kind,
     Parameter,
     Physics,
     Subjects,
 )
-from bayes_impedance.recordings.circumstances import is_amplitude
-from bayes_impedance.units import number_with_unit as number
 
 _PROPOSALS = 4
 """Closest rivals for which the separating measurement is computed: each takes as long as a refit of all
 people. By choice."""
-
-_SIGNIFICANT_PAIR = 0.05
-"""Corrected level at which a pair of correlated elements is listed, where the test of all pairs is significant. By
-choice."""
 
 
 def effect_entry(
@@ -107,7 +94,7 @@ def effect_entry(
     people: Subjects = "all"
     if who is not None:
         parameters["fraction"] = Parameter("", who.fraction, who.q05, who.q95, None)
-        people = _named(who.probability, names)
+        people = names_of(who.probability, names)
     return Physics(
         kind="effect",
         id=effect.id,
@@ -138,7 +125,7 @@ def parameters_of(rows: Sequence[Reported]) -> dict[str, Parameter]:
     return {row.name: Parameter(row.unit, row.median, row.q05, row.q95, row.dispersion) for row in rows}
 
 
-def _named(probability: np.ndarray, names: Sequence[str]) -> tuple[str, ...]:
+def names_of(probability: np.ndarray, names: Sequence[str]) -> tuple[str, ...]:
     """Names of those who more probably belong to a group than not."""
     return tuple(names[i] for i in np.flatnonzero(probability > 0.5).tolist())
 
@@ -238,109 +225,6 @@ def _whole_network(unknown: Realised) -> Physics:
             "No effect of the catalogue explains what is missing as well as more elements do: the claimed network was "
             "grown element by element, and elements that do not improve predictions were removed."
         ),
-    )
-
-
-def hum_entry(hum: Hum, unit: str) -> Physics:
-    """Entry for mains hum; its amplitude is that of the complex hum, whose two parts each have the rms found."""
-    middle, low, high = (math.sqrt(2) * value for value in (hum.amplitude, hum.q05, hum.q95))
-    entry = _of_population(
-        "hum",
-        "rig.mains",
-        "port",
-        {"amplitude": Parameter(unit, middle, low, high, 0.0)},
-        EvidenceOfEffect(None, hum.p_value, None, None),
-    )
-    return replace(entry, name=f"{entry.name} at {number(hum.line_hz, 'Hz')}", frequencies_hz=tuple(hum.frequencies_hz))
-
-
-def structure_entry(structure: Structure, elements: Sequence[str], names: Sequence[str]) -> Physics:
-    """Entry for a structure of the population, in the distribution of the elements.
-
-    Parameters
-    ----------
-    structure : Structure
-    elements : sequence of str
-        Of the network.
-    names : sequence of str
-        Of the people.
-    """
-    if isinstance(structure, ElementTrends):
-        return _trend_entry(structure)
-    if isinstance(structure, Subgroup):
-        return _subgroup_entry(structure, elements, names)
-    return _correlation_entry(structure)
-
-
-def _trend_entry(found: ElementTrends) -> Physics:
-    """Entry for elements that follow a covariate or the repetitions, the most significant first."""
-    first, covariate = found.trends[0], found.covariate
-    kind, parameter = ("body.drift", "trend") if covariate is None else ("body.covariate", "slope")
-    unit = "per repetition" if covariate is None else "" if first.transform == "log" else f"per unit of {covariate}"
-    parameters = {
-        parameter if k == 0 else f"{parameter} of {row.element}": _shared(unit, row.estimate, row.q05, row.q95)
-        for k, row in enumerate(found.trends)
-    }
-    evidence = _evidence(first.statistic**2, first.p_corrected, found.gain, found.gain_se)
-    entry = _of_population("trend", kind, found.place, parameters, evidence)
-    name = entry.name if covariate is None else f"{first.element} follows {covariate}"
-    if covariate is not None and found.within:
-        name += " from repetition to repetition"
-        name += ": it depends on the amplitude" if is_amplitude(covariate) else ""
-    return replace(entry, name=name, covariate=covariate, elements=tuple(row.element for row in found.trends))
-
-
-def _subgroup_entry(group: Subgroup, elements: Sequence[str], names: Sequence[str]) -> Physics:
-    strongest = int(np.argmax(np.abs(group.shift)))
-    parameters = {
-        "fraction": _shared("", group.share, group.share_q05, group.share_q95),
-        "shift": _shared("", group.shift[strongest], group.shift_q05[strongest], group.shift_q95[strongest]),
-    }
-    place = group.element or elements[strongest]
-    evidence = _evidence(group.statistic, group.p_corrected, 0.5 * group.statistic - 2.0)
-    entry = _of_population("subgroup", "body.subgroup", place, parameters, evidence)
-    return replace(entry, subjects=_named(group.membership, names), elements=(place,))
-
-
-def _correlation_entry(test: CorrelationTest) -> Physics:
-    parameters = {
-        f"correlation of {pair.first} and {pair.second}": _shared("", pair.estimate, pair.q05, pair.q95)
-        for pair in test.pairs
-        if pair.p_corrected < _SIGNIFICANT_PAIR
-    }
-    gain = 0.5 * (test.statistic - test.degrees_of_freedom)
-    evidence = _evidence(test.statistic, test.p_corrected, gain)
-    return _of_population("correlation", "body.correlation", test.pairs[0].first, parameters, evidence)
-
-
-def _shared(unit: str, median: float, q05: float, q95: float) -> Parameter:
-    return Parameter(unit, float(median), float(q05), float(q95), 0.0)
-
-
-def _evidence(score: float, p_value: float, gain: float, se: float | None = None) -> EvidenceOfEffect:
-    """Evidence; a gain without a standard error is a likelihood ratio net of its parameters (Akaike), not held out."""
-    se = float(np.sqrt(2 * max(gain, 0.5))) if se is None else se
-    return EvidenceOfEffect(float(score), float(p_value), float(gain), se)
-
-
-def _of_population(
-    kind: Kind, structure: str, place: str, parameters: dict[str, Parameter], evidence: EvidenceOfEffect
-) -> Physics:
-    """Entry for a structure that changes no formula, with the catalogue's texts."""
-    said = STRUCTURES[structure]
-    return Physics(
-        kind=kind,
-        id=said.id,
-        name=said.name,
-        place=place,
-        side=said.side,
-        pooling=said.pooling,
-        parameters=parameters,
-        evidence=evidence,
-        story=said.story,
-        formula=said.formula,
-        look_for=said.look_for,
-        source=said.source,
     )
 
 

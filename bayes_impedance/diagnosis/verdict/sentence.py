@@ -93,7 +93,7 @@ def _clause(entry: Physics, unit: str) -> str:
     others = {alias.id.split(".")[0] for alias in entry.aliases if not alias.separated}
     if not entry.side_decided or others - {entry.side}:
         side = ""  # dispersion is undecided, or an inseparable rival belongs to the other side
-    if entry.id == "body.covariate" or entry.kind == "correlation":
+    if entry.covariate or entry.kind == "correlation":
         return f"that {entry.name}{size}"
     word = "in" if entry.kind == "subgroup" else "at"
     at = "" if entry.place == "port" and entry.side == "rig" else f" {word} {_place(entry.place)}"

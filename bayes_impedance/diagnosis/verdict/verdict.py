@@ -26,9 +26,10 @@ from bayes_impedance.diagnosis.selection.stepwise import Found
 from bayes_impedance.diagnosis.selection.unnamed import Realised
 from bayes_impedance.diagnosis.types import Snapshot
 from bayes_impedance.diagnosis.verdict.electrical_words import electrical
-from bayes_impedance.diagnosis.verdict.entries import effect_entry, hum_entry, joint_of, structure_entry, unknown_entry
+from bayes_impedance.diagnosis.verdict.entries import effect_entry, joint_of, unknown_entry
 from bayes_impedance.diagnosis.verdict.ranking import detection_limits
 from bayes_impedance.diagnosis.verdict.sentence import sentence
+from bayes_impedance.diagnosis.verdict.structure_entries import hum_entry, structure_entry
 from bayes_impedance.diagnosis.verdict_types import (
     BlockGain,
     Improvement,

@@ -19,7 +19,7 @@ from bayes_impedance.diagnosis.heterogeneity.tests import (
     person_likelihoods,
     repetition_likelihoods,
 )
-from bayes_impedance.diagnosis.verdict.entries import structure_entry
+from bayes_impedance.diagnosis.verdict.structure_entries import structure_entry
 from bayes_impedance.recordings.dataset import Recordings, Subject
 
 N = 36
@@ -131,7 +131,7 @@ def test_an_element_that_follows_what_was_noted_of_each_repetition_is_an_entry()
     assert entry.name == "r1 follows contact_force_n from repetition to repetition"
     assert entry.covariate == "contact_force_n"
     driven = replace(structure, covariate="drive_level_v")
-    assert "depends on the amplitude" in structure_entry(driven, experiment.model.network.elements, ["P0"]).name
+    assert structure_entry(driven, experiment.model.network.elements, ["P0"]).id == "body.amplitude"
 
 
 def test_means_of_what_was_noted_are_covariates_of_the_persons() -> None:

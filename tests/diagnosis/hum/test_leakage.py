@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -119,3 +120,20 @@ def test_on_different_frequencies_or_of_few_recorded_once_nothing_is_said() -> N
     assert find_skirts(once(some[:5])) is None
     moved = replace(some[0], name="P", frequency_hz=FREQUENCY * 1.01)
     assert find_skirts([*some[1:], moved]) is None
+
+
+def still(person: PersonResiduals) -> PersonResiduals:
+    """Repetitions that are equal: constant recordings, or exact curves."""
+    return replace(person, white=np.zeros_like(person.white))
+
+
+@pytest.mark.parametrize("take", [lambda some: some, once], ids=["repeated", "once"])
+def test_people_without_scatter_say_nothing_of_hum(take: Callable[..., list[PersonResiduals]]) -> None:
+    """Neither a warning of a division by zero, nor the weight of all others."""
+    some = take(people(0, 50.0, 0.25))
+    assert find_skirts([still(p) for p in some]) is None
+    mixed = find_skirts([*some[:-2], *map(still, some[-2:])])
+    alone = find_skirts(some[:-2])
+    assert mixed is not None
+    assert alone is not None
+    assert (mixed.line_hz, mixed.amplitude) == (alone.line_hz, pytest.approx(alone.amplitude))

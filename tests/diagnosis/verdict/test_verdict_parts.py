@@ -22,9 +22,10 @@ from bayes_impedance.diagnosis.selection.cross_validation import HeldOut
 from bayes_impedance.diagnosis.selection.score_scan import screen
 from bayes_impedance.diagnosis.selection.stepwise import Found, search
 from bayes_impedance.diagnosis.types import Snapshot
-from bayes_impedance.diagnosis.verdict.entries import hum_entry, joint_of
+from bayes_impedance.diagnosis.verdict.entries import joint_of
 from bayes_impedance.diagnosis.verdict.model_bands import own_errors, snapshot
 from bayes_impedance.diagnosis.verdict.ranking import critical_z, detection_limits, ranking
+from bayes_impedance.diagnosis.verdict.structure_entries import hum_entry
 from bayes_impedance.diagnosis.verdict.verdict import Evidence, change_of, improvement, make_verdict, reach_of
 from bayes_impedance.diagnosis.verdict_types import BlockGain, ParameterDifference, Verdict
 from bayes_impedance.recordings.files import Recordings, Subject
