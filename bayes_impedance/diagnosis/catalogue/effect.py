@@ -299,7 +299,7 @@ def _typical(
         law = laws[parameter.name]
         exponent = exponents[law.exponent.name] if law.exponent.value is None else law.exponent.value
         return float((omega / (2 * np.pi * (law.reference_hz or RADIAN_PER_SECOND))) ** (1 - exponent))
-    return {"d": 1 / omega, "t": 1 / omega, "f": omega / (2 * np.pi), "k": omega, "e": _LOSS, "g": 1.0}.get(letter, 0.0)
+    return {"d": 1 / omega, "t": 1 / omega, "f": omega / (2 * np.pi), "k": omega, "e": _LOSS, "g": 1.0}[letter]
 
 
 def direction(effect: Effect, shape: dict[str, float], scales: Scales, omega: np.ndarray, z: np.ndarray) -> np.ndarray:
