@@ -285,7 +285,10 @@ def _branch_grid(effect: Effect, scales: Scales) -> Iterator[dict[str, float]]:
         for level, *shares in product(levels, *(_EXPONENTS for _ in exponents)):
             given = dict(zip(exponents, shares, strict=True))
             given = {p.name: p.quantity.low + given[p.name] for p in parameters if p.name in given}
-            yield {p.name: given.get(p.name, _typical(p, float(omega), level, given, laws)) for p in parameters}
+            yield {
+                p.name: given[p.name] if p.name in given else _typical(p, float(omega), level, given, laws)
+                for p in parameters
+            }
 
 
 def _typical(
