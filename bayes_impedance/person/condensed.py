@@ -21,7 +21,8 @@ each person, at draws of the posterior.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -66,26 +67,80 @@ def condensed(kernel: Kernel, likelihood: Likelihood, theta: np.ndarray, per_dec
         None where it is not worth it: with few frequencies, or where the network does not describe the recordings.
     """
     d = likelihood
-    x = np.log(d.omega)
+    interpolation = interpolation_of(d.omega, per_decade)
+    if interpolation is None:
+        return None
+    z0 = kernel.impedance(theta + d.deviations, d.omega / (2 * np.pi))
+    there = summed_up(interpolation, d.z, d.weight, z0)
+    if there is None:
+        return None
+    z, weight, rest = there
+    omega = np.ascontiguousarray(d.omega[interpolation.nodes])
+    return replace(d, omega=omega, z=z, weight=weight, rest=float(rest.sum()))
+
+
+@dataclass(frozen=True)
+class Interpolation:
+    """Of B nodes among F frequencies.
+
+    Attributes
+    ----------
+    nodes : ndarray of int, shape (B,)
+        Their places among the frequencies.
+    basis : ndarray, shape (F, B)
+        Cardinal functions.
+    """
+
+    nodes: np.ndarray
+    basis: np.ndarray
+
+
+def interpolation_of(omega: np.ndarray, per_decade: int) -> Interpolation | None:
+    """Nodes among the frequencies omega (F,); None where summing up is not worth it, or they do not increase."""
+    return _interpolation(omega.tobytes(), per_decade)
+
+
+@lru_cache(maxsize=64)
+def _interpolation(omega: bytes, per_decade: int) -> Interpolation | None:
+    x = np.log(np.frombuffer(omega))
     nodes = _nodes(x, per_decade)
     if nodes.size > _WORTH * x.size or np.any(np.diff(x) <= 0):
         return None
-    z0 = kernel.impedance(theta + d.deviations, d.omega / (2 * np.pi))
-    residual = d.z[:, 0] + 1j * d.z[:, 1] - z0
-    basis = _cardinal(x, nodes)
-    weight = d.weight @ basis
-    if not (np.all(np.isfinite(residual)) and np.all(weight > 0)):
+    return Interpolation(nodes, _cardinal(x, nodes))
+
+
+def summed_up(
+    interpolation: Interpolation, z: np.ndarray, weight: np.ndarray, z0: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Recordings summed up at the nodes, for impedances near a fit.
+
+    Parameters
+    ----------
+    interpolation : Interpolation
+    z : ndarray, shape (M, 2, F)
+        Real and imaginary part of the recordings.
+    weight : ndarray, shape (M, F)
+    z0 : ndarray, complex, shape (M, F)
+        The fit.
+
+    Returns
+    -------
+    z : ndarray, shape (M, 2, B)
+    weight : ndarray, shape (M, B)
+    rest : ndarray, shape (M,)
+        What is to be added to each recording's chi-square.
+
+    None instead where the fit has no value, or a node no weight.
+    """
+    nodes, basis = interpolation.nodes, interpolation.basis
+    fitted = np.stack([z0.real, z0.imag], axis=1)
+    residual = z - fitted
+    summed = weight @ basis
+    if not (np.all(np.isfinite(residual)) and np.all(summed > 0)):
         return None
-    mean = (d.weight * residual) @ basis / weight
-    rest = np.sum(d.weight * np.abs(residual) ** 2) - np.sum(weight * np.abs(mean) ** 2)
-    z = z0[:, nodes] + mean
-    return replace(
-        d,
-        omega=np.ascontiguousarray(d.omega[nodes]),
-        z=np.ascontiguousarray(np.stack([z.real, z.imag], axis=1)),
-        weight=np.ascontiguousarray(weight),
-        rest=float(rest),
-    )
+    mean = (weight[:, None] * residual) @ basis / summed[:, None]
+    squares = np.sum(weight[:, None] * residual**2, axis=(1, 2)) - np.sum(summed[:, None] * mean**2, axis=(1, 2))
+    return np.ascontiguousarray(fitted[:, :, nodes] + mean), np.ascontiguousarray(summed), squares
 
 
 def holds(

@@ -27,7 +27,7 @@ zero in units of it: a factor of twenty either way. By choice."""
 LOGIT_SD = 1.5
 """Prior standard deviation of the logit of an exponent. By choice: the density of the exponent itself is then flat
 within a factor of 1.3 from 0.1 to 0.9."""
-_LOSS_FACTOR, _GAIN = 0.2, 1.0
+LOSS_FACTOR, _GAIN = 0.2, 1.0
 """Natural loss factor and gain, which have no scale in the recordings. By choice: rubber and soft tissue lose 0.1 to
 0.4 (a fifth is in the middle); a gain's natural value is one."""
 
@@ -80,7 +80,7 @@ class NaturalScales:
         if letter in KINDS:
             return band_scale(parameter.name, float(np.exp(self.log_magnitude)), float(np.exp(self.log_frequency)))
         if letter in "eg":
-            return float(np.log(_LOSS_FACTOR if letter == "e" else _GAIN))
+            return float(np.log(LOSS_FACTOR if letter == "e" else _GAIN))
         of_magnitude, of_omega = _POWERS[letter]
         return of_magnitude * self.log_magnitude + of_omega * (self.log_frequency + float(np.log(2 * np.pi)))
 

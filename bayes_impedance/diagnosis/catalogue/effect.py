@@ -38,7 +38,7 @@ from bayes_impedance.network.operation_traits import PLACES, Setting, Traits
 from bayes_impedance.network.operations import N_PARAMETERS, NAMES, TRAITS
 from bayes_impedance.network.parameters import LOGIT, Parameter
 from bayes_impedance.network.transform import transform_many
-from bayes_impedance.population.natural_scales import with_references
+from bayes_impedance.population.natural_scales import LOSS_FACTOR, with_references
 from bayes_impedance.runtime.user_table import choice_in, shown, text_in
 
 SIDES, POOLINGS, CONNECTIONS = ("rig", "body"), ("shared", "varying", "some"), ("beside", "series")
@@ -50,9 +50,9 @@ _DAMPER_LEVELS = (0.1, 0.5)
 """Impedance of a resonant branch's dampers relative to that of its mass at the resonance. By choice: one level of weak
 and one of strong damping; each further level adds as many candidates again."""
 
-_EXPONENTS, _LOSS = (0.2, 0.5, 0.8), 0.2
-"""Exponents of a branch's power laws above their lower bound, and loss factor, at which it is scanned. By choice: three
-exponents are at most 0.2 from any other; rubber and soft tissue lose about a fifth."""
+_EXPONENTS = (0.2, 0.5, 0.8)
+"""Exponents of a branch's power laws above their lower bound, at which it is scanned. By choice: three are at most 0.2
+from any other."""
 
 _PLACES_OF = {"m": "masses", "n": "springs", "r": "dampers"}
 """Kind of place that an element is."""
@@ -302,7 +302,7 @@ def _typical(
         law = laws[parameter.name]
         exponent = exponents[law.exponent.name] if law.exponent.value is None else law.exponent.value
         return float((omega / (2 * np.pi * (law.reference_hz or RADIAN_PER_SECOND))) ** (1 - exponent))
-    return {"d": 1 / omega, "t": 1 / omega, "f": omega / (2 * np.pi), "k": omega, "e": _LOSS, "g": 1.0}[letter]
+    return {"d": 1 / omega, "t": 1 / omega, "f": omega / (2 * np.pi), "k": omega, "e": LOSS_FACTOR, "g": 1.0}[letter]
 
 
 def direction(effect: Effect, shape: dict[str, float], scales: Scales, omega: np.ndarray, z: np.ndarray) -> np.ndarray:

@@ -28,10 +28,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from bayes_impedance.diagnosis.fit.few_frequencies import few_frequencies, worth_it
 from bayes_impedance.diagnosis.fit.model import Model, with_dispersions
 from bayes_impedance.diagnosis.fit.normal_equations import (
     Equations,
@@ -42,15 +43,12 @@ from bayes_impedance.diagnosis.fit.normal_equations import (
     marginal,
     quadratic,
     sums,
-    weights_of,
 )
 from bayes_impedance.diagnosis.fit.only_person import settled_alone
 from bayes_impedance.diagnosis.fit.outliers_alone import ends_of_outliers
 from bayes_impedance.diagnosis.fit.refit import Refit
+from bayes_impedance.diagnosis.fit.rounds import Layout, Plan, State, blocks_of, largest_of, maximised, means_of, rho_of
 from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood
-from bayes_impedance.person.marginal_likelihood import LEAST_RHO
-from bayes_impedance.person.mode import ROUNDING
-from bayes_impedance.population.em_state import PRIOR_PERSONS, SMALLEST_DISPERSION
 
 _LONGEST_STEP, _LONGEST_SHARE = 1.0, 0.3
 """Largest step of the additions, in prior standard deviations or units of the coefficient, and as a share of it if that
@@ -65,19 +63,14 @@ _DAMPING = 1e-3
 """Of a person's first step, relative to the curvature. By choice."""
 
 
-@dataclass(frozen=True)
-class _Blocks:
-    """Linear algebra of one round; names as in the module's docstring."""
+_SUMMINGS = 2
+"""How often recordings are summed up in a fit. By choice: the second time is around a place near the optimum, where
+sums are nearly exact; where one round with all frequencies still moves the fit, more sums would not help."""
 
-    inverse: np.ndarray  # A^-1, (M, V, V)
-    pull: np.ndarray  # b, (M, V)
-    precision: np.ndarray  # K, (N, V, V)
-
-    def log_determinants(self, owner: np.ndarray, population: Population) -> np.ndarray:
-        """Sum of ln|A R| over a person's recordings and ln|K T|, shape (N,)."""
-        log_a = -np.linalg.slogdet(self.inverse)[1] + 2 * np.sum(np.log(_rho(population)))
-        outer = np.linalg.slogdet(self.precision)[1] + np.linalg.slogdet(population.covariance)[1]
-        return np.asarray(np.bincount(owner, log_a, minlength=len(self.precision)) + outer)
+_GAIN_ERROR, _GAIN_SHARE = 1.0, 0.05
+"""Largest error of a person's log likelihood by summed-up recordings, and largest as a share of its change. By choice:
+far from the optimum the first does not matter, since another sum and rounds with all frequencies follow. A resonance
+narrower than the nodes are apart is off by as much as it gains: its person could end in another gap of the grid."""
 
 
 class Refitter:
@@ -91,6 +84,11 @@ class Refitter:
         Runs persons in parallel.
     one_person : bool
         There is no population; mu and T stay at the prior.
+
+    Attributes
+    ----------
+    many_frequencies : bool
+        Whether recordings are summed up at fewer frequencies on the way (:mod:`.few_frequencies`).
     """
 
     def __init__(self, data: Sequence[Likelihood], executor: Executor, one_person: bool = False) -> None:
@@ -101,6 +99,8 @@ class Refitter:
         self.owner = self.stack.owner
         self.counts = counts(self.data)
         self.repeated = any(d.z.shape[0] > 1 for d in self.data)
+        self.layout = Layout(self.owner, self.counts, np.array([len(d.z) > 1 for d in self.data])[self.owner])
+        self.many_frequencies = worth_it(self.stack)
 
     def subset(self, people: np.ndarray) -> Refitter:
         """Refitter of some of the people."""
@@ -132,52 +132,98 @@ class Refitter:
         tolerance : float
             The fit has converged when no step exceeds this many standard deviations.
         """
-        shared = model.shared
-        varying = ~shared
-        n = len(self.data)
-        u = u.copy()
+        plan = Plan(
+            model=model,
+            hold_population=hold_population or self.one_person,
+            hold_additions=hold_additions or not model.parameters,
+            tolerance=tolerance,
+        )
         population = replace(population, covariance=with_dispersions(model, population.covariance, population.mu))
-        persons = _means(u[:, varying], self.owner, n)
-        damping = np.full(n, _DAMPING)
-        equations = equations_at(model, self.stack, u, self.executor)
-        settled = False
-        moving = np.ones(n, dtype=bool)
-        hold_population = hold_population or self.one_person
-        alone = hold_population and not self.one_person and (hold_additions or not model.parameters)
-        for _ in range(rounds):
-            u, persons, equations, damping, steps = self._move_people(
-                model, u, persons, equations, population, damping, moving
-            )
-            moved = float(steps.max())
-            if model.parameters and not hold_additions:
-                u, persons, population, equations, step = self._move_additions(model, u, persons, population, equations)
-                moved = max(moved, step)
-            drift = 0.0
-            if not hold_population:
-                blocks = self._blocks(model, equations, u, persons, population, np.zeros(n))
-                population, drift = self._maximise(model, u[:, varying], persons, blocks, population)
-            elif self.one_person and self.repeated:
-                blocks = self._blocks(model, equations, u, persons, population, np.zeros(n))
-                updated, _ = self._maximise(model, u[:, varying], persons, blocks, population)
-                population = replace(population, rho=updated.rho)
-            if moved < tolerance and drift < tolerance:
-                settled = True
-                break
-            if alone:  # nothing that a person depends on changes any more; a step may be short because it is damped
-                moving &= ~((steps < tolerance) & (damping <= _DAMPING))
-        blocks = self._blocks(model, equations, u, persons, population, np.zeros(n))
-        value = self._objective(equations.chi, u[:, varying], persons, population)
-        evidence = -value - 0.5 * blocks.log_determinants(self.owner, population)
+        state = State(
+            u=u.copy(),
+            persons=means_of(u[:, ~model.shared], self.owner, len(self.data)),
+            population=population,
+            equations=equations_at(model, self.stack, u, self.executor),
+            damping=np.full(len(self.data), _DAMPING),
+        )
+        state, left = self._with_few_frequencies(plan, state, rounds)
+        if not state.settled:
+            state, _ = self._rounds(plan, self.stack, state, left)
         return Refit(
             model=model,
             data=self.data,
-            u=u,
-            persons=persons,
-            population=population,
-            equations=equations,
-            evidence=evidence,
-            settled=settled,
+            u=state.u,
+            persons=state.persons,
+            population=state.population,
+            equations=state.equations,
+            evidence=self._evidence(model, state),
+            settled=state.settled,
         )
+
+    def _with_few_frequencies(self, plan: Plan, state: State, left: int) -> tuple[State, int]:
+        """Rounds with recordings that are summed up, each time followed by one with all; and how many are left."""
+        for _ in range(_SUMMINGS if self.many_frequencies else 0):
+            small = few_frequencies(plan.model, self.stack, state.u, self.executor) if left > 1 else None
+            if small is None:
+                break
+            there, used = self._rounds(plan, small, state, left - 1)
+            exact = equations_at(plan.model, self.stack, there.u, self.executor)
+            if not self._sums_held(state.equations, there.equations, exact):
+                break
+            there = replace(there, equations=exact)
+            state, last = self._rounds(plan, self.stack, there, 1)
+            left -= used + last
+            if state.settled:
+                break
+        return state, left
+
+    def _sums_held(self, before: Equations, summed_up: Equations, after: Equations) -> bool:
+        """Whether everybody's gain is what the summed-up recordings say it is."""
+        start, said, end = (self._log_misfit(own.chi) for own in (before, summed_up, after))
+        return bool(np.all(np.abs(said - end) <= np.maximum(_GAIN_ERROR, _GAIN_SHARE * np.abs(start - end))))
+
+    def _evidence(self, model: Model, state: State) -> np.ndarray:
+        """Log evidence of each person, shape (N,)."""
+        v, undamped = state.u[:, ~model.shared], np.zeros(len(self.data))
+        blocks = blocks_of(self.layout, model, state.equations, state.u, state.persons, state.population, undamped)
+        value = self._objective(state.equations.chi, v, state.persons, state.population)
+        return np.asarray(-value - 0.5 * blocks.log_determinants(self.owner, state.population))
+
+    def _rounds(self, plan: Plan, stack: Stack, state: State, most: int) -> tuple[State, int]:
+        """At most so many rounds with the data of a stack, until the fit is at rest there; and how many were made."""
+        model, n = plan.model, len(self.data)
+        varying = ~model.shared
+        u, persons, population = state.u, state.persons, state.population
+        equations, damping = state.equations, state.damping
+        settled, used = False, 0
+        moving = np.ones(n, dtype=bool)
+        alone = plan.hold_population and not self.one_person and plan.hold_additions
+        while used < most and not settled:
+            used += 1
+            u, persons, equations, damping, steps = self._move_people(
+                model, stack, u, persons, equations, population, damping, moving
+            )
+            moved = float(steps.max())
+            if not plan.hold_additions:
+                u, persons, population, equations, step = self._move_additions(
+                    model, stack, u, persons, population, equations
+                )
+                moved = max(moved, step)
+            drift = 0.0
+            if not plan.hold_population or (self.one_person and self.repeated):
+                blocks = blocks_of(self.layout, model, equations, u, persons, population, np.zeros(n))
+                there, change = maximised(self.layout, model, u[:, varying], persons, blocks, population)
+                if plan.hold_population:
+                    population = replace(population, rho=there.rho)
+                else:
+                    population, drift = there, change
+            settled = moved < plan.tolerance and drift < plan.tolerance
+            if alone:  # nothing that a person depends on changes any more; a step may be short because it is damped
+                moving &= ~((steps < plan.tolerance) & (damping <= _DAMPING))
+        reached = State(
+            u=u, persons=persons, population=population, equations=equations, damping=damping, settled=settled
+        )
+        return reached, used
 
     def settle(self, fit: Refit, seed: int, tries: int = 6, rounds: int = 3, hold: bool = False) -> Refit:
         """Look for better optima of every person, from the median person and from draws, until none is found.
@@ -226,38 +272,16 @@ class Refitter:
 
     def _objective(self, chi: np.ndarray, v: np.ndarray, persons: np.ndarray, population: Population) -> np.ndarray:
         """Negative log posterior of each person, shape (N,)."""
-        total = np.bincount(self.owner, chi, minlength=len(self.data))
-        value = (SCALE_SHAPE + self.counts) * np.log(SCALE_SHAPE + 0.5 * total)
-        delta = (v - persons[self.owner]) / _rho(population)
+        value = self._log_misfit(chi)
+        delta = (v - persons[self.owner]) / rho_of(population)
         value = value + 0.5 * np.bincount(self.owner, np.sum(delta**2, axis=1), minlength=len(self.data))
         offset = persons - population.mu
         return np.asarray(value + 0.5 * np.sum(offset * np.linalg.solve(population.covariance, offset.T).T, axis=1))
 
-    def _blocks(
-        self,
-        model: Model,
-        equations: Equations,
-        u: np.ndarray,
-        persons: np.ndarray,
-        population: Population,
-        damping: np.ndarray,
-    ) -> _Blocks:
-        varying = ~model.shared
-        w = weights_of(self.owner, self.counts, equations.chi)[self.owner]
-        h = w[:, None, None] * equations.information[:, varying][:, :, varying]
-        r = _rho(population) ** -2.0
-        a = h + np.diag(r)
-        diagonal = np.einsum("mpp->mp", h)
-        a[:, np.arange(r.size), np.arange(r.size)] += (damping[self.owner, None] + ROUNDING) * diagonal
-        inverse = np.linalg.inv(a)
-        pull = -w[:, None] * equations.gradient[:, varying] - r * (u[:, varying] - persons[self.owner])
-        kept = np.diag(r) - r[:, None] * inverse * r
-        precision = np.linalg.inv(population.covariance) + sums(kept, self.owner, len(self.data))
-        return _Blocks(inverse, pull, precision)
-
     def _move_people(
         self,
         model: Model,
+        stack: Stack,
         u: np.ndarray,
         persons: np.ndarray,
         equations: Equations,
@@ -271,22 +295,22 @@ class Refitter:
         """
         varying, n = ~model.shared, len(self.data)
         before = self._objective(equations.chi, u[:, varying], persons, population)
-        blocks = self._blocks(model, equations, u, persons, population, damping)
-        r = _rho(population) ** -2.0
+        blocks = blocks_of(self.layout, model, equations, u, persons, population, damping)
+        r = rho_of(population) ** -2.0
         free = np.einsum("mpq,mq->mp", blocks.inverse, blocks.pull)
         pulls = sums(r * (u[:, varying] - persons[self.owner]) + r * free, self.owner, n)
         offset = persons - population.mu
         right = pulls - np.linalg.solve(population.covariance, offset.T).T
         step_v = np.linalg.solve(blocks.precision, right[..., None])[..., 0]
         step_u = free + np.einsum("mpq,mq->mp", blocks.inverse, r * step_v[self.owner])
-        part = np.minimum(1.0, 2.0 / np.maximum(_most(np.abs(step_u).max(axis=1), self.owner, n), 1e-12))
+        part = np.minimum(1.0, 2.0 / np.maximum(largest_of(np.abs(step_u).max(axis=1), self.owner, n), 1e-12))
         trial_u, trial_v, trial = u.copy(), persons.copy(), equations
         moving = people
         for _ in range(5):
             rows = np.flatnonzero(moving[self.owner])
             trial_u[np.ix_(rows, varying)] = u[np.ix_(rows, varying)] + (part[self.owner, None] * step_u)[rows]
             trial_v[moving] = (persons + part[:, None] * step_v)[moving]
-            trial = equations_at(model, self.stack, trial_u, self.executor, moving, trial)
+            trial = equations_at(model, stack, trial_u, self.executor, moving, trial)
             after = self._objective(trial.chi, trial_u[:, varying], trial_v, population)
             worse = moving & ~(after <= before + 1e-6)
             damping = np.where(worse, np.minimum(10 * damping, 1e6), damping)
@@ -303,7 +327,13 @@ class Refitter:
         return trial_u, trial_v, trial, damping, np.where(people, length, 0.0)
 
     def _move_additions(
-        self, model: Model, u: np.ndarray, persons: np.ndarray, population: Population, equations: Equations
+        self,
+        model: Model,
+        stack: Stack,
+        u: np.ndarray,
+        persons: np.ndarray,
+        population: Population,
+        equations: Equations,
     ) -> tuple[np.ndarray, np.ndarray, Population, Equations, float]:
         """A step of shared parameters and mean coefficients, with each person's response.
 
@@ -333,14 +363,14 @@ class Refitter:
             trial_u = u.copy()
             trial_u[:, n_elements:] += own[self.owner]
             trial_u[:, :n_elements] += np.clip(np.einsum("mea,ma->me", response, own[self.owner]), -1.0, 1.0)
-            trial = equations_at(model, self.stack, trial_u, self.executor)
+            trial = equations_at(model, stack, trial_u, self.executor)
             if self._misfit(trial.chi) <= before + 0.5:
                 mu = population.mu.copy()
                 mu[n_elements:] += step[varying]
                 moved = persons.copy()
                 moved[:, n_elements:] += own[:, varying]
                 follow = trial_u[:, :n_elements] - u[:, :n_elements]
-                moved[:, :n_elements] += _means(follow, self.owner, len(self.data))
+                moved[:, :n_elements] += means_of(follow, self.owner, len(self.data))
                 shifted = replace(population, mu=mu, covariance=with_dispersions(model, population.covariance, mu))
                 length = float(np.sqrt(max(step @ target.precision @ step, 0.0)))
                 return trial_u, moved, shifted, trial, length
@@ -348,53 +378,10 @@ class Refitter:
         return u, persons, population, equations, 0.0
 
     def _misfit(self, chi: np.ndarray) -> float:
+        value = float(np.sum(self._log_misfit(chi)))
+        return value if np.isfinite(value) else np.inf
+
+    def _log_misfit(self, chi: np.ndarray) -> np.ndarray:
+        """Negative log likelihood of each person, shape (N,)."""
         total = np.bincount(self.owner, chi, minlength=len(self.data))
-        value = np.sum((SCALE_SHAPE + self.counts) * np.log(SCALE_SHAPE + 0.5 * total))
-        return float(value) if np.isfinite(value) else np.inf
-
-    def _maximise(
-        self, model: Model, v: np.ndarray, persons: np.ndarray, blocks: _Blocks, population: Population
-    ) -> tuple[Population, float]:
-        """One M step, and the change of the population in standard deviations."""
-        n, size = persons.shape
-        posterior = np.linalg.inv(blocks.precision)
-        elements = np.arange(size) < model.n_elements
-        mu = np.where(elements, persons.mean(axis=0), population.mu)
-        offset = persons - mu
-        variance = np.clip(np.diag(population.covariance), SMALLEST_DISPERSION**2, 1.0)
-        covariance = (offset.T @ offset + posterior.sum(axis=0) + PRIOR_PERSONS * np.diag(variance)) / (
-            n + PRIOR_PERSONS
-        )
-        floor = np.maximum(np.diag(covariance), SMALLEST_DISPERSION**2)
-        covariance = covariance + np.diag(floor - np.diag(covariance))
-        if n < size + 2:  # a full sample covariance would be singular
-            covariance = np.diag(floor)
-        covariance[~elements] = population.covariance[~elements]
-        covariance[:, ~elements] = population.covariance[:, ~elements]
-        rho = population.rho
-        if self.repeated:
-            r = _rho(population) ** -2.0
-            follow = blocks.inverse * r - np.eye(size)
-            spread = blocks.inverse + follow @ posterior[self.owner] @ np.swapaxes(follow, 1, 2)
-            square = (v - persons[self.owner]) ** 2 + np.einsum("mpp->mp", spread)
-            many = np.array([d.z.shape[0] > 1 for d in self.data])[self.owner]
-            rho = np.sqrt((square[many].sum(axis=0) + 2 * 0.05**2) / (many.sum() + 2))
-            rho = np.where(elements, np.clip(rho, LEAST_RHO, 1.0), LEAST_RHO)
-        sd = np.sqrt(np.diag(population.covariance) / n)
-        shift = np.abs(mu - population.mu) / sd
-        stretch = np.abs(np.log(np.diag(covariance) / np.diag(population.covariance))) * 0.5
-        return Population(mu, covariance, rho), float(max(shift.max(), stretch.max()))
-
-
-def _rho(population: Population) -> np.ndarray:
-    return np.asarray(np.maximum(population.rho, LEAST_RHO))
-
-
-def _means(values: np.ndarray, owner: np.ndarray, n: int) -> np.ndarray:
-    return np.asarray(sums(values, owner, n) / np.bincount(owner, minlength=n)[:, None])
-
-
-def _most(values: np.ndarray, owner: np.ndarray, n: int) -> np.ndarray:
-    largest = np.zeros(n)
-    np.maximum.at(largest, owner, values)
-    return largest
+        return np.asarray((SCALE_SHAPE + self.counts) * np.log(SCALE_SHAPE + 0.5 * total))

@@ -108,10 +108,14 @@ class Stack:
     pieces : tuple of (rows, Lent)
         Numbers (R,) of the recordings in a piece, and their data: a tuple of (omega, z, weight) with shapes (F,),
         (R', 2, F) and (R', F), in the order of the rows.
+    rest : ndarray, shape (M,), optional
+        What is to be added to each recording's chi-square, where the pieces hold recordings that are summed up
+        (:mod:`.few_frequencies`).
     """
 
     owner: np.ndarray
     pieces: tuple[tuple[np.ndarray, Lent], ...]
+    rest: np.ndarray | None = None
 
     @classmethod
     def of(cls, data: Sequence[Likelihood]) -> Stack:
@@ -196,6 +200,8 @@ def equations_at(
             tasks.append((lent, (model.kernel.program, u[rows[chosen]], chosen)))
     for rows, found in zip(where, Lent.ask(executor, _piece, tasks), strict=True):
         result.chi[rows], result.gradient[rows], result.information[rows] = found
+        if stack.rest is not None:
+            result.chi[rows] = np.maximum(result.chi[rows] + stack.rest[rows], 0.0)
     return result
 
 

@@ -1,0 +1,147 @@
+r"""Linear algebra of one round of a fit (:mod:`.fitter`, whose names these are).
+
+For every recording A and for every person K, from the information of the recordings and a population; and the M step of
+expectation-maximisation, which makes of them the population of the elements.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayes_impedance.diagnosis.fit.model import Model
+from bayes_impedance.diagnosis.fit.normal_equations import Equations, Population, sums, weights_of
+from bayes_impedance.person.marginal_likelihood import LEAST_RHO
+from bayes_impedance.person.mode import ROUNDING
+from bayes_impedance.population.em_state import PRIOR_PERSONS, SMALLEST_DISPERSION
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Linear algebra of one round; names as in the docstring of :mod:`.fitter`."""
+
+    inverse: np.ndarray  # A^-1, (M, V, V)
+    pull: np.ndarray  # b, (M, V)
+    precision: np.ndarray  # K, (N, V, V)
+
+    def log_determinants(self, owner: np.ndarray, population: Population) -> np.ndarray:
+        """Sum of ln|A R| over a person's recordings and ln|K T|, shape (N,)."""
+        log_a = -np.linalg.slogdet(self.inverse)[1] + 2 * np.sum(np.log(rho_of(population)))
+        outer = np.linalg.slogdet(self.precision)[1] + np.linalg.slogdet(population.covariance)[1]
+        return np.asarray(np.bincount(owner, log_a, minlength=len(self.precision)) + outer)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Which recordings belong to whom.
+
+    Attributes
+    ----------
+    owner : ndarray, shape (M,)
+        Person of every recording.
+    counts : ndarray, shape (N,)
+        Number of each person's complex values.
+    many : ndarray of bool, shape (M,)
+        Whether the recording's person was recorded more than once.
+    """
+
+    owner: np.ndarray
+    counts: np.ndarray
+    many: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """What is fitted, and what is held; see :meth:`Refitter.fit`."""
+
+    model: Model
+    hold_population: bool
+    hold_additions: bool
+    tolerance: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class State:
+    """Where a fit is: parameters, persons, population, equations at the parameters, and each person's damping."""
+
+    u: np.ndarray
+    persons: np.ndarray
+    population: Population
+    equations: Equations
+    damping: np.ndarray
+    settled: bool = False
+
+
+def rho_of(population: Population) -> np.ndarray:
+    """Standard deviations between repetitions, none of them zero."""
+    return np.asarray(np.maximum(population.rho, LEAST_RHO))
+
+
+def blocks_of(
+    layout: Layout,
+    model: Model,
+    equations: Equations,
+    u: np.ndarray,
+    persons: np.ndarray,
+    population: Population,
+    damping: np.ndarray,
+) -> Blocks:
+    """From equations at u (M, P), everybody's v (N, V), and the damping of each person's step (N,)."""
+    owner, n = layout.owner, layout.counts.size
+    varying = ~model.shared
+    w = weights_of(owner, layout.counts, equations.chi)[owner]
+    h = w[:, None, None] * equations.information[:, varying][:, :, varying]
+    r = rho_of(population) ** -2.0
+    a = h + np.diag(r)
+    diagonal = np.einsum("mpp->mp", h)
+    a[:, np.arange(r.size), np.arange(r.size)] += (damping[owner, None] + ROUNDING) * diagonal
+    inverse = np.linalg.inv(a)
+    pull = -w[:, None] * equations.gradient[:, varying] - r * (u[:, varying] - persons[owner])
+    kept = np.diag(r) - r[:, None] * inverse * r
+    precision = np.linalg.inv(population.covariance) + sums(kept, owner, n)
+    return Blocks(inverse, pull, precision)
+
+
+def maximised(
+    layout: Layout, model: Model, v: np.ndarray, persons: np.ndarray, blocks: Blocks, population: Population
+) -> tuple[Population, float]:
+    """One M step from v (M, V), and the change of the population in standard deviations."""
+    n, size = persons.shape
+    posterior = np.linalg.inv(blocks.precision)
+    elements = np.arange(size) < model.n_elements
+    mu = np.where(elements, persons.mean(axis=0), population.mu)
+    offset = persons - mu
+    variance = np.clip(np.diag(population.covariance), SMALLEST_DISPERSION**2, 1.0)
+    covariance = (offset.T @ offset + posterior.sum(axis=0) + PRIOR_PERSONS * np.diag(variance)) / (n + PRIOR_PERSONS)
+    floor = np.maximum(np.diag(covariance), SMALLEST_DISPERSION**2)
+    covariance = covariance + np.diag(floor - np.diag(covariance))
+    if n < size + 2:  # a full sample covariance would be singular
+        covariance = np.diag(floor)
+    covariance[~elements] = population.covariance[~elements]
+    covariance[:, ~elements] = population.covariance[:, ~elements]
+    rho = population.rho
+    if layout.many.any():
+        r = rho_of(population) ** -2.0
+        follow = blocks.inverse * r - np.eye(size)
+        spread = blocks.inverse + follow @ posterior[layout.owner] @ np.swapaxes(follow, 1, 2)
+        square = (v - persons[layout.owner]) ** 2 + np.einsum("mpp->mp", spread)
+        many = layout.many
+        rho = np.sqrt((square[many].sum(axis=0) + 2 * 0.05**2) / (many.sum() + 2))
+        rho = np.where(elements, np.clip(rho, LEAST_RHO, 1.0), LEAST_RHO)
+    sd = np.sqrt(np.diag(population.covariance) / n)
+    shift = np.abs(mu - population.mu) / sd
+    stretch = np.abs(np.log(np.diag(covariance) / np.diag(population.covariance))) * 0.5
+    return Population(mu, covariance, rho), float(max(shift.max(), stretch.max()))
+
+
+def means_of(values: np.ndarray, owner: np.ndarray, n: int) -> np.ndarray:
+    """Mean over the recordings of each person: (M, ...) to (N, ...)."""
+    return np.asarray(sums(values, owner, n) / np.bincount(owner, minlength=n)[:, None])
+
+
+def largest_of(values: np.ndarray, owner: np.ndarray, n: int) -> np.ndarray:
+    """Largest of the recordings of each person, and at least zero: (M,) to (N,)."""
+    largest = np.zeros(n)
+    np.maximum.at(largest, owner, values)
+    return largest
