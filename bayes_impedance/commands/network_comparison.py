@@ -319,28 +319,29 @@ def lines_of(comparison: NetworkComparison) -> list[str]:
     from bayes_impedance.results.network_comparison import UNDECIDED
 
     entries, rows = comparison.entries, comparison.rows()
+    labels = [comparison.label(entry) for entry in entries]
     lines = []
-    for entry in entries:
-        lines += [f"NOT RELIABLE ({entry.shown}): {problem}" for problem in entry.result.problems]
-        lines += [f"MISFIT ({entry.shown}): {sentence}" for sentence in entry.result.summary["adequacy"]["misfit"]]
+    for entry, label in zip(entries, labels, strict=True):
+        lines += [f"NOT RELIABLE ({label}): {problem}" for problem in entry.result.problems]
+        lines += [f"MISFIT ({label}): {sentence}" for sentence in entry.result.summary["adequacy"]["misfit"]]
     unit = entries[0].result.attributes["unit"]
     lines += ["", f"{len(entries[0].left_out.subjects)} subjects, each predicted from all others", ""]
-    width = max(len("network"), *(len(entry.shown) for entry in entries)) + 2
+    width = max(len("network"), *(len(label) for label in labels)) + 2
     lines.append(
         f"{'network':{width}}{'elpd':>12}{'less than best':>22}{'worst k':>9}{'|z|, ' + unit:>16}{'phase, deg':>12}"
         f"{'own rms, %':>12}"
     )
-    for entry, row in zip(entries, rows, strict=True):
+    for entry, label, row in zip(entries, labels, rows, strict=True):
         behind = "" if entry is comparison.best else f"{row['difference']:.1f} ± {row['difference_se']:.1f}"
         worst = "-" if row["pareto_k_max"] is None else f"{row['pareto_k_max']:.2f}"
         mark = ("*" if row["doubtful"] else "") + ("" if row["reliable"] else "!")
         lines.append(
-            f"{entry.shown:{width}}{row['elpd']:12.1f}{behind:>22}{worst + mark:>9}{row['delta_magnitude']:16.3g}"
+            f"{label:{width}}{row['elpd']:12.1f}{behind:>22}{worst + mark:>9}{row['delta_magnitude']:16.3g}"
             f"{row['delta_phase_deg']:12.3g}{100 * row['relative_rms_median']:12.3g}"
         )
     lines.append("")
     if any(row["doubtful"] for row in rows):
-        lines.append(f"* {_doubts(rows)}: the sum over people is uncertain")
+        lines.append(f"* {_doubts(labels, rows)}: the sum over people is uncertain")
     if any(row["refitted"] for row in rows):
         lines.append(
             f"{sum(row['refitted'] for row in rows)} value(s) come from refits without the person (Pareto k above 0.7)"
@@ -350,7 +351,7 @@ def lines_of(comparison: NetworkComparison) -> list[str]:
     lines.append(
         "elpd: log predictive density, summed over subjects, each predicted from all others; ±: one standard error"
     )
-    same, best = [entry.shown for entry in comparison.as_good], comparison.best.shown
+    same, best = [comparison.label(entry) for entry in comparison.as_good], comparison.label(comparison.best)
     if comparison.best.result.problems:
         lines.append("no fit is reliable, so none is named the best")
     elif same:
@@ -360,7 +361,8 @@ def lines_of(comparison: NetworkComparison) -> list[str]:
     return lines
 
 
-def _doubts(rows: Sequence[dict[str, Any]]) -> str:
-    return ", ".join(f"{row['doubtful']} of {row['network']}" for row in rows if row["doubtful"]) + (
+def _doubts(labels: Sequence[str], rows: Sequence[dict[str, Any]]) -> str:
+    each = zip(labels, rows, strict=True)
+    return ", ".join(f"{row['doubtful']} of {label}" for label, row in each if row["doubtful"]) + (
         " have Pareto k above 0.7 and were not fitted again"
     )

@@ -118,7 +118,7 @@ def one_ports(diagnosis: Diagnosis) -> Chart:
             lines.append(Line(name=name, y=values, colour=colour, shown=own))
             low, high = values - 2 * port.sd, values + 2 * port.sd
             ribbons.append(Ribbon(name=f"at {port.place}, ± 2 se", low=low, high=high, colour="inner", shown=own))
-        label = f"missing / present: {'real' if part == 'real' else 'imaginary'} part"
+        label = f"{'real' if part == 'real' else 'imaginary'} part, relative"
         limits = inner_limits(first.ratio, first.sd)
         panels.append(Panel(label=label, lines=tuple(lines), ribbons=tuple(ribbons), limits=limits))
     return Chart(name="diagnosis_one_ports", panels=tuple(panels), frequency_hz=first.frequency_hz)

@@ -213,9 +213,9 @@ def traces(figure: Figure, result: Result) -> Figure:
     """
     columns = [("mu", "central value")]
     if variable(result, "dispersion_between_persons") is not None:
-        columns.append(("dispersion_between_persons", f"dispersion between {who(result)}"))
+        columns.append(("dispersion_between_persons", f"dispersion\nbetween {who(result)}"))
     if variable(result, "dispersion_between_repetitions") is not None:
-        columns.append(("dispersion_between_repetitions", "dispersion between repetitions"))
+        columns.append(("dispersion_between_repetitions", "dispersion\nbetween repetitions"))
     names, seen = result.elements, identified(result)
     panels = np.array(figure.subplots(len(names), len(columns), sharex=True, squeeze=False))
     for row, (name, known) in enumerate(zip(names, seen, strict=True)):

@@ -27,11 +27,16 @@
     ];
   }
 
+  // A person's values as they are drawn: relative to a curve, if there is one.
+  function drawnOf(own) {
+    const over = own.over[""] || own.over[state.when];
+    return (row) => (over ? row.map((v, i) => (v === null || over[i] === null ? null : v / over[i])) : row);
+  }
+
   function everybody(panel, common) {
     const own = panel.people;
-    const over = own.over[""] || own.over[state.when];
     const shared = { ...common, mode: "lines", connectgaps: false };
-    const shown = (row) => (over ? row.map((v, i) => (v === null || over[i] === null ? null : v / over[i])) : row);
+    const shown = drawnOf(own);
     const xs = [], ys = [], names = [];
     curves[own.values].forEach((row, i) => {
       xs.push(...x, null); ys.push(...shown(row), null); names.push(...x.map(() => plain(people[i])), "");
@@ -79,14 +84,16 @@
     };
   }
 
-  // Ticks of a logarithmic axis: 1, 2 and 5 of each decade, or the decades alone.
+  // Ticks of a logarithmic axis: the decades alone, 1, 2 and 5 of each, or some more; Plotly's own would overlap.
   function decades(panel) {
     const rows = [...panel.lines.map((line) => line.y), ...panel.ribbons.flatMap((band) => [band.low, band.high])];
-    if (panel.people && !panel.lines.length) rows.push(...curves[panel.people.values]);
+    if (panel.people) rows.push(...curves[panel.people.values].map(drawnOf(panel.people)));
     for (const own of panel.own || []) rows.push((curves[own.values] || [])[state.person] || []);
     const values = rows.flat().filter((v) => v > 0).map(Math.log10);
     const span = values.reduce((a, b) => Math.max(a, b), -9) - values.reduce((a, b) => Math.min(a, b), 9);
-    return { tickformat: "~g", ...(span > 2.5 ? { dtick: 1 } : span > 0.8 ? { dtick: "D2" } : {}) };
+    const several = Array.from({ length: 24 }, (_, k) => [1, 1.5, 2, 3, 5, 7].map((v) => v * 10 ** (k - 12))).flat();
+    const fewer = span > 0.35 ? { tickmode: "array", tickvals: several } : {};
+    return { tickformat: "~g", ...(span > 2.5 ? { dtick: 1 } : span > 0.8 ? { dtick: "D2" } : fewer) };
   }
 
   function figureOf(chart, narrow) {
@@ -184,7 +191,7 @@
     const layout = {
       ...figure.layout, paper_bgcolor: colour("paper"), plot_bgcolor: colour("paper"), dragmode: narrow ? false : "zoom",
       font: { family: "system-ui, 'Segoe UI', Roboto, Helvetica, Arial, sans-serif", size: narrow ? 11 : 12.5, color: colour("text") },
-      margin: { l: 12, r: 12, t: 58, b: 12 }, hovermode: "closest", uirevision: "kept",
+      margin: { l: 12, r: 12, t: 32, b: 12 }, hovermode: "closest", uirevision: "kept",
       hoverlabel: { bgcolor: colour("tip"), font: { color: colour("text") }, bordercolor: colour("zero"), align: "left" },
       legend: { orientation: "h", x: 0, y: 1.02, xanchor: "left", yanchor: "bottom", font: { size: narrow ? 10 : 12 } },
       modebar: { color: colour("soft"), activecolor: colour("text"), bgcolor: "rgba(0,0,0,0)", orientation: "h" },

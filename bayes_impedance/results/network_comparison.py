@@ -60,6 +60,11 @@ class Entry:
         return network if self.distribution == NORMAL else f"{network}, {self.distribution}"
 
     @property
+    def place(self) -> str:
+        """Where the fit is: the folder of a finished one as it was given, or that of one made by the comparison."""
+        return f"fit in {self.folder}" if self.folder == self.given else f"folder {self.folder}"
+
+    @property
     def distribution(self) -> str:
         """Of people's log elements: ``normal`` or ``student_t``."""
         return str(self.result.attributes.get("distribution", NORMAL))
@@ -94,12 +99,20 @@ class NetworkComparison:
         behind = [(e, *e.left_out.less(self.best.left_out)) for e in others]
         return tuple(e for e, difference, error in behind if abs(difference) <= UNDECIDED * error)
 
+    def label(self, entry: Entry) -> str:
+        """The network of an entry as it is shown, with the place of the fit where another has the same network."""
+        same = sum(e.shown == entry.shown for e in self.entries)
+        return entry.shown if same == 1 else f"{entry.shown} ({entry.place})"
+
     def __repr__(self) -> str:
-        return f"<NetworkComparison of {len(self.entries)}: best {self.best.shown}>"
+        return f"<NetworkComparison of {len(self.entries)}: best {self.label(self.best)}>"
 
     def _repr_html_(self) -> str:
         names = ("network", "elpd", "elpd_se", "difference", "difference_se", "doubtful", "reliable")
-        rows = [[e.shown, *(row[name] for name in names[1:])] for e, row in zip(self.entries, self.rows(), strict=True)]
+        rows = [
+            [self.label(e), *(row[name] for name in names[1:])]
+            for e, row in zip(self.entries, self.rows(), strict=True)
+        ]
         return joined(heading(repr(self).strip("<>")), table([name.replace("_", " ") for name in names], rows))
 
     def to_dataframe(self) -> pd.DataFrame:
@@ -145,7 +158,9 @@ class NetworkComparison:
             "data_sha256": first.result.attributes["data_sha256"],
             "subjects": list(first.left_out.subjects),
             "best": self.best.result.attributes["network"],
+            "best_folder": self.best.folder,
             "as_good": [e.result.attributes["network"] for e in self.as_good],
+            "as_good_folders": [e.folder for e in self.as_good],
             "networks": [
                 row
                 | {

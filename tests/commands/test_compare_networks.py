@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -207,6 +208,32 @@ def test_circuits_are_named_in_both_spellings() -> None:
     assert [len(line) for line in table] == [len(table[0])] * 2
     assert "r0|p1^a1@10 = R0-CPE1" in comparison._repr_html_()
     assert [row["network"] for row in comparison.rows()] == ["r0|p1^a1@10", "delay[d1*](r0)"]  # as it can be given
+
+
+def test_a_network_and_a_fit_of_it_have_labels_of_their_own() -> None:
+    elpd = np.array([10.0, 12.0, 11.0, 9.0])
+    fitted, made, other = (
+        entry("m1|r1", elpd, k=0.9),
+        entry("m1|r1", elpd - [0, 0.1, 0, 0.1], k=0.9),
+        entry("r1", elpd - 9),
+    )
+    comparison = NetworkComparison.of(
+        [
+            replace(fitted, given="other/own", folder="other/own"),
+            replace(made, given="m1|r1", folder="2"),
+            replace(other, given="r1", folder="3"),
+        ]
+    )
+    labels = [comparison.label(one) for one in comparison.entries]
+    assert labels == ["m1|r1 (fit in other/own)", "m1|r1 (folder 2)", "r1"]
+    lines = lines_of(comparison)
+    assert lines[-1] == f"best: {labels[0]}; not separated from it (within 3 standard errors): {labels[1]}"
+    assert [line.split("  ")[0] for line in lines if line.startswith(("m1|r1", "r1"))] == labels
+    assert any(line.startswith(f"* 4 of {labels[0]}, 4 of {labels[1]} have") for line in lines)
+    assert all(f">{label}<" in comparison._repr_html_() for label in labels)
+    assert labels[0] in repr(comparison)
+    summary = comparison.summary()
+    assert (summary["best_folder"], summary["as_good_folders"]) == ("other/own", ["2"])
 
 
 def test_distributions_of_people_are_compared(place: Path, capsys: pytest.CaptureFixture[str]) -> None:

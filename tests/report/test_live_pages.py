@@ -185,6 +185,37 @@ def test_arrow_keys_say_values_and_the_theme_is_a_button(browser: Browser, fit_p
     browser.wait("document.querySelector('[data-chart=errors]').layout.paper_bgcolor === '#14191e'")
 
 
+HIDDEN_WORDS = """(() => {
+  const bad = [];
+  const over = (a, b) => Math.min(a.right, b.right) - Math.max(a.left, b.left) > 1
+    && Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > 1;
+  for (const box of document.querySelectorAll(".live.drawn")) {
+    const bar = box.querySelector(".modebar").getBoundingClientRect();
+    const entries = [...box.querySelectorAll(".legend .traces")].map((e) => e.getBoundingClientRect());
+    if (entries.some((e) => over(e, bar))) bad.push(`${box.dataset.chart}: legend`);
+    for (const axis of ["ytick", "y2tick", "y3tick"]) {
+      const labels = [...box.querySelectorAll(`.${axis} text`)].map((e) => e.getBoundingClientRect());
+      if (labels.some((a, i) => labels.slice(i + 1).some((b) => over(a, b)))) bad.push(`${box.dataset.chart}: ${axis}`);
+    }
+    const titles = [...box.querySelectorAll("[class^=ytitle], [class^=y2title], [class^=y3title]")];
+    const places = titles.map((e) => e.getBoundingClientRect());
+    if (places.some((a, i) => places.slice(i + 1).some((b) => over(a, b)))) bad.push(`${box.dataset.chart}: titles`);
+  }
+  return bad;
+})()"""
+"""Charts in which buttons cover the legend, or numbers or titles of the vertical axes one another."""
+
+
+@pytest.mark.parametrize("name", ["fit", "diagnosis"])
+@pytest.mark.parametrize("width", [1300, PHONE])
+def test_words_of_a_chart_do_not_cover_one_another(
+    name: str, width: int, browser: Browser, pages: dict[str, Path]
+) -> None:
+    shown(browser, pages[name], width)
+    assert browser.run("document.querySelectorAll('.live.drawn .legend .traces').length") > 5
+    assert browser.run(HIDDEN_WORDS) == []
+
+
 def test_names_of_users_are_text_everywhere(browser: Browser, diagnosis_page: Path) -> None:
     shown(browser, diagnosis_page)
     browser.run(
