@@ -74,9 +74,10 @@ def parser_of_commands() -> argparse.ArgumentParser:
     compare.add_argument(
         "--distributions",
         nargs="+",
-        choices=("normal", "student_t"),
+        choices=("normal", "student_t", "mixture"),
         metavar="NAME",
-        help="compare these distributions of people, normal and student_t, for each network (default: the dataset's)",
+        help="compare these distributions of people, such as normal, student_t and mixture, for each network (default: "
+        "that of --distribution)",
     )
     compare.add_argument("--result", type=Path, metavar="FOLDER", help="use this finished fit of the same recordings")
     compare.add_argument(
@@ -188,9 +189,10 @@ def _fit_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--distribution",
-        choices=("normal", "student_t"),
+        choices=("normal", "student_t", "mixture"),
         default="normal",
-        help="of people's log elements: student_t has heavier tails, its degrees of freedom inferred (default: normal)",
+        help="of people's log elements: student_t has heavier tails, its degrees of freedom inferred; mixture is two "
+        "groups of people, which differ in their central values (default: normal)",
     )
     parser.add_argument(
         "--covariate",

@@ -90,7 +90,7 @@ class FitOptions:
     beside : tuple of str
         Published sets (:func:`bayes_impedance.datasets.published_values`) that are laid beside the fit.
     distribution : str
-        Of people's log elements: ``normal`` or ``student_t``.
+        Of people's log elements: ``normal``, ``student_t`` or ``mixture``.
     """
 
     network: str | None = None
@@ -322,6 +322,7 @@ def _read(dataset: Path, options: FitOptions) -> tuple[Recordings, FitOptions, C
         recordings = distinct(selected(read_recordings(dataset), options), dataset)
         require_quantity(recordings, options.network)
         recordings, options = with_terms_of(recordings, options)
+        options.settings()  # refused before anything is written
         return recordings, options, clock
 
 

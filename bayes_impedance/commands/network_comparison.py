@@ -99,6 +99,7 @@ def compare_networks(
     folders = [out / str(k) if c.result is None else Path(c.given) for k, c in enumerate(candidates, start=1)]
     for candidate, folder in zip(candidates, folders, strict=True):
         if candidate.result is None:
+            replace(options, distribution=candidate.distribution).settings()  # refused before anything is written
             require_ours(folder, FIT_FILES, options.overwrite)
     entries = []
     with output_folder(out, TABLES, options.overwrite):
@@ -213,8 +214,7 @@ def _priors(candidates: Sequence[_Candidate], recordings: Recordings, options: F
 def _finished(folder: Path, recordings: Recordings, options: FitOptions) -> Result | None:
     """The result in a folder, if it is what the options would give; else None."""
     from bayes_impedance.population.calibrated import within_rig
-    from bayes_impedance.population.fit import too_few_for_correlations
-    from bayes_impedance.population.requirements import checked_model
+    from bayes_impedance.population.requirements import checked_model, too_few_for_correlations
     from bayes_impedance.results.leave_one_out import require_absolute
     from bayes_impedance.results.result import load_result
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from bayes_impedance.commands.beside_lines import beside_lines
-from bayes_impedance.commands.slope_lines import dispersion_line, slope_lines
+from bayes_impedance.commands.slope_lines import dispersion_line, group_lines, slope_lines
 from bayes_impedance.commands.terminal import tell
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def tell_result(result: Result, last: str) -> None:
     if any(_is_marked(element) for element in summary["elements"].values()):
         tell("* may be wrong by more than its interval because of the misfit that is named above")
     tell(dispersion_line(summary))
-    for line in (*slope_lines(summary), *beside_lines(summary)):
+    for line in (*group_lines(summary), *slope_lines(summary), *beside_lines(summary)):
         tell(line)
     if summary.get("prior", {}).get("given"):
         tell("with the prior that was given (--priors)")

@@ -103,6 +103,6 @@ def simulate_dataset(
 
 def _population(file: Path) -> VirtualPopulation:
     """The population described by a fit or by an earlier simulation."""
-    from bayes_impedance.population.simulate import population_from
+    from bayes_impedance.population.described_population import population_from
 
     return population_from(read_json(file, "give a summary.json or truth.json"), str(file))

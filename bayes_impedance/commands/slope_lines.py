@@ -1,16 +1,37 @@
-"""What stands below the table of elements in the terminal: what dispersions are, and the slopes of covariates."""
+"""What stands below the table of elements in the terminal: what dispersions are, groups, and slopes of covariates."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
+from bayes_impedance.population.two_components import MIXTURE
+from bayes_impedance.results.distribution import is_student_t
+
 
 def dispersion_line(summary: Mapping[str, Any]) -> str:
     """What dispersions are; a Student t population has scales in place of standard deviations between persons."""
-    if summary.get("distribution") is None:
-        return "dispersions are standard deviations of the natural logarithm"
-    return "dispersions of the natural logarithm: between persons scales of a Student t, else standard deviations"
+    if is_student_t(summary):
+        return "dispersions of the natural logarithm: between persons scales of a Student t, else standard deviations"
+    return "dispersions are standard deviations of the natural logarithm"
+
+
+def group_lines(summary: Mapping[str, Any]) -> list[str]:
+    """How the two groups of people differ, with a heading; none if the fit has no groups or gives no numbers."""
+    groups = summary.get("distribution") or {}
+    if groups.get("name") != MIXTURE or groups["distance"]["median"] is None:
+        return []
+    share, distance = ("{:.2f} ({:.2f} to {:.2f})".format(*groups[key].values()) for key in _OF_GROUPS)
+    rows = [
+        f"{name:6}{'{:+.2f} ({:+.2f} to {:+.2f})'.format(*own.values())}"
+        for name, own in groups["difference"].items()
+        if own["median"] is not None
+    ]
+    head = f"{'':6}ln(element) of the second group less that of the first"
+    return ["", f"two groups: share of the second {share}, distance {distance} standard deviations", head, *rows]
+
+
+_OF_GROUPS = ("second_group_share", "distance")
 
 
 def slope_lines(summary: Mapping[str, Any]) -> list[str]:

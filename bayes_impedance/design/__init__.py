@@ -17,8 +17,9 @@ from bayes_impedance.design.loop.sampled_loop import SampledLoop, largest_stiffn
 from bayes_impedance.design.loop.stability import Limit, StabilityMap, limit_of, reason, stability_map
 from bayes_impedance.design.loop.transparency import Transparency, transparency
 from bayes_impedance.design.loop.two_port import TwoPort
+from bayes_impedance.design.percentiles import percentile_curves
 from bayes_impedance.design.representatives import Representatives, representatives
-from bayes_impedance.design.users import UserPopulation, Users, percentile_curves, population_of
+from bayes_impedance.design.users import UserPopulation, Users, population_of
 
 __all__ = [
     "PHANTOM",

@@ -14,8 +14,9 @@ from bayes_impedance.design.circuits import matlab, modelica, spice
 from bayes_impedance.design.circuits.equivalent import Equivalent, equivalent
 from bayes_impedance.design.circuits.passivity_check import passive_coefficients, passive_states, positive_elements
 from bayes_impedance.design.circuits.transfer_functions import described, parameters_of, tabulated, written
+from bayes_impedance.design.percentiles import PERCENTILES, percentile_curves
 from bayes_impedance.design.representatives import Representatives
-from bayes_impedance.design.users import PERCENTILES, UserPopulation, Users, free_parameters, percentile_curves
+from bayes_impedance.design.users import UserPopulation, Users, free_parameters
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.passivity import known_passive
 from bayes_impedance.runtime.atomic_files import write_bytes, write_json, write_text

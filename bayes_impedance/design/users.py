@@ -15,7 +15,8 @@ its columns out of the posterior, which integrates over them. A parameter of the
 such as the exponent ``a1*`` of a power law, has no spread in a population but may differ between populations.
 
 In a population with heavier tails theta follows the multivariate t distribution with scale matrix
-:math:`\Sigma + B B^T` and the degrees of freedom of the posterior draw (:mod:`bayes_impedance.population.heavy_tails`).
+:math:`\Sigma + B B^T` and the degrees of freedom of the posterior draw (:mod:`bayes_impedance.population.heavy_tails`);
+in one of two groups a user belongs to one of them (:mod:`bayes_impedance.population.two_components`).
 
 :class:`UserPopulation` keeps the posterior's draws of :math:`(\mu, \Sigma)`. By importance weights
 (:meth:`UserPopulation.weights`) one set of users serves as a sample from each of these populations. So probabilities
@@ -38,26 +39,26 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Network, parse
 from bayes_impedance.network.parameters import Parameter
-from bayes_impedance.population.heavy_tails import drawn_factors, log_t
-from bayes_impedance.results.meanings import TAIL
+from bayes_impedance.population.shapes import log_standard_density, standard_people
+from bayes_impedance.population.two_components import Groups, groups_of
+from bayes_impedance.results.meanings import DIFFERENCE, SHARE, TAIL
 from bayes_impedance.results.result import Result
 from bayes_impedance.runtime.user_table import whole_number_in
 
 if TYPE_CHECKING:
     import pandas as pd
 
-PERCENTILES = (0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
-"""Percentiles of the exported curves. By choice: median, quartiles and the usual 5 % and 1 % tails."""
-
 _MIXED = 2000
 """Most posterior draws in the mixture for the users' weights. By choice: computing time against its Monte-Carlo
 error."""
 
 
-_TAILS = (
-    "People follow a Student t distribution, from which users are drawn; the covariance, representative users and the "
-    "random draws of circuits are those of the normal distribution with its scales."
+_NOT_NORMAL = (
+    "People {}, from which users are drawn; representative users and the random draws of circuits are those of the "
+    "normal distribution with {}."
 )
+_TAILS = _NOT_NORMAL.format("follow a Student t distribution", "its scales as standard deviations")
+_GROUPS = _NOT_NORMAL.format("are of two groups", "the same mean and covariance")
 
 
 @dataclass(frozen=True)
@@ -181,6 +182,8 @@ class UserPopulation:
         The same as a sentence, and what is to be known of heavier tails; empty if nothing is to be said.
     tail : ndarray, shape (S,), optional
         Reciprocal degrees of freedom of a Student t population; normal if not given.
+    groups : Groups, optional
+        Of a population of two groups.
     """
 
     network: Network
@@ -193,6 +196,7 @@ class UserPopulation:
     removed: tuple[str, ...] = ()
     note: str = ""
     tail: np.ndarray | None = None
+    groups: Groups | None = None
 
     def __repr__(self) -> str:
         return f"<UserPopulation {self.network}: {len(self.mu)} posterior draws, impedance in {self.unit}>"
@@ -247,10 +251,10 @@ class UserPopulation:
         whole_number_in(seed, "seed", 0)
         rng = np.random.default_rng(seed)
         rows = np.linspace(0, len(self.mu) - 1, number).astype(int)
-        normal = rng.normal(size=(number, self.mu.shape[1]))
-        if self.tail is not None:
-            normal *= drawn_factors(self.tail[rows], (number,), rng)[:, None]
-        theta = self.mu[rows] + np.einsum("spq,sq->sp", self.factor[rows], normal)
+        tail = None if self.tail is None else self.tail[rows]
+        groups = None if self.groups is None else self.groups[rows]
+        own = standard_people(rng.normal(size=(number, self.mu.shape[1])), tail, groups, rng)
+        theta = self.mu[rows] + np.einsum("spq,sq->sp", self.factor[rows], own)
         if repetitions:
             theta = theta + self.between_repetitions[rows] * rng.normal(size=theta.shape)
         width = len(str(number))
@@ -291,11 +295,11 @@ class UserPopulation:
         same = {*self.fixed, *self.shared}
         free = [i for i, e in enumerate(self.network.elements) if e not in same]
         factor = self.factor[row][np.ix_(free, free)]
-        white = solve_triangular(factor, (users.u[:, free] - self.mu[row, free]).T, lower=True)
-        square, constant = np.sum(white**2, axis=0), np.sum(np.log(np.diag(factor)))
-        if self.tail is not None:
-            return np.asarray(log_t(square, self.tail[row], len(free)) - constant)
-        return np.asarray(-0.5 * square - constant)
+        white = solve_triangular(factor, (users.u[:, free] - self.mu[row, free]).T, lower=True).T
+        tail, groups = None if self.tail is None else self.tail[row], self.groups
+        if groups is not None:
+            groups = Groups(groups.share[[row]], groups.separation[[row]][:, free])
+        return np.asarray(log_standard_density(white, tail, groups) - np.sum(np.log(np.diag(factor))))
 
 
 def population_of(
@@ -368,7 +372,12 @@ def population_of(
         raise InputError("the fit's elements have a covariance that is not positive definite: fit again") from None
     factor[:, same, :] = 0.0
     frequency = np.asarray(result.coords["frequency_hz"], dtype=float)
-    tail = posterior.get(TAIL)
+    tail, groups = posterior.get(TAIL), None
+    if SHARE in posterior:
+        difference = _flat(posterior, DIFFERENCE)[:, columns]
+        difference[:, same] = 0.0
+        groups = groups_of(difference, _flat(posterior, SHARE), factor)
+    note = "" if tail is None and groups is None else _TAILS if groups is None else _GROUPS
     return UserPopulation(
         network=network,
         unit=str(result.attributes["unit"]),
@@ -378,8 +387,9 @@ def population_of(
         fixed=tuple(assume),
         band_hz=(float(frequency[0]), float(frequency[-1])),
         removed=body.removed,
-        note=" ".join(filter(None, (body.note, "" if tail is None else _TAILS))),
+        note=" ".join(filter(None, (body.note, note))),
         tail=None if tail is None else np.asarray(tail).reshape(-1),
+        groups=groups,
     )
 
 
@@ -387,12 +397,3 @@ def _flat(posterior: Mapping[str, np.ndarray], name: str) -> np.ndarray:
     """Draws of all ensembles along one axis; zeros for a dispersion that the fit does not have."""
     values = np.array(posterior[name] if name in posterior else np.zeros_like(posterior["mu"]), dtype=float)
     return values.reshape(-1, *values.shape[2:])
-
-
-def percentile_curves(
-    users: Users, frequency_hz: npt.ArrayLike, probabilities: Sequence[float] = PERCENTILES
-) -> tuple[np.ndarray, np.ndarray]:
-    """Pointwise percentiles of magnitude and of phase in degrees over users, each of shape (len(probabilities), F)."""
-    z = users.impedance(frequency_hz)
-    magnitude = np.quantile(np.abs(z), probabilities, axis=0)
-    return np.asarray(magnitude), np.asarray(np.quantile(np.angle(z, deg=True), probabilities, axis=0))

@@ -26,6 +26,7 @@ from bayes_impedance.mcmc.autocorrelation import autocorrelation_time
 from bayes_impedance.mcmc.chain_file import read_chain, write_chain
 from bayes_impedance.mcmc.crank_nicolson import crank_nicolson_move
 from bayes_impedance.mcmc.hamiltonian import hamiltonian_move
+from bayes_impedance.mcmc.mirrored import labelled, mirrored_move
 from bayes_impedance.runtime.progress import Progress
 
 LogProbability = Callable[[np.ndarray], np.ndarray]
@@ -124,6 +125,11 @@ class Chains:
 _HALVINGS = 10
 """Most times that the distance of a walker from the centre is halved at the start, while the density is zero there."""
 
+_OF_MIRRORED = 0.2
+"""Weight of the move of mirrored coordinates beside the others, whose weights add up to one. Measured with two groups
+among 24 people (six populations, 13 dimensions): longest autocorrelation times 13 to 125 with 0.1 to 0.4, 220 to 390
+with 1, and 370 to 1320 with 4, as the other coordinates are moved less often."""
+
 _CLEARLY_NOT_ZERO = 2.0
 """Mean of a coordinate's absolute value, in its standard deviations, above which it is clearly not zero: 1.3 of a
 normal distribution about zero, 5 where the normal distribution is five standard deviations away. By choice."""
@@ -146,8 +152,10 @@ class _Ensemble:
         file: Path | None,
         even: np.ndarray,
         gradient: Gradient | None = None,
+        mirrored: np.ndarray | None = None,
     ) -> None:
         self.log_probability, self.gradient = log_probability, gradient
+        self.mirrored = np.zeros(centre.size, dtype=bool) if mirrored is None else mirrored
         self.n_dimensions = centre.size
         self.n_walkers = 2 * max(centre.size, 16)
         self.centre, self.covariance, self.file = centre, covariance, file
@@ -236,6 +244,8 @@ class _Ensemble:
             (emcee.moves.DEMove(), 0.08),
             (emcee.moves.DEMove(gamma0=1.0), 0.02),
         ]
+        if self.mirrored.any():
+            moves.append((mirrored_move(self.mirrored), _OF_MIRRORED))
         sampler = emcee.EnsembleSampler(
             self.n_walkers, self.n_dimensions, self.log_probability, moves=moves, vectorize=True, backend=backend
         )
@@ -273,6 +283,7 @@ def sample(
     first_file: int = 0,
     even: np.ndarray | None = None,
     gradient: Gradient | None = None,
+    mirrored: np.ndarray | None = None,
 ) -> Chains:
     """Sample a distribution that is close to normal.
 
@@ -297,6 +308,9 @@ def sample(
     gradient : callable, optional
         Gradient of the log density, or nearly: maps (W, D) to (W, D). Where it is given, a curved density is sampled
         along trajectories.
+    mirrored : ndarray of bool, shape (D,), optional
+        Coordinates that may change their signs together without the density changing; the signs that are returned are
+        chosen by :func:`~bayes_impedance.mcmc.mirrored.labelled`.
 
     Returns
     -------
@@ -313,7 +327,7 @@ def sample(
     files = [checkpoint / f"ensemble_{first_file + i}.h5" if checkpoint else None for i in range(settings.ensembles)]
     even = np.zeros(centre.size, dtype=bool) if even is None else even
     ensembles = [
-        _Ensemble(log_probability, centre, covariance, child, file, even, gradient)
+        _Ensemble(log_probability, centre, covariance, child, file, even, gradient, mirrored)
         for child, file in zip(children, files, strict=True)
     ]
     total = settings.ensembles * sum(settings.burn_in)
@@ -345,9 +359,9 @@ def _collect(ensembles: list[_Ensemble]) -> Chains:
     from bayes_impedance.mcmc.arviz_file import rhat
 
     draws, log_probability, times = [], [], []
-    for ensemble in ensembles:
-        chain = ensemble.sampler.get_chain()  # (steps, walkers, D)
-        chain = np.where(ensemble.even, np.abs(chain), chain)
+    chains = [e.sampler.get_chain() for e in ensembles]  # (steps, walkers, D)
+    chains = [np.where(e.even, np.abs(chain), chain) for e, chain in zip(ensembles, chains, strict=True)]
+    for ensemble, chain in zip(ensembles, labelled(chains, ensembles[0].mirrored), strict=True):
         tau = autocorrelation_time(chain)
         times.append(tau)
         spacing = int(np.clip(np.ceil(tau.max()), 1, max(len(chain) // 10, 1)))

@@ -9,8 +9,9 @@ import numpy as np
 from bayes_impedance.design.answer import DesignAnswer
 from bayes_impedance.design.loop.stability import loop_of
 from bayes_impedance.design.loop.transparency import loop_gain
+from bayes_impedance.design.percentiles import percentile_curves
 from bayes_impedance.design.representatives import Representatives
-from bayes_impedance.design.users import UserPopulation, Users, percentile_curves
+from bayes_impedance.design.users import UserPopulation, Users
 from bayes_impedance.plots.style import (
     BLUE,
     GREEN,

@@ -19,6 +19,7 @@ import numpy as np
 from bayes_impedance.population.heavy_tails import tail_slope
 from bayes_impedance.population.likelihood_gradient import ParameterGradient
 from bayes_impedance.population.parameters import Coordinates, PopulationParameters
+from bayes_impedance.population.two_components import share_slope
 
 
 def pulled_back(
@@ -40,7 +41,7 @@ def pulled_back(
     ndarray, shape (W, D)
     """
     free, prior = np.array(coordinates.free, dtype=int), coordinates.prior
-    centre, persons, repetitions, slopes, partial, tail, shared = coordinates.blocks(vector)
+    centre, persons, repetitions, slopes, partial, tail, separation, share, shared = coordinates.blocks(vector)
     tau, factor = parameters.between_persons, parameters.correlation_cholesky
     scaled = gradient.covariance * tau[:, None, :]  # S D
     on_tau = 2 * np.einsum("wpq,wqp->wp", scaled, parameters.correlation)
@@ -61,6 +62,9 @@ def pulled_back(
         parts.append(on_partial - 2 * coordinates.levels() * np.tanh(partial))
     if coordinates.tails:
         parts.append(gradient.tail[:, None] * tail_slope(tail) - tail)
+    if coordinates.groups:
+        parts.append(coordinates.separation_unit * gradient.separation[:, free] - separation)
+        parts.append(gradient.share[:, None] * share_slope(share) - share)
     if coordinates.shared_free:
         parts.append(gradient.shared[:, list(coordinates.shared_free)] @ coordinates.shared_factor - shared)
     return np.concatenate(parts, axis=1)

@@ -47,6 +47,7 @@ from bayes_impedance.population.order import Order, arranged
 from bayes_impedance.population.prior import Prior
 from bayes_impedance.population.shared import Pooling
 from bayes_impedance.population.starting_fits import FirstFits
+from bayes_impedance.population.two_components import Groups, estimated_groups
 from bayes_impedance.runtime.checkpoint import load_arrays, save_arrays
 from bayes_impedance.runtime.progress import Progress
 from bayes_impedance.runtime.sharded import Kept
@@ -112,6 +113,8 @@ class Estimate:
         Reciprocal degrees of freedom of a Student t population.
     weights : ndarray, shape (N,), optional
         Each person's weight in it.
+    groups : Groups, optional
+        One, of a population of two groups; elements that the recordings do not determine have no separation.
     """
 
     mu: np.ndarray
@@ -135,6 +138,7 @@ class Estimate:
     rivals: tuple[float, ...]
     tail: float | None = None
     weights: np.ndarray | None = None
+    groups: Groups | None = None
 
     @property
     def determined(self) -> np.ndarray:
@@ -282,6 +286,17 @@ def estimate(
         tail=state.tail,
         weights=state.weights,
     )
+
+
+def with_groups(point: Estimate, covariates: np.ndarray) -> Estimate:
+    """The estimate with two groups of people, found among their modes; covariates (N, Q)."""
+    seen = np.flatnonzero(point.determined)
+    away = np.array(point.fits.gathered(attrgetter("theta"))) - point.mu - covariates @ point.slopes.T
+    factor = np.linalg.cholesky(point.covariance[np.ix_(seen, seen)])
+    found = estimated_groups(np.linalg.solve(factor, away[:, seen].T).T)
+    separation = np.zeros((1, point.mu.size))
+    separation[:, seen] = found.separation
+    return replace(point, groups=replace(found, separation=separation))
 
 
 def moved_to(point: Estimate, shared: np.ndarray, means: np.ndarray, covariance: np.ndarray) -> Estimate:

@@ -38,18 +38,24 @@ from bayes_impedance.population.calibrated import known_of, prior_of, within_rig
 from bayes_impedance.population.covariate_terms import with_terms
 from bayes_impedance.population.dependence import dependent
 from bayes_impedance.population.diagnostics import Diagnostics, assess
-from bayes_impedance.population.em import Estimate, estimate
+from bayes_impedance.population.em import Estimate, estimate, with_groups
 from bayes_impedance.population.heavy_tails import NORMAL, STUDENT_T
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.posterior import Posterior
 from bayes_impedance.population.prior import Prior
 from bayes_impedance.population.recording_noise import initial_likelihoods, scaled_noise
-from bayes_impedance.population.requirements import CheckedModel, checked_model
+from bayes_impedance.population.requirements import (
+    CheckedModel,
+    checked_model,
+    require_people_for_groups,
+    too_few_for_correlations,
+)
 from bayes_impedance.population.sampling import sampled
 from bayes_impedance.population.settings import QUICK_SETTINGS, FitSettings
 from bayes_impedance.population.shared import Pooling
 from bayes_impedance.population.shown_fit import ShownFit
 from bayes_impedance.population.starting_fits import FirstFits, first_fits
+from bayes_impedance.population.two_components import MIXTURE
 from bayes_impedance.population.whole import Whole
 from bayes_impedance.recordings.dataset import require_recordings
 from bayes_impedance.recordings.files import Recordings
@@ -201,6 +207,8 @@ def fit_population(
         settings = replace(settings, distribution=NORMAL)
     pooling = Pooling(kernel) if one else Pooling.of(kernel)  # one person's own and the same for all: no difference
     whole = Whole(pooling)
+    if settings.distribution == MIXTURE:
+        require_people_for_groups(len(recordings.subjects), pooling.varying.size)
     if too_few_for_correlations(len(recordings.subjects), pooling.varying.size):
         settings = replace(settings, covariance="diagonal")
     prior = prior_for(kernel, recordings, settings)
@@ -235,6 +243,7 @@ def fit_population(
                 checkpoint=None if checkpoint is None else checkpoint / _POINT_ESTIMATE,
                 tails=settings.distribution == STUDENT_T,
             )
+            point = with_groups(point, covariates) if settings.distribution == MIXTURE else point
         if one:
             return _one_person(
                 recordings, whole, model, prior, settings, seed, point, first, seeds[2], clock, progress, checkpoint
@@ -365,11 +374,3 @@ def prior_for(kernel: Kernel, recordings: Recordings, settings: FitSettings) -> 
     """The default prior, with what a calibration and the settings say."""
     prior = prior_of(kernel, recordings)
     return prior if settings.prior is None else settings.prior.applied(prior, kernel, recordings.unit)
-
-
-def too_few_for_correlations(n_persons: int, n_elements: int) -> bool:
-    """Whether even a sample covariance of the elements would be singular.
-
-    The posterior of a full covariance matrix then concentrates at singular matrices; only the prior limits it.
-    """
-    return n_persons < n_elements + 2

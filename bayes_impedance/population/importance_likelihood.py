@@ -21,8 +21,9 @@ The contrasts between repetitions have a closed form at each person's mode
 (:mod:`bayes_impedance.population.contrasts`); monomials in functions of rho are further columns, by which a draw away
 from the mode differs (:mod:`bayes_impedance.population.moved_dispersions`).
 
-A population with heavier tails is a mixture of normal ones (:mod:`bayes_impedance.population.heavy_tails`). Its weights
-of the same draws are the sums of theirs, a chunk of populations at a time.
+A population with heavier tails (:mod:`bayes_impedance.population.heavy_tails`) or of two groups
+(:mod:`bayes_impedance.population.two_components`) is a mixture of normal ones. Its weights of the same draws are the
+sums of theirs, a chunk of populations at a time.
 """
 
 from __future__ import annotations
@@ -35,9 +36,9 @@ import numpy as np
 from bayes_impedance.person.importance_draws import Draws
 from bayes_impedance.population.contrasts import Contrasts
 from bayes_impedance.population.exponentials import log_sums, sums_of_exponentials
-from bayes_impedance.population.heavy_tails import NODES, mixture_of
 from bayes_impedance.population.moved_dispersions import DispersionRange
 from bayes_impedance.population.parameters import PopulationParameters
+from bayes_impedance.population.shapes import normal_parts
 from bayes_impedance.population.shared_draws import Moved, Sharing, monomials, stacked
 
 _BLOCK = 4
@@ -164,10 +165,11 @@ class ImportanceLikelihood:
         """
         n_sets, n_persons = parameters.mu.shape[0], self.reference_means.shape[0]
         result = np.empty((n_sets, n_persons))
-        if parameters.tail is not None and not effective:
+        if parameters.mixed and not effective:
             for persons, rows, values, offsets in self._by_node(parameters):
                 peaks, sums, _ = sums_of_exponentials(values)
-                of_nodes = (np.log(sums / self.n_draws) + peaks + offsets).reshape(-1, NODES, persons.size)
+                of_nodes = np.log(sums / self.n_draws) + peaks + offsets
+                of_nodes = of_nodes.reshape(rows.stop - rows.start, -1, persons.size)
                 result[rows, persons] = np.logaddexp.reduce(of_nodes, axis=1)
             return result, np.empty((0, 0))
         counts = np.empty((n_sets, n_persons)) if effective else np.empty((0, 0))
@@ -203,8 +205,8 @@ class ImportanceLikelihood:
 
         The log weights are overwritten by those of the next block.
         """
-        if parameters.tail is not None:
-            yield from self._exponents_with_tails(parameters)
+        if parameters.mixed:
+            yield from self._exponents_of_mixtures(parameters)
             return
         values = np.empty((0, 0, 0), dtype=np.float32)
         for persons, features, coefficients, constants in self._by_block(parameters):
@@ -253,18 +255,19 @@ class ImportanceLikelihood:
         Yields the persons (B,), the mixtures of a chunk as a slice, the log weights of the draws under each normal
         population, (w G, B, K), and what is to be added to them, (w G, B). Log weights are overwritten by the next.
         """
-        mixture, n_sets = mixture_of(parameters), len(parameters.mu)
-        at_once = max(1, _CHUNK // (NODES * _BLOCK * self.n_draws))
+        parts, log_weight = normal_parts(parameters)
+        n_sets, n_nodes = log_weight.shape
+        at_once = max(1, _CHUNK // (n_nodes * _BLOCK * self.n_draws))
         values = np.empty((0, 0, 0), dtype=np.float32)
-        for persons, features, coefficients, constants in self._by_block(mixture.parameters):
-            offsets = mixture.log_weight.reshape(-1, 1) + np.broadcast_to(constants, (n_sets * NODES, persons.size))
+        for persons, features, coefficients, constants in self._by_block(parts):
+            offsets = log_weight.reshape(-1, 1) + np.broadcast_to(constants, (n_sets * n_nodes, persons.size))
             for start in range(0, n_sets, at_once):
                 rows = slice(start, min(start + at_once, n_sets))
-                nodes = slice(rows.start * NODES, rows.stop * NODES)
+                nodes = slice(rows.start * n_nodes, rows.stop * n_nodes)
                 values = self._products(coefficients[..., nodes, :], features, persons.size, values)
                 yield persons, rows, values, offsets[nodes]
 
-    def _exponents_with_tails(
+    def _exponents_of_mixtures(
         self, parameters: PopulationParameters
     ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """As :meth:`exponents`, of mixtures: logarithms of sums over their normal populations."""
@@ -274,8 +277,8 @@ class ImportanceLikelihood:
             shape = n_sets, persons.size, self.n_draws
             if whole.shape != shape:
                 whole = np.empty(shape, dtype=np.float32)
-            own = values.reshape(-1, NODES, persons.size, self.n_draws)
-            log_sums(own, offsets.reshape(-1, NODES, persons.size).astype(np.float32), whole[rows])
+            own = values.reshape(rows.stop - rows.start, -1, persons.size, self.n_draws)
+            log_sums(own, offsets.reshape(len(own), -1, persons.size).astype(np.float32), whole[rows])
             if rows.stop == n_sets:
                 yield persons, whole, np.zeros((n_sets, persons.size))
 

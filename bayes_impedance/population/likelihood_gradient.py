@@ -20,19 +20,23 @@ gradient is the mean of theirs with the probability :math:`r_{ig} = w_g p_{ig}/\
 respect to :math:`\kappa = 1/\nu` it is :math:`\sum_{ig} r_{ig}\,\partial_\kappa \ln w_g` and, as the nodes move too,
 :math:`\sum_g \partial_\kappa \ln\lambda_g \sum_{pq} S^g_{pq}\,\lambda_g\Sigma_{pq}`, where :math:`S^g` is the
 derivative with respect to the covariance at node g.
+
+**Of two groups** (:mod:`bayes_impedance.population.two_components`) it is the mean over groups in the same way.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from bayes_impedance.population.exponentials import normalise_rows
-from bayes_impedance.population.heavy_tails import NODES, mixture_of
+from bayes_impedance.population.heavy_tails import mixture_of
 from bayes_impedance.population.importance_likelihood import ImportanceLikelihood
 from bayes_impedance.population.parameters import PopulationParameters
+from bayes_impedance.population.shapes import normal_parts
 from bayes_impedance.population.shared_draws import monomial_slopes
+from bayes_impedance.population.two_components import through_groups
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +54,9 @@ class ParameterGradient:
     shared : ndarray, shape (W, S)
     tail : ndarray, shape (W,)
         With respect to the reciprocal degrees of freedom; zero of normal populations.
+    share : ndarray, shape (W,)
+    separation : ndarray, shape (W, P)
+        Of two groups; zero if there are none.
     """
 
     mu: np.ndarray
@@ -58,6 +65,8 @@ class ParameterGradient:
     slopes: np.ndarray
     shared: np.ndarray
     tail: np.ndarray
+    share: np.ndarray
+    separation: np.ndarray
 
     def __add__(self, other: ParameterGradient) -> ParameterGradient:
         return ParameterGradient(**{f.name: getattr(self, f.name) + getattr(other, f.name) for f in fields(self)})
@@ -71,31 +80,44 @@ def likelihood_gradient(marginal: ImportanceLikelihood, parameters: PopulationPa
     marginal : ImportanceLikelihood
     parameters : PopulationParameters
     """
-    return _normal(marginal, parameters, None) if parameters.tail is None else _with_tails(marginal, parameters)
+    return _of_mixture(marginal, parameters) if parameters.mixed else _normal(marginal, parameters, None)
 
 
-def _with_tails(marginal: ImportanceLikelihood, parameters: PopulationParameters) -> ParameterGradient:
-    """The gradient of populations with tails."""
-    mixture, shape = mixture_of(parameters), (len(parameters.mu), NODES)
-    node = marginal.terms(mixture.parameters)[0] + mixture.log_weight.reshape(-1, 1)
+def _of_mixture(marginal: ImportanceLikelihood, parameters: PopulationParameters) -> ParameterGradient:
+    """The gradient of populations with tails, or of two groups."""
+    parts, log_weight = normal_parts(parameters)
+    shape = log_weight.shape
+    node = marginal.terms(parts)[0] + log_weight.reshape(-1, 1)
     node = node.reshape(*shape, node.shape[1]) - marginal.terms(parameters)[0][:, None]
     probability = np.exp(node)
-    each = _normal(marginal, mixture.parameters, probability.reshape(-1, node.shape[2]))
+    each = _normal(marginal, parts, probability.reshape(-1, node.shape[2]))
 
-    def summed(values: np.ndarray) -> np.ndarray:
-        return np.asarray(values.reshape(*shape, *values.shape[1:]).sum(axis=1))
+    def by_node(values: np.ndarray) -> np.ndarray:
+        return values.reshape(*shape, *values.shape[1:])
 
-    on_factor = np.sum(each.covariance * mixture.parameters.covariance, axis=(1, 2)).reshape(shape)
-    factor = np.exp(mixture.log_factor).reshape(-1, 1, 1)
-    repetitions = summed(each.between_repetitions)
+    repetitions = by_node(each.between_repetitions).sum(axis=1)
     for contrasts in marginal.contrasts:
         repetitions = repetitions + contrasts.slope(parameters.between_repetitions)
-    return ParameterGradient(
-        mu=summed(each.mu),
-        covariance=summed(factor * each.covariance),
+    whole = replace(
+        each,
+        mu=by_node(each.mu).sum(axis=1),
         between_repetitions=repetitions,
-        slopes=summed(each.slopes),
-        shared=summed(each.shared),
+        slopes=by_node(each.slopes).sum(axis=1),
+        shared=by_node(each.shared).sum(axis=1),
+        tail=np.zeros(shape[0]),
+        share=np.zeros(shape[0]),
+        separation=np.zeros(parameters.mu.shape),
+    )
+    if parameters.groups is not None:
+        on_within = by_node(each.covariance).sum(axis=1)
+        found = through_groups(parameters, by_node(each.mu), on_within, probability.sum(axis=2))
+        return replace(whole, covariance=found[0], share=found[1], separation=found[2])
+    mixture = mixture_of(parameters)
+    on_factor = np.sum(each.covariance * parts.covariance, axis=(1, 2)).reshape(shape)
+    factor = np.exp(mixture.log_factor).reshape(-1, 1, 1)
+    return replace(
+        whole,
+        covariance=by_node(factor * each.covariance).sum(axis=1),
         tail=np.sum(probability.sum(axis=2) * mixture.weight_slope + on_factor * mixture.factor_slope, axis=1),
     )
 
@@ -161,6 +183,8 @@ def _normal(
         slopes=slopes,
         shared=shared,
         tail=np.zeros(n_sets),
+        share=np.zeros(n_sets),
+        separation=np.zeros((n_sets, n_elements)),
     )
 
 

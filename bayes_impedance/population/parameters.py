@@ -14,7 +14,8 @@ with covariates x standardised. The default priors need no knowledge of unit or 
   C-vine the partial correlation of level j is Beta(b, b) on (-1, 1) with :math:`b = \eta + (P - 2 - j)/2`.
 
 In a population with heavier tails theta follows a multivariate t with scale matrix :math:`\Sigma`, whose degrees of
-freedom are one parameter more (:mod:`bayes_impedance.population.heavy_tails`).
+freedom are one parameter more (:mod:`bayes_impedance.population.heavy_tails`). A population of two groups has the same
+moments, and a share and a separation more (:mod:`bayes_impedance.population.two_components`).
 
 **Coordinates.** The sampled distribution should be close to normal. Centres are standardised, or have
 a distance from the one below (:mod:`bayes_impedance.population.ordered_centres`). A dispersion with a
@@ -36,7 +37,9 @@ import numpy as np
 
 from bayes_impedance.population.heavy_tails import coordinate_of, tail_of
 from bayes_impedance.population.ordered_centres import Centres
+from bayes_impedance.population.partial_correlations import cholesky_from_partial, log_cosh, partial_from_cholesky
 from bayes_impedance.population.prior import Prior
+from bayes_impedance.population.two_components import SEPARATION, Groups, share_coordinate, share_of
 
 _SMALLEST = 1e-9
 """Least absolute value of a dispersion's coordinate: covariances stay invertible, and nothing that small is resolved by
@@ -64,6 +67,8 @@ class PopulationParameters:
     tail : ndarray, shape (W,), optional
         Reciprocal degrees of freedom of a Student t population, whose scales are `between_persons`; a normal population
         if not given.
+    groups : Groups, optional
+        Of a population of two groups, whose mean and covariance are those of all people.
     """
 
     mu: np.ndarray
@@ -73,6 +78,12 @@ class PopulationParameters:
     slopes: np.ndarray
     shared: np.ndarray | None = None
     tail: np.ndarray | None = None
+    groups: Groups | None = None
+
+    @property
+    def mixed(self) -> bool:
+        """Whether the populations are mixtures of normal ones."""
+        return self.tail is not None or self.groups is not None
 
     @property
     def correlation(self) -> np.ndarray:
@@ -99,6 +110,7 @@ class PopulationParameters:
             slopes=self.slopes[rows],
             shared=None if self.shared is None else self.shared[rows],
             tail=None if self.tail is None else self.tail[rows],
+            groups=None if self.groups is None else self.groups[rows],
         )
 
 
@@ -108,8 +120,9 @@ class Coordinates:
 
     The vector holds, in this order: centres (P), dispersions between persons (P), those between repetitions (P,
     if `repetitions`), slopes (P Q), partial correlations (P (P - 1) / 2, if `correlated`), the degrees of freedom (1,
-    if `tails`), parameters that are the same for everybody (S). Elements that are not `free` keep the given population
-    parameters and have no coordinates: the data hold no information on them.
+    if `tails`), separation and share (P and 1, if `groups`), parameters that are the same for everybody (S). Elements
+    that are not `free` keep the given population parameters and have no coordinates: the data hold no information on
+    them.
 
     Attributes
     ----------
@@ -134,6 +147,8 @@ class Coordinates:
         everywhere if not given.
     tails : bool
         Whether the population is a Student t whose degrees of freedom are sampled.
+    groups : bool
+        Whether it has two groups.
     """
 
     prior: Prior
@@ -149,6 +164,7 @@ class Coordinates:
     bend_persons: np.ndarray | None = None
     bend_repetitions: np.ndarray | None = None
     tails: bool = False
+    groups: bool = False
 
     @property
     def n_elements(self) -> int:
@@ -156,7 +172,7 @@ class Coordinates:
         return int(self.prior.centre.size)
 
     @property
-    def sizes(self) -> tuple[int, int, int, int, int, int, int]:
+    def sizes(self) -> tuple[int, ...]:
         """Number of coordinates of each block."""
         n = len(self.free)
         return (
@@ -166,6 +182,8 @@ class Coordinates:
             n * self.n_covariates,
             n * (n - 1) // 2 if self.correlated else 0,
             1 if self.tails else 0,
+            n if self.groups else 0,
+            1 if self.groups else 0,
             len(self.shared_free),
         )
 
@@ -185,7 +203,7 @@ class Coordinates:
 
     def unpack(self, vector: np.ndarray) -> PopulationParameters:
         """Population parameters of sampled vectors, shape (W, D)."""
-        centre, persons, repetitions, slopes, partial, tail, shared = self.blocks(vector)
+        centre, persons, repetitions, slopes, partial, tail, separation, share, shared = self.blocks(vector)
         w, p, free = vector.shape[0], self.n_elements, list(self.free)
         mu = np.tile(self.held_mu, (w, 1))
         mu[:, free] = self.centres.values(centre)
@@ -200,7 +218,7 @@ class Coordinates:
         cholesky = np.tile(np.eye(p), (w, 1, 1))
         if self.correlated:
             chosen = np.array(free)
-            cholesky[:, chosen[:, None], chosen] = _cholesky_from_partial(np.tanh(partial), len(free))
+            cholesky[:, chosen[:, None], chosen] = cholesky_from_partial(np.tanh(partial), len(free))
         return PopulationParameters(
             mu=mu,
             between_persons=tau,
@@ -209,7 +227,26 @@ class Coordinates:
             slopes=b,
             shared=self._shared(shared),
             tail=tail_of(tail[:, 0]) if self.tails else None,
+            groups=self._groups(separation, share) if self.groups else None,
         )
+
+    def _groups(self, separation: np.ndarray, share: np.ndarray) -> Groups:
+        own = np.zeros((len(share), self.n_elements))
+        own[:, list(self.free)] = self.separation_unit * separation
+        return Groups(share_of(share[:, 0]), own)
+
+    @property
+    def separation_unit(self) -> float:
+        """Prior standard deviation of the separation in each free element."""
+        return float(SEPARATION / np.sqrt(len(self.free)))
+
+    @property
+    def mirrored(self) -> np.ndarray:
+        """Coordinates whose signs may change together, for groups can be exchanged: bool, shape (D,)."""
+        result = np.zeros(self.n_dimensions, dtype=bool)
+        end = self.n_dimensions - self.sizes[-1]
+        result[end - sum(self.sizes[-3:-1]) : end] = True
+        return result
 
     def _shared(self, coordinates: np.ndarray) -> np.ndarray | None:
         if self.shared_prior is None or self.held_shared is None:
@@ -239,16 +276,17 @@ class Coordinates:
 
     def log_prior(self, vector: np.ndarray) -> np.ndarray:
         """Log prior density of sampled vectors, shape (W, D), up to a constant: shape (W,)."""
-        centre, persons, repetitions, slopes, partial, tail, shared = self.blocks(vector)
+        centre, persons, repetitions, slopes, partial, tail, separation, share, shared = self.blocks(vector)
         value = self.centres.log_prior(centre)
-        for block in (slopes, tail, shared) if self.tails else (slopes, shared):
+        more = ((tail,) if self.tails else ()) + ((separation, share) if self.groups else ())
+        for block in (slopes, *more, shared):
             value = value - 0.5 * np.sum(block**2, axis=-1)
         value = value + self._log_prior_of(persons, self.bend_persons)
         if self.repetitions:
             value = value + self._log_prior_of(repetitions, self.bend_repetitions)
         if self.correlated:
             # In u = atanh(r) the density (1 - r^2)^(b - 1) becomes (1 - r^2)^b = sech(u)^(2 b).
-            value = value - 2 * np.sum(self.levels() * _log_cosh(partial), axis=-1)
+            value = value - 2 * np.sum(self.levels() * log_cosh(partial), axis=-1)
         return np.asarray(value)
 
     def pack(
@@ -259,6 +297,7 @@ class Coordinates:
         slopes: np.ndarray,
         shared: np.ndarray | None = None,
         tail: float | None = None,
+        groups: Groups | None = None,
     ) -> np.ndarray:
         """Vector of one set of parameters.
 
@@ -271,6 +310,8 @@ class Coordinates:
         shared : ndarray, shape (S,), optional
         tail : float, optional
             Reciprocal degrees of freedom.
+        groups : Groups, optional
+            One.
         """
         free = list(self.free)
         tau = np.sqrt(np.diag(covariance))[free]
@@ -283,9 +324,11 @@ class Coordinates:
         parts.append(slopes[free].ravel() / self.prior.slope_sd)
         if self.correlated:
             correlation = covariance[np.ix_(free, free)] / np.outer(tau, tau)
-            parts.append(np.arctanh(_partial_from_cholesky(np.linalg.cholesky(correlation))))
+            parts.append(np.arctanh(partial_from_cholesky(np.linalg.cholesky(correlation))))
         if self.tails and tail is not None:
             parts.append(np.array([coordinate_of(tail)]))
+        if self.groups and groups is not None:
+            parts += [groups.separation[0, free] / self.separation_unit, share_coordinate(groups.share)]
         if self.shared_prior is not None and shared is not None:
             chosen = list(self.shared_free)
             parts.append(np.linalg.solve(self.shared_factor, (shared - self.shared_prior.centre)[chosen]))
@@ -324,41 +367,10 @@ class Coordinates:
         if bend is None:
             return np.asarray(-0.5 * np.sum(u**2, axis=-1))
         s = bend[list(self.free)] * np.sinh(u)
-        return np.asarray(np.sum(_log_cosh(u) - 0.5 * s**2, axis=-1))
+        return np.asarray(np.sum(log_cosh(u) - 0.5 * s**2, axis=-1))
 
     def levels(self) -> np.ndarray:
         """Parameter b of the Beta(b, b) prior of each partial correlation, by rows of the lower triangle."""
         n = len(self.free)
         _, column = np.tril_indices(n, -1)
         return np.asarray(self.prior.concentration + (n - 2 - column) / 2)
-
-
-def _log_cosh(u: np.ndarray) -> np.ndarray:
-    return np.asarray(np.abs(u) + np.log1p(np.exp(-2 * np.abs(u))) - np.log(2))
-
-
-def _cholesky_from_partial(partial: np.ndarray, n: int) -> np.ndarray:
-    """Cholesky factors, shape (W, n, n), of the correlation matrices with partial correlations (W, n (n-1)/2)."""
-    factor = np.zeros((partial.shape[0], n, n))
-    factor[:, :1, :1] = 1
-    k = 0
-    for i in range(1, n):
-        rest = np.ones(partial.shape[0])
-        for j in range(i):
-            factor[:, i, j] = partial[:, k] * rest
-            rest = rest * np.sqrt(1 - partial[:, k] ** 2)
-            k += 1
-        factor[:, i, i] = rest
-    return factor
-
-
-def _partial_from_cholesky(factor: np.ndarray) -> np.ndarray:
-    """Partial correlations of one Cholesky factor, shape (n, n): inverse of `_cholesky_from_partial`."""
-    n = factor.shape[0]
-    partial = []
-    for i in range(1, n):
-        rest = 1.0
-        for j in range(i):
-            partial.append(factor[i, j] / rest)
-            rest *= np.sqrt(max(1 - partial[-1] ** 2, 1e-12))
-    return np.asarray(np.clip(np.array(partial), -0.999, 0.999))

@@ -132,9 +132,8 @@ class Posterior:
         self.pooling, self.shared_covariance = point.pooling, point.shared_covariance
         self.sharing: Sharing | None = None
         self.repetitions = repetitions
-        determined = point.determined
+        determined, held = point.determined, ~point.determined
         self.covariance = point.covariance.copy()
-        held = ~determined
         self.covariance[held, :] = 0
         self.covariance[:, held] = 0
         self.covariance[held, held] = 1.0
@@ -152,6 +151,7 @@ class Posterior:
             bend_persons=bend_of(np.sqrt(np.diag(self.covariance)), own),
             bend_repetitions=bend_of(point.between_repetitions, own),
             tails=point.tail is not None,
+            groups=point.groups is not None,
         )
         if not (self.coordinates.free or self.coordinates.shared_free):
             raise InputError(

@@ -19,6 +19,7 @@ def draw_prior(
     repetitions: bool = True,
     n_covariates: int = 0,
     tails: bool = False,
+    groups: bool = False,
 ) -> PopulationParameters:
     """Draw sets of population parameters from a prior.
 
@@ -38,6 +39,8 @@ def draw_prior(
     n_covariates : int
     tails : bool
         Whether the population is a Student t.
+    groups : bool
+        Whether it has two groups.
 
     Returns
     -------
@@ -61,6 +64,7 @@ def draw_prior(
         shared_free=tuple(range(common.size)),
         held_shared=np.zeros(common.size) if common.size else None,
         tails=tails,
+        groups=groups,
     )
     vector = rng.normal(size=(n, coordinates.n_dimensions))
     if coordinates.centres.order:

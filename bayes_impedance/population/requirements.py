@@ -69,6 +69,28 @@ def checked_model(
     return CheckedModel(kernel, written, combinations, standardised)
 
 
+def require_people_for_groups(n_persons: int, n_elements: int) -> None:
+    """Refuse a population of two groups of so few people that no full covariance can be estimated.
+
+    Raises
+    ------
+    InputError
+    """
+    if too_few_for_correlations(n_persons, n_elements):
+        raise InputError(
+            f"{n_persons} subjects are too few for two groups that differ in {n_elements} elements: take another "
+            "distribution, or a network with fewer elements"
+        )
+
+
+def too_few_for_correlations(n_persons: int, n_elements: int) -> bool:
+    """Whether even a sample covariance of the elements would be singular.
+
+    The posterior of a full covariance matrix then concentrates at singular matrices; only the prior limits it.
+    """
+    return n_persons < n_elements + 2
+
+
 def network_of(recordings: Recordings, network: Network | str | None) -> Network:
     """The requested network, or the dataset's own.
 

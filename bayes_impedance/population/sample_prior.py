@@ -14,13 +14,19 @@ from bayes_impedance.network.notation import Network
 from bayes_impedance.network.parameters import values_of
 from bayes_impedance.population.calibrated import within_rig
 from bayes_impedance.population.covariate_terms import with_terms
-from bayes_impedance.population.fit import FitSettings, prior_for, too_few_for_correlations
-from bayes_impedance.population.heavy_tails import STUDENT_T, drawn_factors
+from bayes_impedance.population.fit import FitSettings, prior_for
+from bayes_impedance.population.heavy_tails import STUDENT_T
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.prior import Prior
 from bayes_impedance.population.prior_draws import draw_prior
-from bayes_impedance.population.requirements import checked_model
+from bayes_impedance.population.requirements import (
+    checked_model,
+    require_people_for_groups,
+    too_few_for_correlations,
+)
+from bayes_impedance.population.shapes import standard_people
 from bayes_impedance.population.shared import Pooling
+from bayes_impedance.population.two_components import MIXTURE
 from bayes_impedance.population.whole import Whole
 from bayes_impedance.recordings.files import Recordings
 
@@ -112,6 +118,8 @@ def sample_prior(
     model = checked_model(recordings, within_rig(recordings, network), settings.covariates)
     one = len(recordings.subjects) == 1
     pooling = Pooling(model.kernel) if one else Pooling.of(model.kernel)
+    if settings.distribution == MIXTURE and not one:
+        require_people_for_groups(len(recordings), pooling.varying.size)
     whole = Whole(pooling)
     prior = whole.prior(prior_for(model.kernel, recordings, settings))
     correlated = settings.covariance == "full" and not too_few_for_correlations(len(recordings), pooling.varying.size)
@@ -124,9 +132,8 @@ def sample_prior(
         correlated=correlated,
         n_covariates=len(settings.covariates),
         tails=settings.distribution == STUDENT_T and not one,
+        groups=settings.distribution == MIXTURE and not one,
     )
-    noise = rng.normal(size=parameters.mu.shape)
-    if parameters.tail is not None:
-        noise *= drawn_factors(parameters.tail, parameters.tail.shape, rng)[:, None]
-    people = parameters.mu + np.einsum("wpq,wq->wp", parameters.covariance_cholesky, noise)
+    own = standard_people(rng.normal(size=parameters.mu.shape), parameters.tail, parameters.groups, rng)
+    people = parameters.mu + np.einsum("wpq,wq->wp", parameters.covariance_cholesky, own)
     return PriorSample(whole.kernel, prior, parameters, parameters.mu if one else people, recordings.unit)

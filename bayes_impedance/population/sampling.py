@@ -86,6 +86,7 @@ def sampled(
                 first_file=time * settings.ensembles,
                 even=posterior.coordinates.even,
                 gradient=posterior.gradient,
+                mirrored=posterior.coordinates.mirrored,
             )
             error = posterior.error(chains)
         if best is None or error.interval_end < best[2].interval_end:

@@ -8,9 +8,10 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.mcmc.ensemble import QUICK, SamplerSettings
 from bayes_impedance.population.given_prior import GivenPrior
 from bayes_impedance.population.heavy_tails import NORMAL, STUDENT_T
+from bayes_impedance.population.two_components import MIXTURE
 from bayes_impedance.runtime.user_table import shown, whole_number_in
 
-DISTRIBUTIONS = (NORMAL, STUDENT_T)
+DISTRIBUTIONS = (NORMAL, STUDENT_T, MIXTURE)
 """Of people's log elements, the default first."""
 
 
@@ -31,8 +32,9 @@ class FitSettings:
     prior : GivenPrior, optional
         What replaces the default prior (:mod:`~bayes_impedance.population.given_prior`).
     distribution : str
-        Of people's log elements: ``normal``, or ``student_t`` with degrees of freedom that are inferred
-        (:mod:`~bayes_impedance.population.heavy_tails`). One person has none.
+        Of people's log elements: ``normal``, ``student_t`` with degrees of freedom that are inferred
+        (:mod:`~bayes_impedance.population.heavy_tails`), or ``mixture``, two groups of people
+        (:mod:`~bayes_impedance.population.two_components`), which takes a full covariance. One person has none.
     """
 
     covariance: str = "full"
@@ -46,7 +48,12 @@ class FitSettings:
         if self.covariance not in ("full", "diagonal"):
             raise InputError(f"covariance is '{self.covariance}': choose 'full' or 'diagonal'")
         if self.distribution not in DISTRIBUTIONS:
-            raise InputError(f"distribution is '{self.distribution}': choose 'normal' or 'student_t'")
+            raise InputError(f"distribution is '{self.distribution}': choose 'normal', 'student_t' or 'mixture'")
+        if self.distribution == MIXTURE and self.covariance != "full":
+            raise InputError(
+                "two groups of people that differ in several elements make these correlated: a mixture takes "
+                f"covariance 'full', not '{self.covariance}'"
+            )
         if not isinstance(self.covariates, tuple) or not all(isinstance(name, str) for name in self.covariates):
             raise InputError("covariates must be a tuple of names, such as ('age_y',)")
         whole_number_in(self.draws, "draws", 1)

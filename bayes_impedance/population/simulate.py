@@ -9,9 +9,9 @@ tolerance band, and noise that grows towards low frequencies, where the force of
     z_{ijk} = Z_k(x_{ij}) + |Z_k|\,s_i\,\sigma_0\sqrt{1 + (f_c/f_k)^4}\;\epsilon_{ijk}
 
 with standard normal eta, epsilon (real and imaginary part each) and xi, or xi of a multivariate t distribution
-(:mod:`bayes_impedance.population.heavy_tails`), log-normal s and F in newtons within the
-tolerance band around 1 N. The exponent b = 0.35 for stiffness and damping of soft tissue is a published finding for
-fingertips under shear.
+(:mod:`bayes_impedance.population.heavy_tails`) or of two groups (:mod:`bayes_impedance.population.two_components`),
+log-normal s and F in newtons within the tolerance band around 1 N. The exponent b = 0.35 for stiffness and damping of
+soft tissue is a published finding for fingertips under shear.
 """
 
 from __future__ import annotations
@@ -27,8 +27,9 @@ from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
 from bayes_impedance.network.parameters import SIGNED
 from bayes_impedance.population.heavy_tails import HEAVIEST, STUDENT_T, drawn_factors
+from bayes_impedance.population.two_components import LEAST_SHARE, MIXTURE, Groups, drawn_people, groups_of
 from bayes_impedance.recordings.files import Recordings, Subject
-from bayes_impedance.runtime.user_table import UserTable, hint, number_in, shown, text_in
+from bayes_impedance.runtime.user_table import hint, number_in, shown, text_in
 from bayes_impedance.units import HIGHEST_HZ, LARGEST_ELEMENT, LARGEST_IMPEDANCE, LOWEST_HZ, SMALLEST_IMPEDANCE
 
 _PERSON_FORCE = 0.07
@@ -48,9 +49,6 @@ LARGEST_DISPERSION = 10.0
 million."""
 
 _UNIT = "N s/m"
-_ELEMENT_KEYS = ("central", "dispersion_between_persons", "dispersion_between_repetitions", "contact_force_exponent")
-_TRUTH_KEYS = ("seed", "network", "elements", "correlation", "noise", "distribution")
-_TAIL_KEYS = ("name", "degrees_of_freedom", "dispersion_between_persons_is", "prior")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,6 +75,11 @@ class VirtualPopulation:
     degrees_of_freedom : float
         Of the Student t distribution of people, whose scales are `between_persons`; more than two. Infinite for the
         normal distribution.
+    second_group_share : float
+        Share of people in the second of two groups, zero if there is one. Then `central` are geometric means of all
+        people, `between_persons` and `correlation` those of all.
+    group_difference : mapping of str to float
+        Logarithm of the ratio of the groups' central values, second to first.
     """
 
     network: str
@@ -88,6 +91,8 @@ class VirtualPopulation:
     noise: float = 0.01
     noise_corner_hz: float = 8.0
     degrees_of_freedom: float = np.inf
+    second_group_share: float = 0.0
+    group_difference: Mapping[str, float] = field(default_factory=dict)
 
     def vector(self, values: Mapping[str, float]) -> np.ndarray:
         """Values in the order of the network's elements, zero for an element that is not named, shape (P,)."""
@@ -159,7 +164,7 @@ def simulate_recordings(
         If a central value is missing or impossible, something that is the same for everybody has a dispersion, or the
         number of subjects or repetitions is zero.
     """
-    _require_usable(population)
+    require_usable_population(population)
     if n_subjects < 1 or n_repetitions < 1:
         raise InputError("at least one subject and one repetition are needed")
     if n_subjects * n_repetitions * frequency_hz.size > MOST_NUMBERS:
@@ -178,9 +183,12 @@ def simulate_recordings(
     factor = np.linalg.cholesky(population.correlation_matrix())
     p, f = len(kernel.elements), frequency_hz.size
 
-    standard = rng.normal(size=(n_subjects, p)) @ factor.T
+    own = np.random.default_rng(np.random.SeedSequence(seed).spawn(1)[0])  # what follows is as of a normal population
+    standard = rng.normal(size=(n_subjects, p))
+    if population.second_group_share:
+        standard = drawn_people(_groups(population, tau[:, None] * factor), standard[None], own)[0]
+    standard = standard @ factor.T
     if np.isfinite(population.degrees_of_freedom):
-        own = np.random.default_rng(np.random.SeedSequence(seed).spawn(1)[0])  # what follows is as without
         standard *= drawn_factors(np.array(1 / population.degrees_of_freedom), (n_subjects,), own)[:, None]
     person = central + tau * standard
     person_force = rng.uniform(-_PERSON_FORCE, _PERSON_FORCE, n_subjects)
@@ -227,7 +235,7 @@ def simulate_recordings(
     return Simulation(recordings, person + exponent * np.log1p(person_force)[:, None], _truth(population, seed))
 
 
-def _require_usable(population: VirtualPopulation) -> None:
+def require_usable_population(population: VirtualPopulation) -> None:
     """Refuse a population from which no persons can be drawn; the message names the element."""
     network = parse(text_in(population.network, "a population's network"))
     elements, parameters = network.elements, {p.name: p for p in network.parameters}
@@ -235,7 +243,8 @@ def _require_usable(population: VirtualPopulation) -> None:
         ("central value", population.central, {}),
         ("dispersion between persons", population.between_persons, _DISPERSION),
         ("dispersion between repetitions", population.between_repetitions, _DISPERSION),
-        ("force exponent", population.force_exponent, {"at_least": -LARGEST_DISPERSION, "at_most": LARGEST_DISPERSION}),
+        ("force exponent", population.force_exponent, _EITHER_SIGN),
+        ("difference of groups", population.group_difference, _EITHER_SIGN),
     ):
         for name, value in values.items():
             if name not in elements:
@@ -264,10 +273,20 @@ def _require_usable(population: VirtualPopulation) -> None:
     number_in(population.noise_corner_hz, "noise_corner_hz", at_least=0, at_most=HIGHEST_HZ)
     if population.degrees_of_freedom != np.inf:
         number_in(population.degrees_of_freedom, "degrees_of_freedom", above=_LEAST_FREEDOM)
+    number_in(population.second_group_share, "second_group_share", at_least=0, at_most=1 - LEAST_SHARE)
+    if population.second_group_share and population.degrees_of_freedom != np.inf:
+        raise InputError("a population has degrees of freedom or two groups, not both: leave one out")
+    if population.second_group_share:
+        tau = population.vector(population.between_persons)
+        alike = [e for e, sd in zip(elements, tau, strict=True) if sd == 0 and population.group_difference.get(e)]
+        if alike:
+            raise InputError(f"groups differ in '{alike[0]}', which does not differ between persons: give both or none")
+        _groups(population, tau[:, None] * np.linalg.cholesky(population.correlation_matrix()))
 
 
 _LEAST_FREEDOM = 1 / HEAVIEST
 """Of a Student t distribution, whose variance is infinite there."""
+_EITHER_SIGN = {"at_least": -LARGEST_DISPERSION, "at_most": LARGEST_DISPERSION}
 _DISPERSION = {"at_least": 0.0, "at_most": LARGEST_DISPERSION}
 """Limits of every dispersion: a standard deviation is not negative; for the upper limit see `LARGEST_DISPERSION`."""
 
@@ -296,93 +315,24 @@ def _truth(population: VirtualPopulation, seed: int) -> dict[str, Any]:
         },
         "correlation": [[a, elements[j], float(correlation[i, j])] for i, a in enumerate(elements) for j in range(i)],
         "noise": {"relative_sd": population.noise, "corner_hz": population.noise_corner_hz},
-        **_distribution(population.degrees_of_freedom),
+        **_distribution(population),
     }
 
 
-def _distribution(degrees_of_freedom: float) -> dict[str, Any]:
-    if not np.isfinite(degrees_of_freedom):
-        return {}
-    return {"distribution": {"name": STUDENT_T, "degrees_of_freedom": degrees_of_freedom}}
+def _distribution(population: VirtualPopulation) -> dict[str, Any]:
+    said: dict[str, Any] = {}
+    if np.isfinite(population.degrees_of_freedom):
+        said = {"name": STUDENT_T, "degrees_of_freedom": population.degrees_of_freedom}
+    if population.second_group_share:
+        said = {"name": MIXTURE, "second_group_share": population.second_group_share}
+        said["difference"] = dict(population.group_difference)
+    return {"distribution": said} if said else {}
 
 
-def population_from(described: Mapping[str, Any], where: str) -> VirtualPopulation:
-    """The population that a fit's summary or a simulation's truth describes.
-
-    Parameters
-    ----------
-    described : mapping
-        Contents of ``summary.json`` or ``truth.json``.
-    where : str
-        Name of the file, for messages.
-
-    Raises
-    ------
-    InputError
-        If it does not describe a population, or leaves elements undetermined.
-    """
-    # A fit's summary has many other keys; a file written by hand in the form of truth.json has only these.
-    table = UserTable(described, where, _TRUTH_KEYS, tolerant=isinstance(described, Mapping) and "schema" in described)
-    elements = table["elements"]
-    if not isinstance(elements, Mapping) or not elements:
-        raise InputError(
-            f"{where}: does not describe a population (elements is {shown(elements)}, but must be a table)"
-        )
-    rows = {
-        str(name): UserTable(row, f"{where}: element {shown(str(name))}", _ELEMENT_KEYS, tolerant="schema" in described)
-        for name, row in elements.items()
-        if not (isinstance(row, Mapping) and row.get("combined_in"))  # replaced in the network by another element
-    }
-    if described.get("subjects") == 1:
-        raise InputError(
-            f"{where}: is the fit of one subject, which does not say how people differ; name a fit of more, or a "
-            "truth.json with dispersions"
-        )
-    central = {name: _middle(row, "central") for name, row in rows.items()}
-    unknown = [name for name, value in central.items() if value is None]
-    if unknown:
-        raise InputError(f"{where}: element '{unknown[0]}' has no value; fit recordings that determine it")
-    noise = UserTable(table.get("noise", {}), f"{where}: noise", ("relative_sd", "corner_hz"))
-    population = VirtualPopulation(
-        network=table.text("network"),
-        central={name: value for name, value in central.items() if value is not None},
-        between_persons={name: _middle(row, "dispersion_between_persons") or 0.0 for name, row in rows.items()},
-        between_repetitions={name: _middle(row, "dispersion_between_repetitions") or 0.0 for name, row in rows.items()},
-        correlation=_correlations(table["correlation"], where),
-        noise=noise.number("relative_sd", 0.01),
-        noise_corner_hz=noise.number("corner_hz", 8.0),
-        degrees_of_freedom=_degrees_of_freedom(table, where),
-    )
+def _groups(population: VirtualPopulation, factor: np.ndarray) -> Groups:
+    """The two groups of a population whose covariance has a factor (P, P)."""
+    difference = population.vector(population.group_difference)[None]
     try:
-        _require_usable(population)
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from None
-    return population
-
-
-def _correlations(content: object, where: str) -> dict[tuple[str, str], float]:
-    if not isinstance(content, list):
-        raise InputError(f'{where}: correlation is {shown(content)}, but must be a list such as [["n1", "r1", -0.4]]')
-    found = {}
-    for i, row in enumerate(content, 1):
-        if not isinstance(row, list) or len(row) < 3:
-            raise InputError(f"{where}: entry {i} of correlation must hold two elements and a number")
-        a, b = (text_in(name, f"{where}: an element in entry {i} of correlation") for name in row[:2])
-        found[a, b] = number_in(row[2], f"{where}: correlation of {shown(a)} and {shown(b)}", at_least=-1, at_most=1)
-    return found
-
-
-def _degrees_of_freedom(table: UserTable, where: str) -> float:
-    """Of the people; infinite if nothing is said of their distribution."""
-    if "distribution" not in table:
-        return np.inf
-    value = _middle(UserTable(table["distribution"], f"{where}: distribution", _TAIL_KEYS), "degrees_of_freedom")
-    return np.inf if value is None else value
-
-
-def _middle(row: UserTable, key: str) -> float | None:
-    """A number, or the median of an interval; None where it is not known."""
-    value = row[key]
-    if isinstance(value, Mapping):
-        value = UserTable(value, f"{row.where(key)}: {key}", ("median", "q05", "q95"), tolerant=True)["median"]
-    return None if value is None else number_in(value, f"{row.where(key)}: {key}")
+        return groups_of(difference, np.array([population.second_group_share]), factor[None])
+    except ValueError as error:
+        raise InputError(f"{error}: give larger dispersions, which are those of both groups together") from None

@@ -38,7 +38,13 @@ def starting_point(
     """
     between = covariance - np.diag(point.between_repetitions**2) / float(np.mean(repetitions))
     return coordinates.pack(
-        point.mu, _positive(between), point.between_repetitions, point.slopes, point.shared, point.tail
+        point.mu,
+        _positive(between),
+        point.between_repetitions,
+        point.slopes,
+        point.shared,
+        point.tail,
+        point.groups,
     )
 
 
@@ -50,7 +56,7 @@ def starting_scale(
     between = 1 / np.sqrt(np.sum(repetitions - 1) + 4)
     sizes, prior, free = coordinates.sizes, coordinates.prior, list(coordinates.free)
     centre = coordinates.centres.scale(point.mu_sd[free])
-    widths = (few, between, few / prior.slope_sd, few, 1.0)  # the last is that of the prior
+    widths = (few, between, few / prior.slope_sd, few, 1.0, 2 * few, 0.5)  # of tails the prior's, of groups rough
     blocks = [np.full(k, w) for k, w in zip(sizes[1:-1], widths, strict=True)]
     if coordinates.shared_prior is not None:
         blocks.append(coordinates.shared_scale(shared_covariance))

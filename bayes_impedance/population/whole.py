@@ -86,6 +86,11 @@ def all_columns(sampled: PopulationParameters, varying: np.ndarray, shared: np.n
     cholesky, slopes = np.tile(np.eye(p), (w, 1, 1)), np.zeros((w, p, sampled.slopes.shape[2]))
     cholesky[:, varying[:, None], varying] = sampled.correlation_cholesky
     slopes[:, varying] = sampled.slopes
+    groups = sampled.groups
+    if groups is not None:
+        separation = np.zeros((w, p))
+        separation[:, varying] = groups.separation
+        groups = replace(groups, separation=separation)
     return PopulationParameters(
         mu=mu,
         between_persons=tau,
@@ -94,4 +99,5 @@ def all_columns(sampled: PopulationParameters, varying: np.ndarray, shared: np.n
         slopes=slopes,
         shared=sampled.shared,
         tail=sampled.tail,
+        groups=groups,
     )

@@ -23,7 +23,9 @@ from bayes_impedance.plots import write_pictures
 from bayes_impedance.plots.access import is_electrical, is_simulated, subjects, who
 from bayes_impedance.population.diagnostics import PARETO_LIMIT
 from bayes_impedance.report import alternatives, fit_sentences, fit_tables, live_data
+from bayes_impedance.report.group_tables import group_table
 from bayes_impedance.report.page_template import embedded_picture, template_environment
+from bayes_impedance.results.distribution import is_student_t
 from bayes_impedance.results.misfit import MISFIT_SCALE
 from bayes_impedance.results.result import Result
 from bayes_impedance.runtime.atomic_files import write_text
@@ -98,7 +100,8 @@ def _context(result: Result, findings: list[FindingLike], pictures: Mapping[str,
         "one_who": who(result, 1),
         "number": len(subjects(result)),
         "single": len(subjects(result)) == 1,
-        "tails": result.summary.get("distribution") is not None,
+        "tails": is_student_t(result.summary),
+        "groups": group_table(result),
         "repeated": any(row.between_repetitions_interval for row in fit_tables.element_rows(result)),
         "electrical": is_electrical(result),
         "simulated": is_simulated(result),

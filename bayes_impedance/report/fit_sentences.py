@@ -11,6 +11,7 @@ import numpy as np
 
 from bayes_impedance.plots.access import frequency, needed, subjects, who
 from bayes_impedance.report.fit_tables import element_rows, population_name
+from bayes_impedance.results.distribution import is_student_t
 from bayes_impedance.results.misfit import misfit_words, network_misfits, range_by_chance
 from bayes_impedance.results.result import Result
 from bayes_impedance.units import hertz, scale_for, significant
@@ -62,7 +63,7 @@ def _values_in_words(result: Result, n: int) -> list[str]:
     factors = sorted(math.exp(s) for s in spreads if s is not None)
     if factors:
         ends = dict.fromkeys(f"{factor:.2f}" for factor in (factors[0], factors[-1]))  # once if they are equal
-        kind = "geometric standard deviation" if result.summary.get("distribution") is None else "geometric scale"
+        kind = "geometric scale" if is_student_t(result.summary) else "geometric standard deviation"
         text.append(f"Between {who(result)} the elements vary by a factor of {' to '.join(ends)} ({kind}).")
     return text
 

@@ -6,7 +6,8 @@ the posterior holds only what has been sampled and may be read:
 * the axis ``element`` of ``posterior`` and ``prior`` has the determined elements only;
 * ``correlation`` is one number for each pair of elements: the diagonal is constant, and densities, R-hat and
   autocorrelations of constants are not defined;
-* dispersions have the axis ``varying_element``, without parameters that are the same for everybody, if there are any.
+* dispersions and differences of groups have the axis ``varying_element``, without parameters that are the same for
+  everybody, if there are any.
 * ``person_log_elements`` has its axes in the order of the other variables, element first: ArviZ 1 labels the entries of
   a summary in the order in which a group's axes appear.
 
@@ -26,7 +27,9 @@ LAYOUT_ATTRIBUTE, LAYOUT = "layout", 2
 """Attribute of the file, and its value for this layout; files of earlier versions hold the complete arrays."""
 
 _BY_ELEMENT = ("mu", "central", "person_log_elements", "slope", "dispersion_between_persons",
-               "dispersion_between_repetitions")  # fmt: skip
+               "dispersion_between_repetitions", "group_difference")  # fmt: skip
+_OF_VARYING = ("dispersion", "group_difference")
+"""Beginnings of the names of variables that parameters which are the same for everybody do not have."""
 _AXIS = {"slope": -2}
 """Position of the axis element where it is not the last."""
 _ALSO_BY_ELEMENT = ("posterior", "prior")
@@ -59,7 +62,7 @@ def for_file(
                 del written[group][name]
                 if pairs and np.any(own != 0):  # a diagonal covariance has constant zeros
                     written[group]["correlation"] = own
-            elif name.startswith("dispersion") and narrowed:
+            elif name.startswith(_OF_VARYING) and narrowed:
                 written[group][name] = values[..., varying]
             elif name in _BY_ELEMENT and kept.size < len(elements):
                 written[group][name] = np.take(values, kept, axis=_AXIS.get(name, -1))
@@ -80,7 +83,7 @@ def file_dims(written: Mapping[str, Mapping[str, np.ndarray]], dims: Mapping[str
     found = {name: axes for name, axes in dims.items() if any(name in group for group in written.values())}
     found["correlation"], found["person_log_elements"] = ["pair"], ["element", "subject"]
     size = posterior["mu"].shape[-1]
-    for name in [n for n in posterior if n.startswith("dispersion")]:
+    for name in [n for n in posterior if n.startswith(_OF_VARYING)]:
         if posterior[name].shape[-1] < size:
             found[name] = ["varying_element"]
     return found
@@ -105,7 +108,7 @@ def from_file(groups: Groups, coords: dict[str, Any]) -> tuple[Groups, dict[str,
         for name, values in groups[group].items():
             if name == "correlation":
                 restored[group][name] = _matrices(values, list(coords["pair"]), elements, seen)
-            elif name.startswith("dispersion") and "varying_element" in coords:
+            elif name.startswith(_OF_VARYING) and "varying_element" in coords:
                 restored[group][name] = _whole(values, varying, len(elements), -1)
                 restored[group][name][..., [i for i in columns if i not in varying]] = 0.0
             elif name in _BY_ELEMENT and len(known) < len(elements):

@@ -25,9 +25,9 @@ import numpy as np
 
 from bayes_impedance.population.covariates import standardised_covariates
 from bayes_impedance.population.fit import PopulationFit
-from bayes_impedance.population.heavy_tails import drawn_factors
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.prior_draws import draw_prior
+from bayes_impedance.population.shapes import standard_people
 from bayes_impedance.results.predictive import Predictive, relative_noise
 
 MOST_NUMBERS = 1_000_000
@@ -108,6 +108,7 @@ def checked_predictions(fit: PopulationFit, predictive: Predictive) -> Checks:
         repetitions=fit.repeated,
         n_covariates=len(fit.settings.covariates),
         tails=fit.parameters.tail is not None,
+        groups=fit.parameters.groups is not None,
     )
     missing = ~np.isfinite(seen)
 
@@ -155,10 +156,8 @@ def _recorded_again(
     if not fit.one_person:
         x = standardised_covariates(fit.recordings, fit.settings.covariates)
         theta = theta + np.einsum("wpq,nq->wnp", parameters.slopes, x)
-        normal = rng.normal(size=theta.shape)
-        if parameters.tail is not None:
-            normal *= drawn_factors(parameters.tail[:, None], theta.shape[:2], rng)[..., None]
-        theta = theta + np.einsum("wpr,wnr->wnp", parameters.covariance_cholesky, normal)
+        own = standard_people(rng.normal(size=theta.shape), parameters.tail, parameters.groups, rng)
+        theta = theta + np.einsum("wpr,wnr->wnp", parameters.covariance_cholesky, own)
         counts = np.array([len(s.repetitions) for s in people])
         theta = theta + (parameters.between_repetitions[:, None] / np.sqrt(counts)[:, None]) * rng.normal(
             size=theta.shape

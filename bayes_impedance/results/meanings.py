@@ -7,6 +7,10 @@ from bayes_impedance.results.pointwise import POINTWISE
 
 TAIL = "inverse_degrees_of_freedom"
 """Variable of the posterior of a Student t population, between 0 (normal) and 0.5."""
+SHARE, DIFFERENCE = "second_group_share", "group_difference"
+"""Variables of the posterior of a population of two groups."""
+MEMBER = "second_group_probability"
+"""Variable of the constant data: of each person, to belong to the second group."""
 
 
 def meanings_of(unit: str, one_person: bool) -> dict[str, dict[str, str]]:
@@ -35,10 +39,27 @@ def meanings_of(unit: str, one_person: bool) -> dict[str, dict[str, str]]:
         "description": "the log elements of people follow a multivariate Student t: 0 is the normal distribution, and "
         "at 0.5 the variance becomes infinite; dispersion_between_persons is its scale",
     }
+    groups = {
+        SHARE: {
+            "long_name": "share of people in the second group",
+            "units": "1",
+            "description": "people are of two groups with one covariance; the second is the smaller one on average",
+        },
+        DIFFERENCE: {
+            "long_name": "mean log elements of the second group less those of the first",
+            "units": "1",
+            "description": "mu and dispersion_between_persons are mean and standard deviation of all people together",
+        },
+        MEMBER: {
+            "long_name": "probability that the subject belongs to the second group",
+            "units": "1",
+            "description": "mean over posterior draws of the population and of the subject's elements",
+        },
+    }
     points = {
         "long_name": "log predictive density of a subject's recordings at one frequency, given its own elements",
         "units": density["units"],
         "description": "mean over posterior draws of the subject's elements, all repetitions together; absolute. The "
         "point took part in the estimate: for leave-one-out there is log_likelihood/recordings",
     }
-    return MEANINGS | {"log_likelihood/recordings": density, TAIL: tail, POINTWISE: points}
+    return MEANINGS | groups | {"log_likelihood/recordings": density, TAIL: tail, POINTWISE: points}

@@ -66,7 +66,7 @@ class Entry:
 
     @property
     def distribution(self) -> str:
-        """Of people's log elements: ``normal`` or ``student_t``."""
+        """Of people's log elements: ``normal``, ``student_t`` or ``mixture``."""
         return str(self.result.attributes.get("distribution", NORMAL))
 
 

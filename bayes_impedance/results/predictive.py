@@ -21,7 +21,7 @@ import numpy as np
 from bayes_impedance.population.covariate_terms import goes_with_others
 from bayes_impedance.population.covariates import standardised_covariates
 from bayes_impedance.population.fit import PopulationFit
-from bayes_impedance.population.heavy_tails import drawn_factors
+from bayes_impedance.population.shapes import standard_people
 from bayes_impedance.results.curve_errors import (
     ErrorCurves,
     common_grid,
@@ -210,10 +210,8 @@ def _people(fit: PopulationFit, rows: np.ndarray, rng: np.random.Generator) -> n
     if fit.one_person:
         return parameters.mu
     factor = parameters.covariance_cholesky
-    normal = rng.normal(size=parameters.mu.shape)
-    if parameters.tail is not None:
-        normal *= drawn_factors(parameters.tail, parameters.tail.shape, rng)[:, None]
-    theta = parameters.mu + np.einsum("spq,sq->sp", factor, normal)
+    own = standard_people(rng.normal(size=parameters.mu.shape), parameters.tail, parameters.groups, rng)
+    theta = parameters.mu + np.einsum("spq,sq->sp", factor, own)
     if fit.settings.covariates:
         theta = theta + np.einsum("spq,sq->sp", parameters.slopes, drawn_covariates(fit, rows.size, rng))
     return np.asarray(theta)

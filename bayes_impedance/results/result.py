@@ -20,18 +20,18 @@ import numpy as np
 
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.notation import parse
-from bayes_impedance.network.parameters import Parameter, unit_of_parameter, values_of
+from bayes_impedance.network.parameters import Parameter, unit_of_parameter
 from bayes_impedance.person.noise import NoiseModel
 from bayes_impedance.population.covariate_terms import correlations_of
 from bayes_impedance.population.fit import PopulationFit
 from bayes_impedance.population.heavy_tails import NORMAL
-from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.results.adequacy import Adequacy
 from bayes_impedance.results.arviz_layout import LAYOUT, LAYOUT_ATTRIBUTE, file_dims, for_file, from_file
 from bayes_impedance.results.checked_predictions import Checks, checked_predictions
-from bayes_impedance.results.meanings import TAIL, meanings_of
+from bayes_impedance.results.meanings import DIFFERENCE, MEMBER, SHARE, TAIL, meanings_of
 from bayes_impedance.results.pointwise import POINTWISE, pointwise_log_densities
 from bayes_impedance.results.predictive import PROBABILITIES, Predictive
+from bayes_impedance.results.sampled_variables import sampled_variables, second_group_probability
 from bayes_impedance.results.shown import one_line, result_html
 from bayes_impedance.results.summary import summary_of
 from bayes_impedance.runtime.atomic_files import write_json
@@ -133,7 +133,10 @@ DIMS: dict[str, list[str]] = {
     "dispersion_between_repetitions": ["element"],
     "correlation": ["element", "element_2"],
     "slope": ["element", "covariate"],
+    DIFFERENCE: ["element"],
+    MEMBER: ["subject"],
     TAIL: [],
+    SHARE: [],
     "person_log_elements": ["subject", "element"],
     "recordings": ["subject"],
     "log_magnitude": ["subject", "predictive_frequency_hz"],
@@ -250,29 +253,8 @@ def make_result(
     return result
 
 
-def _sampled(fit: PopulationFit, parameters: PopulationParameters, chains: int) -> dict[str, np.ndarray]:
-    """Population parameters, of the posterior or of the prior, with axes chain and draw."""
-    seen = np.where(fit.identified, 1.0, np.nan)
-
-    def by_chain(values: np.ndarray) -> np.ndarray:
-        return values.reshape(chains, -1, *values.shape[1:])
-
-    p = parameters
-    variables = {"mu": by_chain(p.mu * seen), "central": by_chain(values_of(fit.kernel.parameters, p.mu) * seen)}
-    if not fit.one_person:
-        variables["dispersion_between_persons"] = by_chain(p.between_persons * seen)
-        variables["correlation"] = by_chain(p.correlation * seen[:, None] * seen)
-        if fit.repeated:
-            variables["dispersion_between_repetitions"] = by_chain(p.between_repetitions * seen)
-    if p.tail is not None:
-        variables[TAIL] = by_chain(p.tail)
-    if fit.settings.covariates:
-        variables["slope"] = by_chain(p.slopes * seen[:, None])
-    return variables
-
-
 def _groups(fit: PopulationFit, predictive: Predictive, checks: Checks) -> dict[str, dict[str, np.ndarray]]:
-    posterior = _sampled(fit, fit.parameters, fit.n_ensembles)
+    posterior = sampled_variables(fit, fit.parameters, fit.n_ensembles)
     posterior["person_log_elements"] = fit.person_draws * np.where(fit.identified, 1.0, np.nan)
     noise = [
         np.sqrt(np.mean(n**2, axis=0)) / np.abs(s.mean) for s, n in zip(fit.recordings.subjects, fit.noise, strict=True)
@@ -284,10 +266,12 @@ def _groups(fit: PopulationFit, predictive: Predictive, checks: Checks) -> dict[
         model["covariate_correlation"] = together
     if fit.noise_model is not None:
         model["noise_model_sd"] = fit.noise_model.sd
+    if fit.parameters.groups is not None:
+        model[MEMBER] = second_group_probability(fit)
     return {
         "posterior": posterior,
         "posterior_predictive": checks.posterior_predictive,
-        "prior": _sampled(fit, checks.prior, 1),
+        "prior": sampled_variables(fit, checks.prior, 1),
         "prior_predictive": checks.prior_predictive,
         "log_likelihood": {"recordings": fit.person_log_likelihood},
         "sample_stats": {"lp": fit.log_probability},

@@ -13,9 +13,10 @@ import numpy as np
 
 from bayes_impedance.network.parameters import unit_of_parameter
 from bayes_impedance.population.calibrated import inseparable_given
-from bayes_impedance.population.fit import PopulationFit, too_few_for_correlations
-from bayes_impedance.population.heavy_tails import HEAVIEST, STUDENT_T
+from bayes_impedance.population.fit import PopulationFit
+from bayes_impedance.population.requirements import too_few_for_correlations
 from bayes_impedance.results.adequacy import Adequacy
+from bayes_impedance.results.distribution import distribution_remark, distribution_summary, interval
 from bayes_impedance.results.misfit import coverage_by_frequency, misfit_words, network_misfits, noise_scale_summary
 from bayes_impedance.results.predictive import Predictive
 from bayes_impedance.units import INTERVAL
@@ -28,17 +29,9 @@ FEW_PERSONS = 10
 a relative standard error of a quarter at best."""
 
 
-def _interval(values: np.ndarray, known: bool = True) -> dict[str, float | None]:
-    """Median and 90 % interval, or nulls."""
-    if not known or not np.all(np.isfinite(values)):
-        return {"median": None, "q05": None, "q95": None}
-    low, middle, high = np.quantile(values, INTERVAL)
-    return {"median": float(middle), "q05": float(low), "q95": float(high)}
-
-
 def _not_separable(unit: str, stands_for_it: str) -> dict[str, Any]:
     """Entry of an element that was combined with others into one element."""
-    nothing = _interval(np.array([np.nan]))
+    nothing = interval(np.array([np.nan]))
     levels = ("central", "dispersion_between_persons", "dispersion_between_repetitions")
     return {"unit": unit, "identified": False, "marked": False, "combined_in": stands_for_it} | dict.fromkeys(
         levels, nothing
@@ -81,13 +74,13 @@ def summary_of(
             "scale": parameter.link,
             "identified": bool(fit.identified[i]),
             "marked": name in adequacy.bent,
-            "central": _interval(parameter.value(p.mu[:, i]), known),
-            "dispersion_between_persons": _interval(p.between_persons[:, i], varies),
-            "dispersion_between_repetitions": _interval(p.between_repetitions[:, i], varies and fit.repeated),
+            "central": interval(parameter.value(p.mu[:, i]), known),
+            "dispersion_between_persons": interval(p.between_persons[:, i], varies),
+            "dispersion_between_repetitions": interval(p.between_repetitions[:, i], varies and fit.repeated),
         }
         if fit.settings.covariates:
             elements[name]["slopes"] = {
-                covariate: _interval(p.slopes[:, i, q], known and not parameter.shared)
+                covariate: interval(p.slopes[:, i, q], known and not parameter.shared)
                 for q, covariate in enumerate(fit.settings.covariates)
             }
     for combination in fit.combinations:
@@ -111,7 +104,7 @@ def summary_of(
         "delta_magnitude": float(np.mean(predictive.person_delta_magnitude)),
         "delta_phase_deg": float(np.mean(predictive.person_delta_phase_deg)),
     }
-    tails = {} if p.tail is None else {"distribution": _tails(p.tail, not problems)}
+    distribution = distribution_summary(p, fit.kernel.elements, fit.identified, known=not problems)
     return {
         "schema": SCHEMA,
         "reliable": not problems,
@@ -131,7 +124,7 @@ def summary_of(
         "seed": fit.seed,
         "data_sha256": fit.recordings.sha256,
         "covariance": fit.settings.covariance,
-        **tails,
+        **({} if distribution is None else {"distribution": distribution}),
         "prior": _prior(fit),
         "covariates": _covariates(fit),
         "elements": elements,
@@ -158,16 +151,6 @@ def summary_of(
         },
         "versions": dict(versions),
         "seconds": {k: round(v, 3) for k, v in seconds.items()},
-    }
-
-
-def _tails(tail: np.ndarray, known: bool) -> dict[str, Any]:
-    """Degrees of freedom of a Student t population from W reciprocals."""
-    return {
-        "name": STUDENT_T,
-        "degrees_of_freedom": _interval(1 / tail, known),
-        "dispersion_between_persons_is": "scale of the Student t distribution of the natural logarithm",
-        "prior": f"1/degrees_of_freedom uniform on (0, {HEAVIEST:g})",
     }
 
 
@@ -214,13 +197,8 @@ def _remarks(fit: PopulationFit, predictive: Predictive, gross: bool) -> list[st
         remarks.append("There is one subject: the values are this subject's, and no dispersion can be estimated.")
     elif n < FEW_PERSONS:
         remarks.append(f"There are only {n} subjects: dispersions rest on the prior as much as on the data.")
-    if fit.parameters.tail is not None:
-        low, middle, high = np.quantile(1 / fit.parameters.tail, INTERVAL)
-        remarks.append(
-            f"People follow a Student t distribution with {middle:.3g} degrees of freedom ({low:.3g} to {high:.3g}); "
-            "above 30 it is close to a normal one. The dispersions between persons are its scales, not standard "
-            "deviations; central values depend less on people far from the others."
-        )
+    if (said := distribution_remark(fit.parameters)) is not None:
+        remarks.append(said)
     own = sum(not parameter.shared for parameter in fit.kernel.parameters)
     if not fit.one_person and too_few_for_correlations(n, own):
         remarks.append(

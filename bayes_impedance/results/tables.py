@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayes_impedance.network.parameters import values_of
+from bayes_impedance.results.distribution import is_student_t
+from bayes_impedance.results.meanings import MEMBER
 from bayes_impedance.units import INTERVAL
 
 if TYPE_CHECKING:
@@ -22,10 +24,12 @@ PERSON_UNITS = {
     "person_delta_phase_deg": "deg",
     "pareto_k": "1",
     "effective_draws": "1",
+    MEMBER: "1",
 }
 """Quantities of a person besides the elements, with their units (empty for the unit of the impedance): number of
 repetitions; residual over noise; distance of the person's own network from the mean recording (relative root mean
-square, mean in magnitude, mean in phase); Pareto k and effective number of the person's importance draws."""
+square, mean in magnitude, mean in phase); Pareto k and effective number of the person's importance draws; of a fit of
+two groups, the probability to belong to the second."""
 
 
 def elements_table(result: Result) -> pd.DataFrame:
@@ -38,7 +42,8 @@ def elements_table(result: Result) -> pd.DataFrame:
         between_persons and between_repetitions, each a posterior median followed by the ends of its 90 % interval
         (``_q05``, ``_q95``), NaN where there is no number. The central value is in the row's unit;
         ``attrs["units"]`` says so, and that dispersions are standard deviations of the natural logarithm; between
-        persons of a Student t population its scales, with the degrees of freedom in ``attrs["degrees_of_freedom"]``.
+        persons of a Student t population its scales. What the summary says of a distribution that is not normal is in
+        ``attrs["distribution"]``, the degrees of freedom of a Student t also in ``attrs["degrees_of_freedom"]``.
     """
     import pandas as pd
 
@@ -58,9 +63,11 @@ def elements_table(result: Result) -> pd.DataFrame:
     frame = pd.DataFrame(rows, index=pd.Index(list(result.summary["elements"]), name="element", dtype=object))
     units = {"central": "column unit", "between_persons": "ln", "between_repetitions": "ln"}
     frame.attrs["units"] = {c: unit for c in frame for name, unit in units.items() if str(c).startswith(name)}
-    tails = result.summary.get("distribution")
-    if tails is not None:
-        frame.attrs["degrees_of_freedom"] = tails["degrees_of_freedom"]
+    distribution = result.summary.get("distribution")
+    if distribution is not None:
+        frame.attrs["distribution"] = distribution
+    if is_student_t(result.summary):
+        frame.attrs["degrees_of_freedom"] = result.summary["distribution"]["degrees_of_freedom"]
     return frame
 
 

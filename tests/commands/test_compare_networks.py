@@ -250,6 +250,20 @@ def test_distributions_of_people_are_compared(place: Path, capsys: pytest.Captur
     assert abs(rows["normal"]["elpd"] - rows["student_t"]["elpd"]) < 5
 
 
+def test_two_groups_are_compared_with_one(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, own = place / "groups", ["compare", str(place / "data"), "--network", "m1|r1|n1"]
+    assert main([*own, "-o", str(place / "no"), *OPTIONS, "--distributions", "normal", "mixture"]) == 2
+    assert "a mixture takes covariance 'full'" in capsys.readouterr().err
+    assert not (place / "no").exists()
+    assert main([*own, "-o", str(out), "--distributions", "normal", "mixture"]) == 0
+    told = capsys.readouterr().out
+    rows = {row["distribution"]: row for row in json.loads((out / "networks.json").read_text())["networks"]}
+    assert set(rows) == {"normal", "mixture"}
+    assert "m1|r1|n1, mixture" in told
+    assert "not separated from it" in told  # the people are of one kind
+    assert abs(rows["normal"]["elpd"] - rows["mixture"]["elpd"]) < 5
+
+
 def test_one_distribution_of_one_network_is_no_comparison(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     own = ["compare", str(place / "data"), "-o", str(place / "nothing"), "--network", "m1|r1|n1"]
     assert main([*own, "--distributions", "normal"]) == 2

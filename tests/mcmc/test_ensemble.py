@@ -204,10 +204,11 @@ class TwoModes:
         return np.logaddexp(left, right)
 
 
-def ensembles_in(places, distance, steps=300):
+def ensembles_in(places, distance, steps=300, mirrored=False):
     result = []
     for place, child in zip(places, np.random.SeedSequence(5).spawn(len(places)), strict=True):
-        ensemble = _Ensemble(TwoModes(distance), np.full(6, place), np.eye(6), child, None, np.zeros(6, dtype=bool))
+        even, own = np.zeros(6, dtype=bool), np.full(6, mirrored)
+        ensemble = _Ensemble(TwoModes(distance), np.full(6, place), np.eye(6), child, None, even, None, own)
         ensemble.prepare((30, 30), lambda n: None)
         ensemble.run_to(steps, lambda n: None)
         result.append(ensemble)
@@ -219,6 +220,9 @@ def test_rhat_finds_ensembles_in_different_modes():
     together = ensembles_in((20.0, 20.0, 20.0, 20.0), 20.0)
     assert apart.rhat.min() > 1.5
     assert together.rhat.max() < 1.05
+    images = ensembles_in((-20.0, 20.0, -20.0, 20.0), 20.0, mirrored=True)
+    assert images.rhat.max() < 1.05
+    assert np.all(images.coordinates[..., -1] < 0)
 
 
 def test_progress_is_reported_to_the_end():

@@ -13,10 +13,10 @@ from scipy.stats import kstest
 from bayes_impedance import FitSettings, fit_population
 from bayes_impedance.design.users import population_of
 from bayes_impedance.errors import InputError
+from bayes_impedance.population.described_population import population_from
 from bayes_impedance.population.fit import QUICK_SETTINGS, PopulationFit
 from bayes_impedance.population.held_out_person import held_out_log_densities
 from bayes_impedance.population.sample_prior import sample_prior
-from bayes_impedance.population.simulate import population_from
 from bayes_impedance.results import load_result, make_result, predict, save_result
 from bayes_impedance.results.leave_one_out import leave_one_out
 from bayes_impedance.results.result import Result

@@ -14,8 +14,9 @@ from scipy.stats import invgamma, kstest
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
+from bayes_impedance.population.described_population import population_from
 from bayes_impedance.population.fingertip import FINGERTIP
-from bayes_impedance.population.simulate import population_from, simulate_recordings
+from bayes_impedance.population.simulate import simulate_recordings
 from bayes_impedance.recordings.files import read_recordings
 
 ANALYSES = DATA.parent / "analyses"

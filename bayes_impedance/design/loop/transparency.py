@@ -26,7 +26,8 @@ from bayes_impedance.design.loop.device import Device
 from bayes_impedance.design.loop.sampled_loop import MARGIN, SampledLoop
 from bayes_impedance.design.loop.stability import loop_of
 from bayes_impedance.design.loop.two_port import of_device
-from bayes_impedance.design.users import PERCENTILES, Users
+from bayes_impedance.design.percentiles import PERCENTILES
+from bayes_impedance.design.users import Users
 from bayes_impedance.errors import InputError
 
 
