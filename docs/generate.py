@@ -197,8 +197,10 @@ def schemas() -> str:
         "## `summary.json`\n\nWritten by `fit` and `run`. `central` is the population's median in the element's unit, "
         "dispersions are standard deviations of its natural logarithm, `q05` and `q95` end the 90 % interval. What "
         "recordings do not determine is `null`. A Student t population has a key `distribution` besides, with the "
-        "interval of its `degrees_of_freedom`: dispersions between persons are then its scales. The keys of the "
-        "shipped population's file, with the first entry of "
+        "interval of its `degrees_of_freedom`: dispersions between persons are then its scales. Of two groups the key "
+        "holds `second_group_share`, their `distance` in standard deviations within a group, and the `difference` of "
+        "each element's logarithm; `central` is then the geometric mean of all people. The keys of the shipped "
+        "population's file, with the first entry of "
         f"each list or table:\n\n```json\n{json.dumps(_shortened(summary), indent=2)}\n```\n"
     )
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from bayes_impedance.population.two_components import MIXTURE
-from bayes_impedance.results.distribution import is_student_t
-
 
 def dispersion_line(summary: Mapping[str, Any]) -> str:
     """What dispersions are; a Student t population has scales in place of standard deviations between persons."""
+    from bayes_impedance.results.distribution import is_student_t
+
     if is_student_t(summary):
         return "dispersions of the natural logarithm: between persons scales of a Student t, else standard deviations"
     return "dispersions are standard deviations of the natural logarithm"
@@ -18,6 +17,8 @@ def dispersion_line(summary: Mapping[str, Any]) -> str:
 
 def group_lines(summary: Mapping[str, Any]) -> list[str]:
     """How the two groups of people differ, with a heading; none if the fit has no groups or gives no numbers."""
+    from bayes_impedance.population.two_components import MIXTURE
+
     groups = summary.get("distribution") or {}
     if groups.get("name") != MIXTURE or groups["distance"]["median"] is None:
         return []

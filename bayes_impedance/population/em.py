@@ -35,6 +35,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bayes_impedance.errors import InputError
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.parameters import LOG
 from bayes_impedance.person.likelihood import Likelihood
@@ -289,8 +290,19 @@ def estimate(
 
 
 def with_groups(point: Estimate, covariates: np.ndarray) -> Estimate:
-    """The estimate with two groups of people, found among their modes; covariates (N, Q)."""
+    """The estimate with two groups of people, found among their modes; covariates (N, Q).
+
+    Raises
+    ------
+    InputError
+        If the recordings determine no element that differs between people.
+    """
     seen = np.flatnonzero(point.determined)
+    if not seen.size:
+        raise InputError(
+            "the recordings determine no element that differs between people, so there are no groups: take another "
+            "distribution, or check the unit, the frequencies and the network"
+        )
     away = np.array(point.fits.gathered(attrgetter("theta"))) - point.mu - covariates @ point.slopes.T
     factor = np.linalg.cholesky(point.covariance[np.ix_(seen, seen)])
     found = estimated_groups(np.linalg.solve(factor, away[:, seen].T).T)

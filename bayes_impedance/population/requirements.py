@@ -62,6 +62,11 @@ def checked_model(
     kernel = Kernel(fitted)
     standardised = standardised_covariates(recordings, covariates)
     require_usable(recordings, kernel)
+    if len(recordings.subjects) > 1 and all(p.shared for p in kernel.parameters):
+        raise InputError(
+            f"every parameter of {fitted} is the same for everybody (*), so nobody differs from anybody: leave the * "
+            "off at least one"
+        )
     if not fitted.plain:
         scales = NaturalScales.of(recordings)
         fitted = with_references(fitted, scales.frequency_hz)

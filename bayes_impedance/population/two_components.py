@@ -66,6 +66,7 @@ SEPARATION = 1.5
 """Root mean square of the separation \\|v\\| under the prior: three standard deviations between two groups of equal
 size. By choice: at two the density begins to have two peaks, and at four groups hardly overlap."""
 _GROUPS = 2
+"""Number of groups. By choice: more of them are more than some dozens of people determine."""
 
 
 @dataclass(frozen=True)

@@ -81,6 +81,7 @@ def distribution_remark(p: PopulationParameters) -> str | None:
     return (
         f"People are described as two groups, the second with {100 * share[1]:.0f} % of them ({100 * share[0]:.0f} to "
         f"{100 * share[2]:.0f} %), whose centres are {middle:.2g} standard deviations within a group apart "
-        f"({low:.2g} to {high:.2g}); below {TWO_PEAKS:g} there are hardly two. Central values are geometric means of "
-        "all people, and dispersions and correlations those of all."
+        f"({low:.2g} to {high:.2g}); below {TWO_PEAKS:g} there are hardly two. They are described so whether there are "
+        "groups or not: 'compare --distributions normal mixture' says whether groups predict people left out better. "
+        "Central values are geometric means of all people, and dispersions and correlations those of all."
     )

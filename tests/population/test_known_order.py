@@ -100,6 +100,8 @@ def test_its_gradient_is_that_of_its_values() -> None:
         slopes=np.zeros((5, 4, 0)),
         shared=np.zeros((5, 0)),
         tail=np.zeros(5),
+        share=np.zeros(5),
+        separation=zero,
     )
     gradient = pulled_back(c, vector, p, own)
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import THREE_ELEMENTS
 from datasets import subject
 
 from bayes_impedance.errors import InputError
@@ -14,7 +15,8 @@ from bayes_impedance.network.notation import parse
 from bayes_impedance.population.covariates import standardised_covariates
 from bayes_impedance.population.fit import FitSettings
 from bayes_impedance.population.prior import Prior
-from bayes_impedance.population.requirements import MOST_ELEMENTS, network_of, require_usable
+from bayes_impedance.population.requirements import MOST_ELEMENTS, checked_model, network_of, require_usable
+from bayes_impedance.population.simulate import simulate_recordings
 from bayes_impedance.recordings.dataset import Recordings
 
 AGE = np.array([21.0, 35.0, 28.0, 60.0, 44.0, 51.0, 33.0, 25.0])
@@ -116,6 +118,14 @@ def test_a_person_of_another_order_of_magnitude_is_refused(factor: float) -> Non
         require_usable(replace(data, subjects=(*data.subjects[:3], far, *data.subjects[4:])), kernel)
     tenfold = replace(data.subjects[3], z=100 * data.subjects[3].z)
     require_usable(replace(data, subjects=(*data.subjects[:3], tenfold, *data.subjects[4:])), kernel)
+
+
+def test_a_network_in_which_nobody_differs_is_refused() -> None:
+    data = simulate_recordings(THREE_ELEMENTS, 4, 1, np.geomspace(5, 5000, 20), 1).recordings
+    with pytest.raises(InputError, match="is the same for everybody"):
+        checked_model(data, "m1*|r1*|n1*")
+    assert checked_model(data, "m1*|r1*|n1").kernel.elements == ("m1", "r1", "n1")
+    assert checked_model(data.select([data.names[0]]), "m1*|r1*|n1*").kernel.elements == ("m1", "r1", "n1")
 
 
 def test_networks_of_more_elements_than_can_be_estimated_are_refused() -> None:

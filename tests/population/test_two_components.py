@@ -242,6 +242,14 @@ def test_groups_of_many_people_are_estimated(share, distance):
     assert (found.share[0] if sign > 0 else 1 - found.share[0]) == pytest.approx(share, abs=0.04)
 
 
+def test_groups_in_one_element_are_estimated():
+    truth = Groups(np.array([0.4]), np.array([[2.0]]))
+    rng = np.random.default_rng(2)
+    found = estimated_groups(drawn_people(truth, rng.normal(size=(1, 1000, 1)), rng)[0])
+    assert abs(found.separation[0, 0]) == pytest.approx(2.0, abs=0.25)
+    assert min(found.share[0], 1 - found.share[0]) == pytest.approx(0.4, abs=0.04)
+
+
 def test_labels_are_chosen_after_sampling():
     """Two chains of one population with labels either way: one peak, the smaller group second; others unchanged."""
     rng = np.random.default_rng(3)
