@@ -7,6 +7,8 @@ from scipy.stats import multivariate_normal
 
 from bayes_impedance.person.importance_draws import Draws
 from bayes_impedance.population.contrasts import Contrasts
+from bayes_impedance.population.coordinates_gradient import pulled_back
+from bayes_impedance.population.likelihood_gradient import likelihood_gradient
 from bayes_impedance.population.parameters import PopulationParameters
 
 P = 3
@@ -24,6 +26,27 @@ def people(seed=0):
     rng = np.random.default_rng(seed)
     centres = rng.multivariate_normal(np.zeros(P), REFERENCE_COVARIANCE, N)
     return centres, np.array([spd(rng, 0.1) for _ in range(N)]), np.array([1, 2, 3, 5] * N)[:N]
+
+
+def slopes_of(density, u, step):
+    """Central differences of fourth order along each coordinate, (W, D)."""
+    found = np.empty(u.shape)
+    for d, e in enumerate(step * np.eye(u.shape[1])):
+        near, far = density(u + e) - density(u - e), density(u + 2 * e) - density(u - 2 * e)
+        found[:, d] = (8 * near - far) / (12 * step)
+    return found
+
+
+def require_gradient(marginal, coordinates, u, step, tolerance):
+    """The gradient of likelihood and prior is that of differences, up to a share of the largest."""
+
+    def density(x):
+        return marginal(coordinates.unpack(x)) + coordinates.log_prior(x)
+
+    sets = coordinates.unpack(u)
+    own = pulled_back(coordinates, u, sets, likelihood_gradient(marginal, sets))
+    expected = slopes_of(density, u, step)
+    assert np.abs(own - expected).max() < tolerance * np.abs(expected).max()
 
 
 def gaussian_draws(centres, covariances, means, k, seed):

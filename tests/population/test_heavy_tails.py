@@ -6,11 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from persons_with_draws import REFERENCE_COVARIANCE, N, P, contrasts_of, gaussian_draws, parameters, people
+from persons_with_draws import (
+    REFERENCE_COVARIANCE,
+    N,
+    P,
+    contrasts_of,
+    gaussian_draws,
+    parameters,
+    people,
+    require_gradient,
+)
 from scipy.integrate import quad
 from scipy.stats import invgamma, kstest, multivariate_normal, multivariate_t
 
-from bayes_impedance.population.coordinates_gradient import pulled_back
 from bayes_impedance.population.heavy_tails import (
     FARTHEST,
     HEAVIEST,
@@ -24,7 +32,6 @@ from bayes_impedance.population.heavy_tails import (
     weights_of,
 )
 from bayes_impedance.population.importance_likelihood import ImportanceLikelihood
-from bayes_impedance.population.likelihood_gradient import likelihood_gradient
 from bayes_impedance.population.parameters import Coordinates, PopulationParameters
 from bayes_impedance.population.prior import Prior
 
@@ -122,16 +129,7 @@ def test_gradient(correlated):
     u = 0.3 * rng.normal(size=(5, coordinates.n_dimensions)) + 1.2 * coordinates.even
     u[:, :2] *= 0.1  # of the prior's three
 
-    def density(x):
-        return marginal(coordinates.unpack(x)) + coordinates.log_prior(x)
-
-    sets = coordinates.unpack(u)
-    own = pulled_back(coordinates, u, sets, likelihood_gradient(marginal, sets))
-    for d in range(u.shape[1]):
-        e = STEP * np.eye(u.shape[1])[d]
-        near, far = density(u + e) - density(u - e), density(u + 2 * e) - density(u - 2 * e)
-        expected = (8 * near - far) / (12 * STEP)
-        assert np.abs(own[:, d] - expected).max() < 2e-3 * np.abs(own).max(), d
+    require_gradient(marginal, coordinates, u, STEP, 2e-3)
 
 
 def test_coordinate_has_a_standard_normal_prior():

@@ -5,12 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from drawn_posteriors import posterior_of
-from persons_with_draws import REFERENCE_COVARIANCE, N, P, contrasts_of, gaussian_draws, parameters, people
+from persons_with_draws import (
+    REFERENCE_COVARIANCE,
+    N,
+    P,
+    contrasts_of,
+    gaussian_draws,
+    parameters,
+    people,
+    require_gradient,
+    slopes_of,
+)
 
 from bayes_impedance import FINGERTIP, simulate_recordings
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
-from bayes_impedance.population.coordinates_gradient import pulled_back
 from bayes_impedance.population.exponentials import normalise_rows
 from bayes_impedance.population.importance_likelihood import ImportanceLikelihood
 from bayes_impedance.population.likelihood_gradient import likelihood_gradient
@@ -20,16 +29,6 @@ from bayes_impedance.recordings.files import Recordings, Subject
 
 STEP = 1e-2
 """Of differences in coordinates: likelihoods are in single precision."""
-
-
-def slopes_of(density, u):
-    """Central differences of fourth order along each coordinate, (W, D)."""
-    found = np.empty(u.shape)
-    for d in range(u.shape[1]):
-        e = STEP * np.eye(u.shape[1])[d]
-        near, far = density(u + e) - density(u - e), density(u + 2 * e) - density(u - 2 * e)
-        found[:, d] = (8 * near - far) / (12 * STEP)
-    return found
 
 
 @pytest.mark.parametrize("n_covariates", [0, 2])
@@ -57,13 +56,7 @@ def test_gradient_of_likelihood_and_prior(n_covariates, correlated):
     u = 0.3 * rng.normal(size=(7, coordinates.n_dimensions)) + 1.2 * coordinates.even
     u[:, :2] *= 0.1  # of the prior's three
 
-    def density(x):
-        return marginal(coordinates.unpack(x)) + coordinates.log_prior(x)
-
-    sets = coordinates.unpack(u)
-    own = pulled_back(coordinates, u, sets, likelihood_gradient(marginal, sets))
-    expected = slopes_of(density, u)
-    assert np.abs(own - expected).max() < 1e-3 * np.abs(expected).max()
+    require_gradient(marginal, coordinates, u, STEP, 1e-3)
 
 
 def test_gradient_is_finite_where_a_dispersion_between_repetitions_is_zero():
@@ -133,7 +126,7 @@ def test_gradient_of_a_fits_posterior(kind, monkeypatch):
     white = 0.7 * rng.normal(size=(4, posterior.mode.size))  # each takes four densities for every coordinate
     posterior.rough_draws = posterior.drawn
     own = posterior.gradient(posterior.mode + white @ factor.T) @ factor
-    expected = slopes_of(lambda x: posterior.log_probability(posterior.mode + x @ factor.T), white)
+    expected = slopes_of(lambda x: posterior.log_probability(posterior.mode + x @ factor.T), white, STEP)
     assert np.abs(own - expected).max() < 0.05
     assert np.abs(expected).max() > 1
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from populations_of_groups import groups_apart, people_of_groups
 from populations_with_tails import CENTRE, SCALE, people_with_tails
+from saved_fits import read_again
 from scipy.stats import kstest, norm
 
 from bayes_impedance import FitSettings, fit_population
@@ -22,7 +22,7 @@ from bayes_impedance.population.sample_prior import sample_prior
 from bayes_impedance.population.simulate import VirtualPopulation, simulate_recordings
 from bayes_impedance.population.two_components import SEPARATION, Groups
 from bayes_impedance.report import write_report
-from bayes_impedance.results import load_result, make_result, predict, save_result
+from bayes_impedance.results import make_result, predict, save_result
 from bayes_impedance.results.leave_one_out import leave_one_out
 from bayes_impedance.results.result import Result
 
@@ -39,12 +39,7 @@ def two() -> dict[str, PopulationFit]:
 
 @pytest.fixture(scope="module")
 def saved(two: dict[str, PopulationFit], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Result]:
-    found = {}
-    for name, fit in two.items():
-        folder: Path = tmp_path_factory.mktemp(name)
-        save_result(make_result(fit, predict(fit, seed=1), {}), folder)
-        found[name] = load_result(folder)
-    return found
+    return read_again(two, tmp_path_factory)
 
 
 def test_groups_that_are_there_are_found(two):

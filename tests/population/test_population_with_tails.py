@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from populations_with_tails import CENTRE, SCALE, people_with_tails
+from saved_fits import read_again
 from scipy.stats import kstest
 
 from bayes_impedance import FitSettings, fit_population
@@ -17,7 +17,7 @@ from bayes_impedance.population.described_population import population_from
 from bayes_impedance.population.fit import QUICK_SETTINGS, PopulationFit
 from bayes_impedance.population.held_out_person import held_out_log_densities
 from bayes_impedance.population.sample_prior import sample_prior
-from bayes_impedance.results import load_result, make_result, predict, save_result
+from bayes_impedance.results import make_result, predict, save_result
 from bayes_impedance.results.leave_one_out import leave_one_out
 from bayes_impedance.results.result import Result
 
@@ -34,12 +34,7 @@ def outlying() -> dict[str, PopulationFit]:
 
 @pytest.fixture(scope="module")
 def saved(outlying: dict[str, PopulationFit], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Result]:
-    found = {}
-    for name, fit in outlying.items():
-        folder: Path = tmp_path_factory.mktemp(name)
-        save_result(make_result(fit, predict(fit, seed=1), {}), folder)
-        found[name] = load_result(folder)
-    return found
+    return read_again(outlying, tmp_path_factory)
 
 
 def test_people_far_from_the_others_move_the_centre_less(outlying):

@@ -62,7 +62,6 @@ the second or the third search was better in 2, by 0.5 and 2.1."""
 _DAMPING = 1e-3
 """Of a person's first step, relative to the curvature. By choice."""
 
-
 _SUMMINGS = 2
 """How often recordings are summed up in a fit. By choice: the second time is around a place near the optimum, where
 sums are nearly exact; where one round with all frequencies still moves the fit, more sums would not help."""

@@ -55,16 +55,13 @@ def test_chi_square_changes_as_that_of_all_frequencies(experiment: Experiment) -
     assert np.all(np.abs(few - whole) < 0.01 * np.abs(whole - before) + 0.5)
 
 
-def test_a_fit_ends_where_it_ends_with_all_frequencies(experiment: Experiment) -> None:
+def test_a_fit_ends_where_it_ends_with_all_frequencies(experiment: Experiment, monkeypatch: pytest.MonkeyPatch) -> None:
     refitter = experiment.refitter
     assert refitter.many_frequencies
     start = experiment.u + 0.3
     few = refitter.fit(experiment.model, start, experiment.population, 600, tolerance=1e-3)
-    refitter.many_frequencies = False
-    try:
-        whole = refitter.fit(experiment.model, start, experiment.population, 600, tolerance=1e-3)
-    finally:
-        refitter.many_frequencies = True
+    monkeypatch.setattr(refitter, "many_frequencies", False)
+    whole = refitter.fit(experiment.model, start, experiment.population, 600, tolerance=1e-3)
     assert few.settled
     assert whole.settled
     np.testing.assert_allclose(few.evidence, whole.evidence, atol=0.05)
@@ -92,16 +89,15 @@ def sharp() -> Iterator[Fitted]:
         yield fit_network(made.recordings, "(n1-m1)|(m2-r1-n3)", 1, executor, lambda *_: None)
 
 
-def test_nobody_is_led_to_another_gap_by_sums_that_do_not_hold(sharp: Fitted) -> None:
+def test_nobody_is_led_to_another_gap_by_sums_that_do_not_hold(sharp: Fitted, monkeypatch: pytest.MonkeyPatch) -> None:
     """From half a gap beside the resonance: the same ends as with all frequencies."""
     refitter, fit = sharp.refitter, sharp.fit
     assert refitter.many_frequencies
     start = fit.u.copy()
     start[:, fit.model.kernel.elements.index("m1")] += 0.02
     few = refitter.fit(fit.model, start, fit.population, 40, hold_population=True)
-    refitter.many_frequencies = False
+    monkeypatch.setattr(refitter, "many_frequencies", False)
     whole = refitter.fit(fit.model, start, fit.population, 40, hold_population=True)
-    refitter.many_frequencies = True
     np.testing.assert_allclose(few.evidence, whole.evidence, atol=0.1)
 
 
