@@ -35,16 +35,14 @@ STEPS = 15
 three persons without damping, with 15 only 33."""
 
 _ATTEMPTS = 3
-"""Dampings that are tried in a step. By choice: a start that gets worse in all of them goes on from there in the next."""
+"""Dampings that are tried in a step. By choice: a start that gets worse in all of them goes on with the last."""
 
 _LONGEST = 2.0
 """Largest change of a log element in one step, as in :mod:`bayes_impedance.person.mode`."""
 
 
 @compiled
-def _error(
-    outputs: np.ndarray, z0: np.ndarray, measured: np.ndarray, root: np.ndarray, error: np.ndarray
-) -> float:
+def _error(outputs: np.ndarray, z0: np.ndarray, measured: np.ndarray, root: np.ndarray, error: np.ndarray) -> float:
     """Weighted errors of the reflection coefficient after :func:`forward`, into `error` (2, F); their sum of squares.
 
     Parameters

@@ -51,6 +51,12 @@ _FIRST_ROUNDS, _MORE_ROUNDS = 8, 22
 _FAR_BEHIND = 40.0
 """Log evidence that a refit which has not converged is not expected to make up. By choice."""
 
+_BEST_PEOPLE, _OUT_OF_REACH = 0.25, 0.4
+"""Share of the people who are taken to be at the right optimum already when an effect with poles of its own has been
+refitted once, and the share of the best gain that may be missing if everybody were like them. Of 16 such refits of four
+populations none ended more than 45 above what was hoped for when it was searched further, and that one where the best
+gained 123 189. What has less than 0.6 of the best gain is no finalist (:mod:`.finalists`)."""
+
 
 @dataclass(frozen=True)
 class Trial:
@@ -233,8 +239,9 @@ def try_shortlist(
         trials += try_candidate(refitter, fit, candidate, float(screening.size[k]), poolings, _FIRST_ROUNDS, begin)
         if candidate.effect.side == "body" and "varying" in poolings and has_shapes(candidate.effect) and differs:
             trials.append(own_shapes(refitter, fit, screening, k, _FIRST_ROUNDS, begin))
-    trials = _continued(refitter, fit, trials) + _from_levels(refitter, fit, screening, seed)
-    possible = [t for t in trials if t.physical and np.isfinite(t.gain)]
+    trials = _continued(refitter, fit, trials)
+    trials += _from_levels(refitter, fit, screening, seed, max((t.gain for t in _possible(trials)), default=0.0))
+    possible = _possible(trials)
     if not possible:
         return trials
     leader = max(possible, key=lambda t: t.gain)
@@ -250,18 +257,33 @@ def try_shortlist(
     return trials
 
 
-def _from_levels(refitter: Refitter, fit: Refit, screening: Screening, seed: int) -> list[Trial]:
-    """Effects with poles of their own, from the coefficients on a grid that fit best."""
+def _possible(trials: Sequence[Trial]) -> list[Trial]:
+    return [t for t in trials if t.physical and np.isfinite(t.gain)]
+
+
+def _from_levels(refitter: Refitter, fit: Refit, screening: Screening, seed: int, best_gain: float) -> list[Trial]:
+    """Effects with poles of their own, from the coefficients on a grid that fit best.
+
+    `best_gain` is that of all other trials.
+    """
     if len(refitter.data) < FEWEST_TO_VARY:
         return []
     found = []
     for candidate, size in best_levels(fit, screening.candidates):
         grown = from_level(refitter, fit, candidate, size, _FIRST_ROUNDS + _MORE_ROUNDS)
         trial = _from_cold(refitter, fit, _trial(candidate, "varying", grown, fit), _FIRST_ROUNDS + _MORE_ROUNDS)
-        # Whoever has a pole in the band begins on the wrong side of it.
-        rested = _trial(candidate, "varying", refitter.settle(trial.fit, seed), fit)
-        found.append(max(trial, rested, key=lambda t: t.gain))
+        if _hoped_for(trial, fit) > best_gain - max(_FAR_BEHIND, _OUT_OF_REACH * best_gain):
+            # Whoever has a pole in the band begins on the wrong side of it.
+            rested = _trial(candidate, "varying", refitter.settle(trial.fit, seed), fit)
+            trial = max(trial, rested, key=lambda t: t.gain)
+        found.append(trial)
     return found
+
+
+def _hoped_for(trial: Trial, fit: Refit) -> float:
+    """The gain if everybody gained as much as the best quarter do: what searching for better optima can bring."""
+    gain = np.nan_to_num(trial.fit.evidence - fit.evidence, nan=-np.inf)
+    return max(trial.gain, float(gain.size * np.quantile(gain, 1 - _BEST_PEOPLE)))
 
 
 def lookalike_trials(refitter: Refitter, fit: Refit, screening: Screening, leader: Trial) -> list[Trial]:
