@@ -6,7 +6,7 @@ elements' tangent space, column k has the mean square
 .. math:: x_k = \sum |(1-QQ^T) r|_k^2 \Big/ \sum (1 - h_k), \qquad F = x_k / \bar x
 
 over all recordings; for a common error of all recordings it is the square of their sum, with two degrees of freedom.
-The neighbours' mean square is the level :math:`\bar x`. The noise is not known exactly from point to point: the scatter
+The neighbours' mean square is the level :math:`\bar x`, for a common error at least that of independent recordings. The noise is not known exactly from point to point: the scatter
 e^2 of ln x over the neighbours in excess of chance limits how well they predict the point. So the level is given the
 degrees of freedom that correspond to this variance, :math:`2/\nu = 2/\nu_{\bar x} + e^2`.
 
@@ -238,6 +238,9 @@ def excess(table: Neighbourhood, column: int, meant: np.ndarray, together: bool)
         wiggle = float(np.var(np.log(np.maximum(x[used], 1e-12)), ddof=1))
         beyond = max(wiggle - float(np.mean(polygamma(1, n[used] / 2))), 0.0)
         freedom = 2.0 / (2.0 / freedom + beyond + table.level_error * wiggle)
+    else:  # the sum of independent recordings scatters as much as they do, and less only by chance
+        own, own_n = table.mean_square(table.neighbour, together=False)
+        level = max(level, float(np.sum(own[used] * own_n[used]) / own_n[used].sum()))
 
     x, n = table.mean_square(np.isfinite(table.frequency_hz), together)
     places = np.flatnonzero((n > 0.5 * n.max()) & ~meant)
