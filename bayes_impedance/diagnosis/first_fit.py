@@ -29,6 +29,10 @@ _MAINS_ALPHA = 1e-3
 """Corrected level of the search for hum. By choice: stricter than other levels, because affected points are left
 out."""
 
+_ROUNDS = 15
+"""Rounds of the fit to all points beside which hum is looked for again. By choice: it begins where the others are at
+rest."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class FirstFit:
@@ -57,7 +61,8 @@ class FirstFit:
         """Whether there was hum, and is none beside what was found: `final` is the fit with it to the clean points."""
         if self.hum is None:
             return False
-        beside = replace(final, data=self.to_everything.fit.data)
+        # A sharp resonance that these points would have told is off there by more than their noise before it is fitted.
+        beside = self.to_everything.refitter.fit(final.model, final.u, final.population, _ROUNDS)
         return _hum_in(person_residuals(beside, self.to_everything.recordings.names, executor)) is None
 
     def of_everything(self) -> FirstFit:

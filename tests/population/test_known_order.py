@@ -196,7 +196,7 @@ def test_an_order_that_the_recordings_contradict_is_refused(tmp_path: Path) -> N
 def test_the_posterior_is_that_without_the_order_cut_off() -> None:
     """Two compliances that cannot be exchanged and are equal: the order cuts off about half of the posterior."""
     population = replace(TWO_SPRINGS, central={"n1": 3e-4, "m1": 1e-3, "r1": 1.0, "n2": 3e-4})
-    springs = simulate_recordings(population, 8, 1, np.geomspace(5, 5000, 16), seed=4).recordings
+    springs = simulate_recordings(population, 8, 1, np.geomspace(5, 5000, 16), seed=10).recordings
     free = fit_population(springs, settings=SHORT, seed=1)
     for order in (("n1", "n2"), ("n2", "n1")):
         fit = fit_population(springs, settings=ordered(order), seed=1)
@@ -204,7 +204,7 @@ def test_the_posterior_is_that_without_the_order_cut_off() -> None:
         assert np.all(fit.parameters.mu[:, low] < fit.parameters.mu[:, high])
         assert not fit.diagnostics.problems
         kept = free.parameters.mu[free.parameters.mu[:, low] < free.parameters.mu[:, high]]
-        assert 0.1 < len(kept) / len(free.parameters.mu) < 0.9
+        assert 0.4 < len(kept) / len(free.parameters.mu) < 0.6
         for of in (low, high):
             sd = kept[:, of].std()
             assert fit.parameters.mu[:, of].mean() == pytest.approx(kept[:, of].mean(), abs=0.3 * sd)

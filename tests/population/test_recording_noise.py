@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
@@ -48,9 +50,42 @@ def test_weights_do_not_go_with_a_points_own_noise_where_repetitions_differ_smoo
     sd = noise_of(subject, model)
     weighted = np.sum(noise / sd**2, axis=1) / np.sum(1 / sd, axis=1)
     shift = weighted - np.mean(noise / (level * np.abs(clean)), axis=1)
-    # A mean over two repetitions has half of the point's noise: one level, the same everywhere, which is a gain. The
-    # recording's own magnitude would give two, and a value between where repetitions differ less.
-    assert np.all(np.abs(shift) < 1.2 * level)
+    # The mean over two repetitions would give one level, the recording's own magnitude two.
+    assert np.all(np.abs(shift) < 0.3 * level)
+
+
+@pytest.mark.parametrize("spacing", [np.geomspace, np.linspace])
+def test_noise_of_one_recording_does_not_draw_it_down(spacing: Callable[..., np.ndarray]) -> None:
+    n, level = 40_000, 0.07
+    frequency = spacing(5, 500, n)
+    clean = Kernel(parse("(m1-(n1|r1))|r2")).impedance(np.log([0.05, 1e-3, 2.0, 1.0]), frequency)
+    rng = np.random.default_rng(1)
+    noise = level * np.abs(clean) * (rng.normal(size=n) + 1j * rng.normal(size=n))
+    subject = simulate_recordings(FINGERTIP, 1, 1, FREQUENCY, 1).recordings.subjects[0]
+    subject = replace(subject, frequency_hz=frequency, z=(clean + noise)[None])
+    sd = noise_of(subject, NoiseModel(FREQUENCY, np.full(80, level), True, 1e-6))[0]
+    assert np.median(sd / (level * np.abs(clean))) == pytest.approx(1.0, abs=0.01)
+    gain = np.sum(np.real(np.conj(clean) * noise) / sd**2) / np.sum(np.abs(clean / sd) ** 2)
+    assert abs(gain) < 4 * level / np.sqrt(n)  # four standard errors; its own magnitude gives -2 level^2 = -0.0098
+    own = np.sum(np.real(np.conj(clean) * noise) / np.abs(clean + noise) ** 2) / n
+    assert own < -0.008
+
+
+def test_a_resonance_that_the_grid_barely_resolves_keeps_its_own_magnitude() -> None:
+    frequency = np.geomspace(5, 500, 200)
+    clean = Kernel(parse("m1|n1|r1")).impedance(np.log([0.05, 1e-3, 0.05]), frequency)
+    subject = simulate_recordings(FINGERTIP, 1, 1, FREQUENCY, 1).recordings.subjects[0]
+    subject = replace(subject, frequency_hz=frequency, z=clean[None])
+    sd = noise_of(subject, NoiseModel(FREQUENCY, np.full(80, 0.01), True, 1e-6))[0]
+    assert np.abs(np.log(sd / (0.01 * np.abs(clean)))).max() < 0.06
+
+
+def test_a_few_points_keep_the_magnitude_of_the_recordings() -> None:
+    few = FREQUENCY[:5]
+    subject = simulate_recordings(FINGERTIP, 1, 1, FREQUENCY, 1).recordings.subjects[0]
+    subject = replace(subject, frequency_hz=few, z=subject.z[:, :5])
+    sd = noise_of(subject, NoiseModel(FREQUENCY, np.full(80, 0.01), True, 1e-6))
+    np.testing.assert_allclose(sd, 0.01 * np.abs(subject.z))
 
 
 def test_noise_that_does_not_grow_with_the_magnitude_is_the_same_in_all_recordings() -> None:

@@ -4,7 +4,7 @@ Hum has the phase of the mains, which is random in each recording unless the rec
 appears as excess scatter at few points (:mod:`~bayes_impedance.diagnosis.hum.neighbours`) or, if synchronised, as the
 same error in all recordings. Hum must not extend to the neighbouring points, and it must scatter between the
 repetitions of a person: a badly described resonance is wide, and the same in all repetitions. An undamped resonance of
-one person can be as narrow as hum; so hum must also be found without the person in whom it is strongest.
+one person can be as narrow as hum; so hum must also be found without the people in whom it is strongest by far.
 
 Weak hum may be significant at no single harmonic. Therefore Fisher's combination of the first m of them,
 
@@ -49,9 +49,13 @@ _AFFECTED_P = 0.01
 """Level at which a single harmonic counts as affected once the combination is significant. By choice."""
 
 _ENOUGH_TO_OMIT = 5
-"""Number of people from which hum must be found without the one in whom it is strongest as well. By choice: hum
-is in everybody's recordings, so that four fifths of them show it as well; a resonance at the line's frequency is in
-those of one person only."""
+"""Number of people from which hum must be found without the one in whom it is strongest as well, of many without up to
+one in so many. By choice: hum is in everybody's recordings, so that four fifths of them show it as well; a resonance at
+the line's frequency is in those of a few people only."""
+
+_OUTLYING = 10.0
+"""Residual energy at the affected points, over the median person's, from which people are omitted. By choice: of the
+hum's chi-square with two degrees of freedom one in a thousand is above it, and narrow resonances are at a hundred."""
 
 CHI_SQUARE_Q90 = NORMAL_Q95**2
 """Drop of twice the log likelihood at the ends of a 90 % interval: chi-square with one degree of freedom."""
@@ -135,12 +139,16 @@ def find_mains(residuals: Sequence[PersonResiduals], alpha: float = 0.01, absolu
     found = _found(residuals, alpha, absolute)
     if found is None or len(residuals) < _ENOUGH_TO_OMIT:
         return found
-    energy = [
-        float(np.sum(np.abs(projected(person)[0][:, affected_points(person.frequency_hz, found)]) ** 2))
-        for person in residuals
-    ]
-    strongest = int(np.argmax(energy))
-    others = [person for i, person in enumerate(residuals) if i != strongest]
+    energy = np.array(
+        [
+            np.sum(np.abs(projected(person)[0][:, affected_points(person.frequency_hz, found)]) ** 2)
+            for person in residuals
+        ]
+    )
+    order = np.argsort(energy)[::-1]
+    outlying = int(np.count_nonzero(energy > _OUTLYING * np.median(energy)))
+    omitted = set(order[: int(np.clip(outlying, 1, len(residuals) // _ENOUGH_TO_OMIT))].tolist())
+    others = [person for i, person in enumerate(residuals) if i not in omitted]
     return found if _found(others, alpha, absolute) is not None else None
 
 

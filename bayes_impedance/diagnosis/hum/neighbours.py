@@ -6,9 +6,10 @@ elements' tangent space, column k has the mean square
 .. math:: x_k = \sum |(1-QQ^T) r|_k^2 \Big/ \sum (1 - h_k), \qquad F = x_k / \bar x
 
 over all recordings; for a common error of all recordings it is the square of their sum, with two degrees of freedom.
-The neighbours' mean square is the level :math:`\bar x`, for a common error at least that of independent recordings. The noise is not known exactly from point to point: the scatter
-e^2 of ln x over the neighbours in excess of chance limits how well they predict the point. So the level is given the
-degrees of freedom that correspond to this variance, :math:`2/\nu = 2/\nu_{\bar x} + e^2`.
+The neighbours' mean square is the level :math:`\bar x`, for a common error at least that of independent recordings. The
+noise is not known exactly from point to point: the scatter e^2 of ln x over the neighbours in excess of chance limits
+how well they predict the point. So the level is given the degrees of freedom that correspond to this variance,
+:math:`2/\nu = 2/\nu_{\bar x} + e^2`.
 
 A noise shape that was estimated from repetitions may already contain the excess, and whitening then hides it.
 Therefore the noise is predicted in *absolute* units from that of the neighbours: by a parabola in log frequency through

@@ -21,6 +21,7 @@ from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, FEWEST_TO
 from bayes_impedance.diagnosis.selection.level_starts import best_levels, from_level
 from bayes_impedance.diagnosis.selection.lookalikes import from_the_leader, lookalikes
 from bayes_impedance.diagnosis.selection.score_scan import Screening
+from bayes_impedance.person.likelihood import SCALE_SHAPE
 
 ALPHA = 0.01
 """Family-wise error rate of one screening. By choice."""
@@ -51,11 +52,10 @@ _FIRST_ROUNDS, _MORE_ROUNDS = 8, 22
 _FAR_BEHIND = 40.0
 """Log evidence that a refit which has not converged is not expected to make up. By choice."""
 
-_BEST_PEOPLE, _OUT_OF_REACH = 0.25, 0.4
-"""Share of the people who are taken to be at the right optimum already when an effect with poles of its own has been
-refitted once, and the share of the best gain that may be missing if everybody were like them. Of 16 such refits of four
-populations none ended more than 45 above what was hoped for when it was searched further, and that one where the best
-gained 123 189. What has less than 0.6 of the best gain is no finalist (:mod:`.finalists`)."""
+_OUT_OF_REACH = 0.4
+"""Share of the best gain that may be missing, if everybody were described as well as the median person, where an effect
+with poles of its own is still searched further: what has less than 0.6 of the best gain is no finalist
+(:mod:`.finalists`)."""
 
 
 @dataclass(frozen=True)
@@ -272,7 +272,7 @@ def _from_levels(refitter: Refitter, fit: Refit, screening: Screening, seed: int
     for candidate, size in best_levels(fit, screening.candidates):
         grown = from_level(refitter, fit, candidate, size, _FIRST_ROUNDS + _MORE_ROUNDS)
         trial = _from_cold(refitter, fit, _trial(candidate, "varying", grown, fit), _FIRST_ROUNDS + _MORE_ROUNDS)
-        if _hoped_for(trial, fit) > best_gain - max(_FAR_BEHIND, _OUT_OF_REACH * best_gain):
+        if _hoped_for(trial) > best_gain - max(_FAR_BEHIND, _OUT_OF_REACH * best_gain):
             # Whoever has a pole in the band begins on the wrong side of it.
             rested = _trial(candidate, "varying", refitter.settle(trial.fit, seed), fit)
             trial = max(trial, rested, key=lambda t: t.gain)
@@ -280,10 +280,11 @@ def _from_levels(refitter: Refitter, fit: Refit, screening: Screening, seed: int
     return found
 
 
-def _hoped_for(trial: Trial, fit: Refit) -> float:
-    """The gain if everybody gained as much as the best quarter do: what searching for better optima can bring."""
-    gain = np.nan_to_num(trial.fit.evidence - fit.evidence, nan=-np.inf)
-    return max(trial.gain, float(gain.size * np.quantile(gain, 1 - _BEST_PEOPLE)))
+def _hoped_for(trial: Trial) -> float:
+    """The gain if everybody were described as well as the median person: what searching for better optima can bring."""
+    scale = trial.fit.weight**-0.5
+    exponent = SCALE_SHAPE + np.array([data.count for data in trial.fit.data])
+    return trial.gain + float(np.sum(2 * exponent * np.log(np.maximum(scale / np.median(scale), 1.0))))
 
 
 def lookalike_trials(refitter: Refitter, fit: Refit, screening: Screening, leader: Trial) -> list[Trial]:

@@ -100,13 +100,15 @@ def test_the_line_and_its_harmonics_are_told(
 
 
 @pytest.mark.parametrize("line", [50.0, 60.0])
-def test_a_point_of_one_person_that_is_far_off_is_no_hum(line: float) -> None:
+@pytest.mark.parametrize("far_off", [(12,), (3, 12, 40)])
+def test_a_point_of_a_few_people_that_is_far_off_is_no_hum(line: float, far_off: tuple[int, ...]) -> None:
     """As beside a pole that nothing damps: of 53 people nobody else has it."""
     some = people(9, Rig(), 53, 1, COARSE)
     column = int(np.argmin(np.abs(np.log(COARSE / line))))
-    white = some[12].white.copy()
-    white[0, [column, column + COARSE.size]] = 12.0
-    some[12] = replace(some[12], white=white)
+    for i in far_off:
+        white = some[i].white.copy()
+        white[0, [column, column + COARSE.size]] = 12.0
+        some[i] = replace(some[i], white=white)
     assert find_mains(some) is None
     everybody = people(9, Rig(line, (1,), 0.02), 53, 1, COARSE)
     assert find_mains(everybody) is not None
