@@ -1,53 +1,62 @@
-"""Rivals of earlier additions, to be looked at again when later ones are known.
+"""Earlier additions chosen anew, when later ones are known.
 
 The first step names what explains most while everything else is still missing. There an effect with more freedom can
 win because it takes part of the other effect's place: beside a high-pass that had not been found yet, a resonator that
-differs between people was 7500 nats ahead of a resonance of the rig; with the high-pass it is 56 behind. So after the
-search, each step's rivals are followed by the effects of the later additions, and if these describe more together than
-what was found, the search goes on from the rival.
+differs between people was 7500 nats ahead of a resonance of the rig; with the high-pass it is 56 behind. And what the
+step did not consider as a rival may be the truth: beside a residual mass that was still missing a relaxation with a
+damper of 0.42 N s/m explained twice as much as the damping of the rig that was there. So after the search each addition
+but the last is left out, the others stay, and the search goes on from there; if it describes more than what was found,
+it is believed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
-import numpy as np
-
-from bayes_impedance.diagnosis.catalogue.effect import Effect
-from bayes_impedance.diagnosis.selection.shortlist import Trial
+from bayes_impedance.diagnosis.fit.coefficient_posterior import CoefficientPosterior
+from bayes_impedance.diagnosis.fit.extend import rebuilt, shrunk
+from bayes_impedance.diagnosis.fit.fitter import Refitter
+from bayes_impedance.diagnosis.fit.refit import Refit
+from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN, log_evidence
 from bayes_impedance.diagnosis.selection.step import Step
 
-_MOST = 2
-"""Rivals of each step that are tried. By choice: each costs a step of the search for every later addition."""
 
-_SHARE = 0.5
-"""Fraction of the choice's gain that a rival must have. By choice: what explains less than half of it is not what the
-choice stands for."""
+@dataclass(frozen=True)
+class Way:
+    """Where a search has come to: the model that it began with, the last one, the steps between, and its posterior."""
+
+    base: Refit
+    fit: Refit
+    steps: tuple[Step, ...]
+    posterior: CoefficientPosterior | None
 
 
-def rival_beginnings(steps: Sequence[Step]) -> Iterator[tuple[list[Step], tuple[Effect, ...]]]:
-    """Beginnings of a search in which the last choice is a rival, each with the effects that were added later.
+def without(refitter: Refitter, fit: Refit, addition: int) -> Refit:
+    """The fit of the model without one of its additions, from the fit with it."""
+    kept = [k for k in range(len(fit.model.additions)) if k != addition]
+    return shrunk(refitter, fit, rebuilt(fit.model, [fit.model.additions[k] for k in kept], kept), kept)
+
+
+def exchanged(refitter: Refitter, way: Way, forward: Callable[[Way], Way]) -> Way:
+    """The way with one addition chosen anew beside the later ones, if that is better, and whatever follows from it.
 
     Parameters
     ----------
-    steps : sequence of Step
+    refitter : Refitter
+    way : Way
         Of a search.
+    forward : callable
+        Makes further steps from a way until nothing more is found.
     """
-    made = [step for step in steps if step.chosen is not None]
+    made = [step for step in way.steps if step.chosen is not None]
     for k, step in enumerate(made[:-1]):
-        later = dict.fromkeys(s.chosen.effect for s in made[k + 1 :] if s.chosen is not None)
-        for rival in _rivals(step):
-            if rival.effect not in later:
-                yield [*made[:k], replace(step, chosen=rival)], tuple(later)
-
-
-def _rivals(step: Step) -> list[Trial]:
-    """The best other explanations of a step, each at its best place."""
-    assert step.chosen is not None  # the caller has only steps with a choice
-    best: dict[str, Trial] = {}
-    for trial in sorted(step.trials, key=lambda t: -np.nan_to_num(t.gain, nan=-np.inf)):
-        enough = trial.physical and trial.gain > _SHARE * step.chosen.gain
-        if enough and trial.effect != step.chosen.effect:
-            best.setdefault(trial.effect.id, trial)
-    return list(best.values())[:_MOST]
+        others = (*made[:k], *made[k + 1 :])
+        fit = without(refitter, way.fit, len(way.base.model.additions) + k)
+        anew = forward(Way(way.base, fit, others, None))
+        new, *more = anew.steps[len(others) :]
+        if new.chosen is not None and log_evidence(anew.fit) > log_evidence(way.fit) + LEAST_GAIN:
+            # What was tried beside the others is what it is compared with; the step's place and residuals stay.
+            instead = replace(step, before=new.before, trials=new.trials, chosen=new.chosen)
+            return replace(anew, steps=(*made[:k], instead, *made[k + 1 :], *more))
+    return way

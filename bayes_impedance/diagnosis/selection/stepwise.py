@@ -3,7 +3,7 @@
 Each step screens all candidates with the previous additions in the model, refits the most promising ones with the whole
 population and keeps the best. The search stops when no candidate is significant after correction for all that were
 tried, when none improves the evidence, or when there are too few people for more additions. Then earlier choices are
-compared with their rivals beside the later ones (:mod:`.exchange`).
+made anew beside the later ones (:mod:`.exchange`).
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ import numpy as np
 
 from bayes_impedance.diagnosis.catalogue.effect import Effect
 from bayes_impedance.diagnosis.fit.coefficient_posterior import CoefficientPosterior
-from bayes_impedance.diagnosis.fit.extend import measured, rebuilt, shrunk
+from bayes_impedance.diagnosis.fit.extend import measured
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.model import Addition
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN, compare, log_evidence
-from bayes_impedance.diagnosis.selection.exchange import rival_beginnings
+from bayes_impedance.diagnosis.selection.exchange import Way, exchanged, without
 from bayes_impedance.diagnosis.selection.few_people import holds_beside
 from bayes_impedance.diagnosis.selection.finalists import finalists, in_order, with_lookalikes
 from bayes_impedance.diagnosis.selection.misfit import dependence
@@ -99,13 +99,9 @@ def search(
     begin : Refit, optional
         Fit of the same model as `base`, at which the first step screens and starts its refits.
     """
-    forward = partial(_forward, refitter, names=names, seed=seed, executor=executor, progress=progress)
-    way = forward(_Way(base, base, (), None), effects=effects, begin=begin)
-    for beginning, later in rival_beginnings(way.steps):
-        rival = _Way(way.base, beginning[-1].after, tuple(beginning), None)
-        if log_evidence(forward(rival, effects=later).fit) > log_evidence(way.fit) + LEAST_GAIN:
-            way = forward(rival, effects=effects)
-            break
+    forward = partial(_forward, refitter, names=names, effects=effects, seed=seed, executor=executor, progress=progress)
+    way = forward(Way(base, base, (), None), begin=begin)
+    way = exchanged(refitter, way, forward)
     base, fit, steps, posterior = way.base, way.fit, way.steps, way.posterior
     final = _backward(refitter, base, fit, seed)
     if final.model.additions and (final is not fit or posterior is None):
@@ -114,26 +110,16 @@ def search(
     return Found(base, final, steps, posterior if final.model.additions else None)
 
 
-@dataclass(frozen=True)
-class _Way:
-    """Where a search has come to."""
-
-    base: Refit
-    fit: Refit
-    steps: tuple[Step, ...]
-    posterior: CoefficientPosterior | None
-
-
 def _forward(
     refitter: Refitter,
-    way: _Way,
+    way: Way,
     names: Sequence[str],
     effects: Sequence[Effect],
     seed: int,
     executor: Executor,
     progress: Progress,
     begin: Refit | None = None,
-) -> _Way:
+) -> Way:
     """Steps from there until nothing is significant, or better, any more."""
     most, of_any_kind = MOST_ADDITIONS, max(1, len(refitter.data) // _PEOPLE_PER_ADDITION)
     of_the_chain = tuple(e for e in effects if e.side == "rig" and e.operation and len(e.coefficients) == 1)
@@ -183,7 +169,7 @@ def _forward(
             break
         fit = step.chosen.fit
         number += 1
-    return _Way(base, fit, tuple(steps), posterior)
+    return Way(base, fit, tuple(steps), posterior)
 
 
 class _Contest:
@@ -246,11 +232,7 @@ def _backward(refitter: Refitter, base: Refit, fit: Refit, seed: int) -> Refit:
     """Remove additions that later ones have made superfluous."""
     first = len(base.model.additions)
     while len(fit.model.additions) > first + 1:
-        smaller = []
-        for k in range(first, len(fit.model.additions)):
-            kept = [i for i in range(len(fit.model.additions)) if i != k]
-            model = rebuilt(fit.model, [fit.model.additions[i] for i in kept], kept)
-            smaller.append(shrunk(refitter, fit, model, kept))
+        smaller = (without(refitter, fit, k) for k in range(first, len(fit.model.additions)))
         best = max(smaller, key=log_evidence)
         if compare(fit, best).decided:
             best = refitter.settle(
