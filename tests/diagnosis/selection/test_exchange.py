@@ -1,94 +1,102 @@
-"""Earlier choices are compared with their rivals once later additions are known."""
+"""Each choice but the last is made anew beside the others."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
-import numpy as np
 import pytest
 
 from bayes_impedance.diagnosis.catalogue.effect import Effect, registered
-from bayes_impedance.diagnosis.selection import stepwise
-from bayes_impedance.diagnosis.selection.exchange import rival_beginnings
+from bayes_impedance.diagnosis.selection import exchange
+from bayes_impedance.diagnosis.selection.exchange import Way, exchanged
 from bayes_impedance.diagnosis.selection.shortlist import Trial
 from bayes_impedance.diagnosis.selection.step import Step
 
 EFFECTS = {effect.id: effect for effect in registered()}
-RESONATOR, RESONANCE, HIGHPASS = (EFFECTS[k] for k in ("body.resonator", "rig.resonance", "rig.highpass"))
-DELAY = EFFECTS["rig.delay"]
+RESONATOR, RESONANCE, HIGHPASS, DELAY = (
+    EFFECTS[k] for k in ("body.resonator", "rig.resonance", "rig.highpass", "rig.delay")
+)
+NOTHING: Any = None
 
 
 def fit_of(*names: str) -> Any:
     return SimpleNamespace(name="+".join(names), model=SimpleNamespace(additions=names), settled=True)
 
 
-def trial_of(effect: Effect, gain: float, *before: str, physical: bool = True) -> Trial:
+def trial_of(effect: Effect, gain: float, *before: str) -> Trial:
     candidate = SimpleNamespace(effect=effect, place="port")
-    return Trial(cast(Any, candidate), "shared", fit_of(*before, effect.id), gain, physical)
+    return Trial(cast(Any, candidate), "shared", fit_of(*before, effect.id), gain, True)
 
 
-def step_of(chosen: Trial | None, *trials: Trial) -> Step:
+def step_of(chosen: Trial | None, *trials: Trial, before: Any = None) -> Step:
     every = trials if chosen is None else (chosen, *trials)
-    return Step(cast(Any, fit_of()), (), cast(Any, None), every, chosen)
+    return Step(before or fit_of(), (), NOTHING, every, chosen)
 
 
-FIRST = step_of(
-    trial_of(RESONATOR, 100.0),
-    trial_of(DELAY, 30.0),
-    trial_of(RESONANCE, 80.0),
-    trial_of(RESONANCE, 90.0),
-    trial_of(HIGHPASS, 70.0),
-    trial_of(DELAY, np.nan),
-)
-SECOND = step_of(trial_of(HIGHPASS, 50.0, RESONATOR.id), trial_of(DELAY, 45.0, RESONATOR.id))
+FIRST = step_of(trial_of(RESONATOR, 100.0), trial_of(DELAY, 30.0))
+SECOND = step_of(trial_of(HIGHPASS, 50.0, RESONATOR.id), before=fit_of(RESONATOR.id))
 LAST = step_of(None)
+WAY: Any = Way(fit_of(), fit_of(RESONATOR.id, HIGHPASS.id), (FIRST, SECOND, LAST), NOTHING)
 
 
-def test_rivals_of_all_choices_but_the_last_begin_again_with_the_effects_that_came_later() -> None:
-    found = list(rival_beginnings([FIRST, SECOND, LAST]))
-    assert [([s.chosen.effect.id for s in steps if s.chosen], [e.id for e in later]) for steps, later in found] == [
-        ([RESONANCE.id], [HIGHPASS.id])  # the high-pass is no rival of the first step: it comes later anyway
-    ]
-    ((steps, _),) = found
-    assert steps[0].chosen is not None
-    assert steps[0].chosen.gain == 90.0  # the better one of the two
-    assert steps[0].trials == FIRST.trials
+@pytest.fixture
+def without(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fits without an addition have its name left out; their evidence is in their posterior's place."""
+
+    def left(_: Any, fit: Any, addition: int) -> Any:
+        names = list(fit.model.additions)
+        del names[addition]
+        return fit_of(*names)
+
+    evidence = {"rig.highpass+rig.resonance": 56.0, "rig.highpass+rig.delay": 2.0, WAY.fit.name: 0.0}
+    monkeypatch.setattr(exchange, "without", left)
+    monkeypatch.setattr(exchange, "log_evidence", lambda fit: evidence[fit.name])
 
 
-def test_what_has_the_wrong_sign_or_explains_little_is_no_rival() -> None:
-    first = step_of(trial_of(RESONATOR, 100.0), trial_of(RESONANCE, 90.0, physical=False), trial_of(DELAY, 49.0))
-    assert list(rival_beginnings([first, SECOND, LAST])) == []
+class Forward:
+    """Further steps that find one effect, or none."""
+
+    def __init__(self, effect: Effect | None) -> None:
+        self.effect = effect
+        self.asked: list[Any] = []
+
+    def __call__(self, way: Any) -> Way:
+        self.asked.append(way)
+        if self.effect is None:
+            return Way(way.base, fit_of(*WAY.fit.model.additions), (*way.steps, LAST), NOTHING)
+        before = way.fit.model.additions
+        new = step_of(trial_of(self.effect, 90.0, *before), trial_of(RESONATOR, 34.0, *before), before=way.fit)
+        return Way(way.base, fit_of(*before, self.effect.id), (*way.steps, new, LAST), cast(Any, "its own"))
+
+
+@pytest.mark.usefixtures("without")
+def test_what_is_better_beside_the_later_ones_takes_the_place_of_the_earlier_choice() -> None:
+    forward = Forward(RESONANCE)
+    way: Any = exchanged(NOTHING, WAY, forward)
+    assert [(w.fit.model.additions, w.steps) for w in forward.asked] == [((HIGHPASS.id,), (SECOND,))]
+    assert way.fit.model.additions == (HIGHPASS.id, RESONANCE.id)
+    assert way.posterior == "its own"
+    first, second, last = way.steps
+    assert (second, last) == (SECOND, LAST)
+    assert first.chosen is not None
+    assert first.chosen.effect is RESONANCE
+    assert [t.effect for t in first.trials] == [RESONANCE, RESONATOR]
+    assert first.before.name == HIGHPASS.id
+    assert first.residuals is FIRST.residuals
+
+
+@pytest.mark.usefixtures("without")
+@pytest.mark.parametrize("effect", [DELAY, None], ids=["hardly better", "nothing"])
+def test_the_choice_stays_where_nothing_is_clearly_better(effect: Effect | None) -> None:
+    forward = Forward(effect)
+    assert exchanged(NOTHING, WAY, forward) is WAY
+    assert len(forward.asked) == 1
 
 
 def test_one_choice_has_nothing_that_comes_later() -> None:
-    assert list(rival_beginnings([FIRST, LAST])) == []
-    assert list(rival_beginnings([])) == []
-
-
-@pytest.mark.parametrize(("rival_is_better", "expected"), [(True, RESONANCE.id), (False, RESONATOR.id)])
-def test_the_search_goes_on_from_a_rival_that_is_better_beside_the_later_ones(
-    rival_is_better: bool, expected: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    evidence = {"body.resonator+rig.highpass": 0.0, "rig.resonance+rig.highpass": 56.0 if rival_is_better else 2.0}
-    asked: list[tuple[str, ...]] = []
-
-    def forward(_: Any, way: Any, *, effects: Any, **others: Any) -> Any:
-        asked.append(tuple(e.id for e in effects))
-        if not way.steps:
-            return replace(way, fit=fit_of(RESONATOR.id, HIGHPASS.id), steps=(FIRST, SECOND, LAST), posterior=object())
-        second = step_of(trial_of(HIGHPASS, 60.0, way.fit.name))
-        return replace(way, fit=fit_of(way.fit.name, HIGHPASS.id), steps=(*way.steps, second, LAST), posterior=object())
-
-    monkeypatch.setattr(stepwise, "_forward", forward)
-    monkeypatch.setattr(stepwise, "_backward", lambda refitter, base, fit, seed: fit)
-    monkeypatch.setattr(stepwise, "log_evidence", lambda fit: evidence[fit.name])
-    nothing: Any = None
-    every = (RESONATOR, RESONANCE, HIGHPASS)
-    found = stepwise.search(nothing, fit_of(), (), every, 1, nothing, lambda *_: None)
-    assert found.final.model.additions == (expected, HIGHPASS.id)
-    assert found.steps[0].chosen is not None
-    assert found.steps[0].chosen.effect.id == expected
-    assert asked[1] == (HIGHPASS.id,)
-    assert len(asked) == (3 if rival_is_better else 2)
+    forward = Forward(RESONANCE)
+    for steps in ((FIRST, LAST), (LAST,)):
+        way = Way(fit_of(), fit_of(), steps, NOTHING)
+        assert exchanged(NOTHING, way, forward) is way
+    assert forward.asked == []

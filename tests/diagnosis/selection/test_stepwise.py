@@ -124,6 +124,20 @@ def test_with_the_right_addition_no_other_coefficient_seems_to_vary() -> None:
 # What is taken out again, and when it ends
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+def test_what_took_the_place_of_two_things_is_exchanged_for_one_of_them(seed: int) -> None:
+    """A relaxation explains most while the mass is still missing."""
+    effects = [entry(k) for k in ("rig.mass", "rig.damping", "body.relaxation", "body.resonator")]
+    elements = {"n1": 2.5e-4, "r1": 4.2, "m1": 4.5e-4, "n2": 6.3e-6}
+    two = toy(
+        "n1|((r1|m1)-n2)", elements, seed=seed, n=20, noise=0.0035, frequency_hz=np.geomspace(20, 9400, 101),
+        hidden=lambda s, z, _: (z + 0.42 - 5.4e-6 * s, np.zeros(20)),
+    )  # fmt: skip
+    result = searched(two, effects)
+    assert named(result) == {("rig.mass", "port", "shared"), ("rig.damping", "port", "shared")}
+    assert {s.chosen.effect.id for s in result.steps if s.chosen} == {"rig.mass", "rig.damping"}
+
+
 SUM = ("rig.delay", "body.relaxation", "body.springpot/beside_power")
 
 
