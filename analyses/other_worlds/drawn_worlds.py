@@ -203,11 +203,16 @@ def conduct(world: World) -> Experiment:
     return Experiment(log_elements, clean + hum, sd, clean + hum + sd * noise, members, noted)
 
 
+CHANNELS = ("rig.delay", "rig.highpass", "rig.lowpass")
+"""Effects of the electronics, behind all mechanics."""
+
+
 def chained(rows: list[tuple[Kind, Values, np.ndarray]]) -> Change:
-    """Several changes of one place, one after the other."""
+    """Several changes of one place: the body's, then the rig's mechanics, and its recording channels last."""
+    ordered = sorted(rows, key=lambda row: (row[0].side == "rig", row[0].id in CHANNELS))
 
     def change(s: np.ndarray, z: np.ndarray) -> np.ndarray:
-        for kind, values, who in rows:
+        for kind, values, who in ordered:
             z = np.where(who, kind.form(s, z, values), z)
         return z
 
