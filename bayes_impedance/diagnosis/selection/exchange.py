@@ -5,8 +5,8 @@ win because it takes part of the other effect's place: beside a high-pass that h
 differs between people was 7500 nats ahead of a resonance of the rig; with the high-pass it is 56 behind. And what the
 step did not consider as a rival may be the truth: beside a residual mass that was still missing a relaxation with a
 damper of 0.42 N s/m explained twice as much as the damping of the rig that was there. So after the search each addition
-but the last is left out, the others stay, and the search goes on from there; if it describes more than what was found,
-it is believed.
+but the last is left out, and one step of the search chooses anew beside the others; if that describes more than what
+was found, the search goes on from there.
 """
 
 from __future__ import annotations
@@ -38,25 +38,24 @@ def without(refitter: Refitter, fit: Refit, addition: int) -> Refit:
     return shrunk(refitter, fit, rebuilt(fit.model, [fit.model.additions[k] for k in kept], kept), kept)
 
 
-def exchanged(refitter: Refitter, way: Way, forward: Callable[[Way], Way]) -> Way:
-    """The way with one addition chosen anew beside the later ones, if that is better, and whatever follows from it.
+def exchanged(refitter: Refitter, way: Way, step_from: Callable[[Way], Way]) -> Way | None:
+    """The way with one addition chosen anew beside the later ones, if that is better; None if nothing is.
 
     Parameters
     ----------
     refitter : Refitter
     way : Way
         Of a search.
-    forward : callable
-        Makes further steps from a way until nothing more is found.
+    step_from : callable
+        Makes one more step from a way.
     """
     made = [step for step in way.steps if step.chosen is not None]
     for k, step in enumerate(made[:-1]):
         others = (*made[:k], *made[k + 1 :])
-        fit = without(refitter, way.fit, len(way.base.model.additions) + k)
-        anew = forward(Way(way.base, fit, others, None))
-        new, *more = anew.steps[len(others) :]
+        anew = step_from(Way(way.base, without(refitter, way.fit, len(way.base.model.additions) + k), others, None))
+        new = anew.steps[len(others)]
         if new.chosen is not None and log_evidence(anew.fit) > log_evidence(way.fit) + LEAST_GAIN:
             # What was tried beside the others is what it is compared with; the step's place and residuals stay.
             instead = replace(step, before=new.before, trials=new.trials, chosen=new.chosen)
-            return replace(anew, steps=(*made[:k], instead, *made[k + 1 :], *more))
-    return way
+            return replace(anew, steps=(*made[:k], instead, *made[k + 1 :]))
+    return None

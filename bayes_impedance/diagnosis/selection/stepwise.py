@@ -101,7 +101,8 @@ def search(
     """
     forward = partial(_forward, refitter, names=names, effects=effects, seed=seed, executor=executor, progress=progress)
     way = forward(Way(base, base, (), None), begin=begin)
-    way = exchanged(refitter, way, forward)
+    better = exchanged(refitter, way, partial(forward, steps_left=1))
+    way = way if better is None else forward(better)
     base, fit, steps, posterior = way.base, way.fit, way.steps, way.posterior
     final = _backward(refitter, base, fit, seed)
     if final.model.additions and (final is not fit or posterior is None):
@@ -119,13 +120,15 @@ def _forward(
     executor: Executor,
     progress: Progress,
     begin: Refit | None = None,
+    steps_left: int = MOST_ADDITIONS + 1,
 ) -> Way:
-    """Steps from there until nothing is significant, or better, any more."""
+    """At most so many steps from there, until nothing is significant, or better, any more."""
     most, of_any_kind = MOST_ADDITIONS, max(1, len(refitter.data) // _PEOPLE_PER_ADDITION)
     of_the_chain = tuple(e for e in effects if e.side == "rig" and e.operation and len(e.coefficients) == 1)
     base, fit, steps, posterior = way.base, way.fit, list(way.steps), way.posterior
     number, repeats = len(steps), 0
-    while number <= most:
+    last = min(most, number + steps_left - 1)
+    while number <= last:
         progress("looking for what is missing", number, most + 1)
         few = number >= of_any_kind
         possible = of_the_chain if few else effects
