@@ -29,6 +29,9 @@ _REACH = 0.1
 """Least prior standard deviation of a recording's log elements about the person's: where the dispersion between
 repetitions starts."""
 
+_HELD = 1e-4
+"""Prior width of what is held. By choice: far below any standard error."""
+
 _UNEQUAL = 2.0
 """Standard errors by which a recording's squared misfit must exceed that of the person's best described one to be
 searched alone. By choice: chance costs time only."""
@@ -54,13 +57,13 @@ def aligned(
     if len(likelihood.z) == 1:
         return fit
     places = fit.theta + fit.expanded
-    own = searched_alone(kernel, likelihood, places, fit.theta, rho, everyone=fit.mode.scale > GROSS)
+    least = np.maximum(rho, LEAST_RHO)
+    own = searched_alone(kernel, likelihood, places, fit.theta, least, everyone=fit.mode.scale > GROSS)
     if own is places:
         return fit
     theta = np.mean(own, axis=0)
     deviations = np.ascontiguousarray(own - theta)
     mode = find_mode(kernel, likelihood.moved(deviations), np.array([theta, fit.theta]), mean, precision)
-    least = np.maximum(rho, LEAST_RHO)
     gain = fit.mode.objective - mode.objective
     gain += 0.5 * float(np.sum((fit.expanded / least) ** 2) - np.sum((deviations / least) ** 2))
     if gain <= 0:
@@ -69,7 +72,12 @@ def aligned(
 
 
 def searched_alone(
-    kernel: Kernel, likelihood: Likelihood, places: np.ndarray, centre: np.ndarray, rho: np.ndarray, everyone: bool
+    kernel: Kernel,
+    likelihood: Likelihood,
+    places: np.ndarray,
+    centre: np.ndarray,
+    rho: np.ndarray,
+    everyone: bool,
 ) -> np.ndarray:
     """Log elements (J, P) of a person's recordings, some of them searched alone.
 
@@ -82,7 +90,7 @@ def searched_alone(
     centre : ndarray, shape (P,)
         The person's log elements.
     rho : ndarray, shape (P,)
-        The population's dispersion between repetitions.
+        The population's dispersion between repetitions; zero for what is the same in all of them, which is held.
     everyone : bool
         Whether all recordings are searched, and not only those that are described worse than the best.
     """
@@ -91,9 +99,10 @@ def searched_alone(
     searched = np.flatnonzero(everyone | ~(misfit <= chance * misfit.min()))
     if not searched.size:
         return places
-    held, own = np.diag(np.maximum(rho, _REACH) ** -2.0), places.copy()
+    free = rho > 0
+    held, own = np.diag(np.where(free, np.maximum(rho, _REACH), _HELD) ** -2.0), places.copy()
     # A resonance's frequency is the root of two elements' product: half a gap, to the middle of the next one.
-    across = float(np.median(np.diff(np.log(likelihood.omega)))) * np.eye(rho.size)
+    across = float(np.median(np.diff(np.log(likelihood.omega)))) * np.eye(rho.size)[free]
     for j in searched:
         alone = replace(
             likelihood, z=likelihood.z[[j]], weight=likelihood.weight[[j]], deviations=np.zeros((1, rho.size)),

@@ -15,6 +15,7 @@ from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.person.likelihood import Likelihood
+from bayes_impedance.person.marginal_likelihood import LEAST_RHO
 from bayes_impedance.population.alignment import searched_alone
 from bayes_impedance.runtime.executors import map_persons
 
@@ -26,24 +27,30 @@ _LEAST_GAIN = 0.5
 
 
 def recordings_alone(refitter: Refitter, fit: Refit) -> Refit:
-    """Refit of the network alone in which recordings that are described worse than the person's others were searched.
+    """The fit in which recordings that are described worse than the person's others were searched.
+
+    What was added is the same in all recordings of a person, and is held meanwhile.
 
     Parameters
     ----------
     refitter : Refitter
     fit : Refit
-        Without additions.
     """
+    if not refitter.repeated:
+        return fit
+    n = fit.model.n_elements
     own = partial(_places, fit.model.kernel)
     ends = np.cumsum([len(d.z) for d in fit.data])[:-1]
     for _ in range(_ROUNDS):
-        rho = np.asarray(fit.population.rho)
+        rho = np.zeros(fit.u.shape[1])
+        rho[:n] = np.maximum(fit.population.rho[:n], LEAST_RHO)
         rows = np.split(fit.u, ends)
-        found = list(map_persons(refitter.executor, own, fit.data, rows, fit.persons, [rho] * len(rows)))
+        centres = [np.concatenate([person[:n], u[0, n:]]) for person, u in zip(fit.persons, rows, strict=True)]
+        found = list(map_persons(refitter.executor, own, fit.data, rows, centres, [rho] * len(rows)))
         if all(np.array_equal(there, here) for there, here in zip(found, rows, strict=True)):
             return fit
         u = np.concatenate(found)
-        trial = refitter.fit(fit.model, u, fit.population, hold_population=True)
+        trial = refitter.fit(fit.model, u, fit.population, hold_population=True, hold_additions=True)
         better = trial.evidence > fit.evidence + _LEAST_GAIN
         if not better.any():
             return fit
