@@ -110,7 +110,7 @@ def searched_alone(
         )  # fmt: skip
         starts = np.concatenate([centre[None], np.roll(places, -j, axis=0), places[j] + across, places[j] - across])
         ends, objectives = modes_from(kernel, alone, starts, centre, held)
-        own[j] = ends[np.argmin(objectives)]
+        own[j] = np.where(free, ends[np.argmin(objectives)], places[j])
     return own
 
 

@@ -66,8 +66,8 @@ def finalists(
     order = sorted(best.values(), key=lambda t: -t.gain)
     if not order or order[0].gain <= LEAST_GAIN:
         return []
-    order = [_beside(refitter, fit, t, order[0], _FIRST_ROUNDS) for t in order]
     order = sorted((_with_others_people(refitter, fit, t, order) for t in order), key=lambda t: -t.gain)
+    order = sorted((_beside(refitter, fit, t, order[0], _FIRST_ROUNDS) for t in order), key=lambda t: -t.gain)
     close = [t for t in order if t.gain > _SHARE * order[0].gain]
     some = [t for t in order if t.effect.pooling == "some" and t not in close[:MOST]]
     grown = [_with_own_shapes(refitter, fit, t) for t in (*close[:MOST], *some[:1])]
