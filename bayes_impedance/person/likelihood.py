@@ -115,6 +115,15 @@ class Likelihood:
             values=max(self.values - lost, 1),
         )
 
+    def recording(self, j: int, n_parameters: int) -> Likelihood:
+        """One of the recordings alone, without a deviation from the person's parameters."""
+        n = len(self.z)
+        nothing = np.zeros((1, n_parameters))
+        return replace(
+            self, z=self.z[[j]], weight=self.weight[[j]], deviations=nothing, count=self.count / n,
+            values=self.values // n,
+        )  # fmt: skip
+
     def moved(self, deviations: np.ndarray) -> Likelihood:
         """The same data with other deviations of the repetitions."""
         return replace(self, deviations=np.ascontiguousarray(deviations))

@@ -14,8 +14,6 @@ either side: without damping the error is unbounded where the resonance meets a 
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from bayes_impedance.network.kernel import Kernel
@@ -103,11 +101,8 @@ def searched_alone(
     held, own = np.diag(np.where(free, np.maximum(rho, _REACH), _HELD) ** -2.0), places.copy()
     # A resonance's frequency is the root of two elements' product: half a gap, to the middle of the next one.
     across = float(np.median(np.diff(np.log(likelihood.omega)))) * np.eye(rho.size)[free]
-    for j in searched:
-        alone = replace(
-            likelihood, z=likelihood.z[[j]], weight=likelihood.weight[[j]], deviations=np.zeros((1, rho.size)),
-            count=likelihood.count / len(places),
-        )  # fmt: skip
+    for j in searched.tolist():
+        alone = likelihood.recording(j, rho.size)
         starts = np.concatenate([centre[None], np.roll(places, -j, axis=0), places[j] + across, places[j] - across])
         ends, objectives = modes_from(kernel, alone, starts, centre, held)
         own[j] = np.where(free, ends[np.argmin(objectives)], places[j])

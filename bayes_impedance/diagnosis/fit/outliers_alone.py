@@ -12,14 +12,12 @@ whether the optimum that is found replaces the old one.
 from __future__ import annotations
 
 from concurrent.futures import Executor
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from bayes_impedance.diagnosis.fit.normal_equations import Population
 from bayes_impedance.diagnosis.fit.refit import Refit
-from bayes_impedance.diagnosis.fit.rounds import rho_of
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.person.bounded_search import GROSS, bounded_search
 from bayes_impedance.person.likelihood import Likelihood
@@ -34,11 +32,6 @@ and 962 when only the second counted, where a resonator in place of the line was
 _WIDER, _STARTS = 3.0, 16
 """Spread of the starts in the population's standard deviations, and their number. By choice: people three standard
 deviations off occur, and a start costs a millisecond."""
-
-_NEAR = 8
-"""Starts of a person's other recordings around the optimum of the first, one of which is that itself. By choice: they
-differ by little, but an undamped resonance of one may lie on the other side of a frequency; of 165 recordings one did,
-and cost 866 nats, by which a semi-inductance was ahead of the mass that was there."""
 
 _NARROW = 128
 """Starts in which only the elements outside of that spread are drawn. By choice: an undamped resonance has an optimum
@@ -60,7 +53,8 @@ ends of the first stage, twelve times as long, the optimum was lower by at most 
 recordings."""
 
 _SAME = 1e-3
-"""Differences of objectives below which ends are the same optimum, of which one goes on. By choice: noise is more."""
+"""Differences of objectives below which ends are the same optimum, of which one goes on. By choice: a hundredth of what
+decides anything. Under a wrong model most of the four ends of the second stage are the same."""
 
 
 def ends_of_outliers(
@@ -122,10 +116,7 @@ def search_alone(
     precision = np.eye(varying.size) / _HELD**2
     precision[np.ix_(varying, varying)] = np.linalg.inv(population.covariance) / _WIDER**2
     factor, sd = _WIDER * np.linalg.cholesky(population.covariance), np.sqrt(np.diag(population.covariance))
-    rho = rho_of(population)
-    held = np.diag(np.where(varying, 0.0, _HELD**-2))
-    held[varying, varying] = (_WIDER * rho) ** -2
-    data, centres, begins, beside = [], [], [], []
+    data, centres, begins = [], [], []
     for i in people:
         own = fit.u[np.flatnonzero(fit.owner == i)[0]]
         centre = own.copy()
@@ -139,51 +130,21 @@ def search_alone(
         data.append(fit.data[i])
         centres.append(centre)
         begins.append(starts if thorough and lost.any() else starts[:_STARTS])
-        near = np.zeros((len(fit.data[i].z) - 1, _NEAR, varying.size))
-        near[:, 1:, varying] = _WIDER * rho * rng.normal(size=(len(near), _NEAR - 1, rho.size))
-        beside.append(near)
-    search = partial(_ends, fit.model.kernel, precision, held)
-    ends = (map if executor is None else executor.map)(search, data, centres, begins, beside)
+    search = partial(_end, fit.model.kernel, precision)
+    ends = (map if executor is None else executor.map)(search, data, centres, begins)
     start = start.copy()
-    for i, found in zip(people, ends, strict=True):
-        start[np.ix_(fit.owner == i, varying)] = found[:, varying]
+    for i, end in zip(people, ends, strict=True):
+        start[np.ix_(fit.owner == i, varying)] = end[varying]
     return start
 
 
-def _ends(
-    kernel: Kernel,
-    precision: np.ndarray,
-    held: np.ndarray,
-    data: Likelihood,
-    centre: np.ndarray,
-    starts: np.ndarray,
-    near: np.ndarray,
-) -> np.ndarray:
-    """The best optimum of each of a person's recordings, shape (J, P).
-
-    That of the first is reached from any start (S, P); the others are searched around it, from it and from it with
-    `near` added, (J - 1, K, P), under a prior of precision `held`.
-    """
-    first = _end(kernel, precision, _recording(data, 0, centre.size), centre, starts)
-    others = [
-        _end(kernel, held, _recording(data, 1 + j, centre.size), first, first + step) for j, step in enumerate(near)
-    ]
-    return np.array([first, *others])
-
-
-def _recording(data: Likelihood, j: int, n_parameters: int) -> Likelihood:
-    return replace(
-        data, z=data.z[[j]], weight=data.weight[[j]], deviations=np.zeros((1, n_parameters)),
-        count=data.count / len(data.z),
-    )  # fmt: skip
-
-
-def _end(kernel: Kernel, precision: np.ndarray, one: Likelihood, centre: np.ndarray, starts: np.ndarray) -> np.ndarray:
-    """The best optimum of one recording that is reached from any start (S, P); shape (P,)."""
+def _end(kernel: Kernel, precision: np.ndarray, data: Likelihood, centre: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    """The best optimum of a person's first recording that is reached from any start (S, P); shape (P,)."""
+    one = data.recording(0, centre.size)
     ends = np.concatenate([starts, bounded_search(kernel, one, starts, centre, precision)])
     for steps, kept in _STAGES:
         ends, values, _ = all_modes(kernel, one, ends, centre, precision, steps)
         order = np.argsort(values, kind="stable")
-        different = np.diff(values[order], prepend=-np.inf) > _SAME
-        ends = ends[order[different][:kept]] if different.any() else ends[order[:1]]
+        sorted_values = np.nan_to_num(values[order])  # inf where the network has no value
+        ends = ends[order[np.diff(sorted_values, prepend=-np.inf) > _SAME][:kept]]
     return np.asarray(ends[0])
