@@ -185,8 +185,8 @@ class Refitter:
         """Log evidence of each person, shape (N,)."""
         v, undamped = state.u[:, ~model.shared], np.zeros(len(self.data))
         blocks = blocks_of(self.layout, model, state.equations, state.u, state.persons, state.population, undamped)
-        value = self._objective(state.equations.chi, v, state.persons, state.population)
-        return np.asarray(-value - 0.5 * blocks.log_determinants(self.owner, state.population))
+        value = self._objective(model, state.equations.chi, v, state.persons, state.population)
+        return np.asarray(-value - 0.5 * blocks.log_determinants(self.owner, model, state.population))
 
     def _rounds(self, plan: Plan, stack: Stack, state: State, most: int) -> tuple[State, int]:
         """At most so many rounds with the data of a stack, until the fit is at rest there; and how many were made."""
@@ -269,10 +269,12 @@ class Refitter:
             fit = self.fit(fit.model, best_u, fit.population, hold_population=hold, hold_additions=hold)
         return fit
 
-    def _objective(self, chi: np.ndarray, v: np.ndarray, persons: np.ndarray, population: Population) -> np.ndarray:
+    def _objective(
+        self, model: Model, chi: np.ndarray, v: np.ndarray, persons: np.ndarray, population: Population
+    ) -> np.ndarray:
         """Negative log posterior of each person, shape (N,)."""
         value = self._log_misfit(chi)
-        delta = (v - persons[self.owner]) / rho_of(population)
+        delta = (v - persons[self.owner]) / rho_of(model, population)
         value = value + 0.5 * np.bincount(self.owner, np.sum(delta**2, axis=1), minlength=len(self.data))
         offset = persons - population.mu
         return np.asarray(value + 0.5 * np.sum(offset * np.linalg.solve(population.covariance, offset.T).T, axis=1))
@@ -293,9 +295,9 @@ class Refitter:
         The last value returned is the length of each person's step, in standard deviations; shape (N,).
         """
         varying, n = ~model.shared, len(self.data)
-        before = self._objective(equations.chi, u[:, varying], persons, population)
+        before = self._objective(model, equations.chi, u[:, varying], persons, population)
         blocks = blocks_of(self.layout, model, equations, u, persons, population, damping)
-        r = rho_of(population) ** -2.0
+        r = rho_of(model, population) ** -2.0
         free = np.einsum("mpq,mq->mp", blocks.inverse, blocks.pull)
         pulls = sums(r * (u[:, varying] - persons[self.owner]) + r * free, self.owner, n)
         offset = persons - population.mu
@@ -310,7 +312,7 @@ class Refitter:
             trial_u[np.ix_(rows, varying)] = u[np.ix_(rows, varying)] + (part[self.owner, None] * step_u)[rows]
             trial_v[moving] = (persons + part[:, None] * step_v)[moving]
             trial = equations_at(model, stack, trial_u, self.executor, moving, trial)
-            after = self._objective(trial.chi, trial_u[:, varying], trial_v, population)
+            after = self._objective(model, trial.chi, trial_u[:, varying], trial_v, population)
             worse = moving & ~(after <= before + 1e-6)
             damping = np.where(worse, np.minimum(10 * damping, 1e6), damping)
             damping = np.where(moving & ~worse, np.maximum(damping / 3, 1e-9), damping)

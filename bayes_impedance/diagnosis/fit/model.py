@@ -294,13 +294,18 @@ class _Reordered(Kernel):
         self.elements = tuple(order)
 
 
+_LEAST_SD = 1e-7
+"""Least standard deviation of an addition's parameter between people: a coefficient of zero has one. By choice: far less
+than can be told, and the covariance can be inverted beside variances near one."""
+
+
 def with_dispersions(model: Model, covariance: np.ndarray, mu: np.ndarray) -> np.ndarray:
     """The covariance with the rows and columns of additions set from their dispersions, means and correlations."""
     result = covariance.copy()
     varying = [p for p in model.parameters if not p.shared]
     for k, p in enumerate(varying, model.n_elements):
         result[k] = result[:, k] = 0.0
-        result[k, k] = max(p.dispersion * (abs(mu[k]) if p.is_coefficient else 1.0), 1e-5) ** 2
+        result[k, k] = max(p.dispersion * (abs(mu[k]) if p.is_coefficient else 1.0), _LEAST_SD) ** 2
     for i, addition in enumerate(model.additions):
         own = [k for k, p in enumerate(varying, model.n_elements) if p.addition == i]
         if addition.correlation and len(own) > 1:

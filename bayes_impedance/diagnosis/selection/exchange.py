@@ -5,8 +5,8 @@ win because it takes part of the other effect's place: beside a high-pass that h
 differs between people was 7500 nats ahead of a resonance of the rig; with the high-pass it is 56 behind. And what the
 step did not consider as a rival may be the truth: beside a residual mass that was still missing a relaxation with a
 damper of 0.42 N s/m explained twice as much as the damping of the rig that was there. So after the search each addition
-but the last is left out, and one step of the search chooses anew beside the others; if that describes more than what
-was found, the search goes on from there.
+that was not chosen beside the others that are there now is left out, and one step of the search chooses anew beside
+them; if that describes more than what was found, the search goes on from there.
 """
 
 from __future__ import annotations
@@ -38,8 +38,17 @@ def without(refitter: Refitter, fit: Refit, addition: int) -> Refit:
     return shrunk(refitter, fit, rebuilt(fit.model, [fit.model.additions[k] for k in kept], kept), kept)
 
 
-def exchanged(refitter: Refitter, way: Way, step_from: Callable[[Way], Way]) -> Way | None:
-    """The way with one addition chosen anew beside the later ones, if that is better; None if nothing is.
+def pruned(way: Way, fit: Refit) -> Way:
+    """The way with a smaller model, of which some additions were removed, and without their steps."""
+    if fit is way.fit:
+        return way
+    kept = _keys(fit)
+    steps = tuple(step for step in way.steps if step.chosen is None or _key(step) in kept)
+    return Way(way.base, fit, steps, None)
+
+
+def exchanged(refitter: Refitter, way: Way, step_from: Callable[[Way], Way]) -> tuple[Way, bool]:
+    """Choose one addition anew beside the others, if that is better.
 
     Parameters
     ----------
@@ -48,14 +57,41 @@ def exchanged(refitter: Refitter, way: Way, step_from: Callable[[Way], Way]) -> 
         Of a search.
     step_from : callable
         Makes one more step from a way.
+
+    Returns
+    -------
+    way : Way
+        With another addition, or with the same ones, which are then compared with what was tried beside the others
+        that are there now.
+    better : bool
+        Whether an addition is another one.
     """
     made = [step for step in way.steps if step.chosen is not None]
-    for k, step in enumerate(made[:-1]):
+    for k, step in enumerate(made):
+        if _keys(step.before) == _keys(way.fit) - {_key(step)}:
+            continue  # chosen beside these others
         others = (*made[:k], *made[k + 1 :])
-        anew = step_from(Way(way.base, without(refitter, way.fit, len(way.base.model.additions) + k), others, None))
+        own = [addition.key for addition in way.fit.model.additions].index(_key(step))
+        anew = step_from(Way(way.base, without(refitter, way.fit, own), others, None))
         new = anew.steps[len(others)]
-        if new.chosen is not None and log_evidence(anew.fit) > log_evidence(way.fit) + LEAST_GAIN:
-            # What was tried beside the others is what it is compared with; the step's place and residuals stay.
-            instead = replace(step, before=new.before, trials=new.trials, chosen=new.chosen)
-            return replace(anew, steps=(*made[:k], instead, *made[k + 1 :]))
-    return None
+        if new.chosen is None:
+            continue
+        # What was tried beside the others is what it is compared with; the step's place and residuals stay.
+        instead = replace(step, before=new.before, trials=new.trials, chosen=new.chosen)
+        if log_evidence(anew.fit) > log_evidence(way.fit) + LEAST_GAIN:
+            return replace(anew, steps=(*made[:k], instead, *made[k + 1 :])), True
+        again = [t for t in (new.chosen, *new.trials) if t.fit.model.additions[-1].key == _key(step)]
+        if again:
+            made[k] = replace(instead, chosen=again[0])
+            last = way.steps[len(made) :]
+            way = replace(way, steps=(*made, *last))
+    return way, False
+
+
+def _key(step: Step) -> tuple[str, str, str]:
+    assert step.chosen is not None  # only steps that chose something are compared
+    return step.chosen.fit.model.additions[-1].key
+
+
+def _keys(fit: Refit) -> set[tuple[str, str, str]]:
+    return {addition.key for addition in fit.model.additions}

@@ -2,8 +2,9 @@
 
 Each step screens all candidates with the previous additions in the model, refits the most promising ones with the whole
 population and keeps the best. The search stops when no candidate is significant after correction for all that were
-tried, when none improves the evidence, or when there are too few people for more additions. Then earlier choices are
-made anew beside the later ones (:mod:`.exchange`).
+tried, when none improves the evidence, or when there are too few people for more additions. What later additions have
+made superfluous is removed, and earlier choices are made anew beside what is left (:mod:`.exchange`), until nothing
+changes.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from bayes_impedance.diagnosis.fit.model import Addition
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN, compare, log_evidence
-from bayes_impedance.diagnosis.selection.exchange import Way, exchanged, without
+from bayes_impedance.diagnosis.selection.exchange import Way, exchanged, pruned, without
 from bayes_impedance.diagnosis.selection.few_people import holds_beside
 from bayes_impedance.diagnosis.selection.finalists import finalists, in_order, with_lookalikes
 from bayes_impedance.diagnosis.selection.misfit import dependence
@@ -42,6 +43,9 @@ only effects of the measurement chain are added, which are one number for everyb
 _REPEATS = 3
 """Largest number of times that a step is repeated because the model without the addition had not converged. By
 choice."""
+
+_EXCHANGES = 3
+"""Largest number of additions that are chosen anew. By choice: each costs as much as a further step or two."""
 
 _SECOND_CHANCES = 3
 """Explanations of a step that are compared with the model without them, best first, until one is decided. By choice."""
@@ -101,14 +105,19 @@ def search(
     """
     forward = partial(_forward, refitter, names=names, effects=effects, seed=seed, executor=executor, progress=progress)
     way = forward(Way(base, base, (), None), begin=begin)
-    better = exchanged(refitter, way, partial(forward, steps_left=1))
-    way = way if better is None else forward(better)
-    base, fit, steps, posterior = way.base, way.fit, way.steps, way.posterior
-    final = _backward(refitter, base, fit, seed)
-    if final.model.additions and (final is not fit or posterior is None):
+    for _ in range(_EXCHANGES):
+        way = pruned(way, _backward(refitter, way.base, way.fit, seed))
+        way, better = exchanged(refitter, way, partial(forward, steps_left=1))
+        if not better:
+            break
+        way = forward(way)
+    else:
+        way = pruned(way, _backward(refitter, way.base, way.fit, seed))
+    final, posterior = way.fit, way.posterior
+    if final.model.additions and posterior is None:
         final, posterior = measured(refitter, final, seed)
     progress("looking for what is missing", MOST_ADDITIONS + 1, MOST_ADDITIONS + 1)
-    return Found(base, final, steps, posterior if final.model.additions else None)
+    return Found(way.base, final, way.steps, posterior if final.model.additions else None)
 
 
 def _forward(
@@ -155,8 +164,10 @@ def _forward(
                 if better_than_without.decided and not (few and not holds_beside(refitter, fit, trial.fit, seed)):
                     chosen, posterior = replace(trial, gain=better_than_without.difference), measure
                     contest.measure_rivals_of(chosen)
-                    break
-                contest.drop(trial)
+                    if contest.leader()[0] is trial:
+                        break  # none of the rivals is ahead now that they are measured
+                else:
+                    contest.drop(trial)
             if better is not None:  # no physics was missing: the smaller model had not converged
                 repeats += 1
                 base = better if fit is base else base
@@ -252,7 +263,7 @@ _MOST_ALIASES = 12
 
 
 def rivals(step: Step, remaining: Sequence[PersonResiduals] = ()) -> list[tuple[Trial, float, bool]]:
-    """Rivals of a step's choice, each with its deficit of log evidence and whether the choice is decidedly better.
+    """Rivals of a step's choice, each with its deficit of log evidence and whether the choice excludes it.
 
     Parameters
     ----------
@@ -275,5 +286,5 @@ def rivals(step: Step, remaining: Sequence[PersonResiduals] = ()) -> list[tuple[
     result = []
     for trial in best.values():
         alike = dependence(chosen.fit, trial.fit, remaining) if remaining else 1.0
-        result.append((trial, float(chosen.gain - trial.gain), compare(chosen.fit, trial.fit, alike).decided))
+        result.append((trial, float(chosen.gain - trial.gain), compare(chosen.fit, trial.fit, alike).separated))
     return sorted(result, key=lambda row: row[1])[:_MOST_ALIASES]

@@ -69,6 +69,27 @@ def test_evidence_prefers_the_truth() -> None:
     assert here.evidence.sum() - there.evidence.sum() == pytest.approx(expected, rel=0.02)
 
 
+@pytest.mark.parametrize("size", [1e-5, 1e-3, 0.1])
+def test_a_coefficient_that_is_nearly_the_same_in_all_is_worth_what_a_shared_one_is(size: float) -> None:
+    """However small it is, it does not differ between the recordings of a person."""
+
+    def hidden(s: np.ndarray, z: np.ndarray, _: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        return z + s * size * 2e-3, np.full(len(z), size)
+
+    experiment = toy("n1|r1", {"n1": 1e-3, "r1": 2.0}, 3, 12, noise=size, hidden=hidden)
+    effect, plain = entry("body.mass"), experiment.fit()
+    shared = experiment.grown(Addition(effect=effect, place="port", pooling="shared"))
+    one = experiment.refitter.fit(shared, *enlarged(plain, shared), rounds=100)
+    varying = experiment.grown(Addition(effect=effect, place="port", pooling="varying", dispersion=0.01))
+    _, population = enlarged(plain, varying)
+    population.mu[plain.model.n_elements :] = one.u[0, plain.model.n_elements :]
+    own = experiment.refitter.fit(varying, one.u, population, rounds=100)
+    assert one.settled
+    assert own.settled
+    assert one.u[0, -1] > 0
+    assert own.evidence.sum() == pytest.approx(one.evidence.sum(), abs=1.0)
+
+
 # Optima
 
 TWO_PATHS = ("(r1-n1)|(r2-n2)|r3", {"r1": 3.0, "n1": 1e-2, "r2": 8.0, "n2": 1e-4, "r3": 0.5})

@@ -1,4 +1,4 @@
-"""Each choice but the last is made anew beside the others."""
+"""A choice that was made beside other additions than those that are there now is made anew."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from bayes_impedance.diagnosis.catalogue.effect import Effect, registered
 from bayes_impedance.diagnosis.selection import exchange
-from bayes_impedance.diagnosis.selection.exchange import Way, exchanged
+from bayes_impedance.diagnosis.selection.exchange import Way, exchanged, pruned
 from bayes_impedance.diagnosis.selection.shortlist import Trial
 from bayes_impedance.diagnosis.selection.step import Step
 
@@ -21,7 +21,12 @@ NOTHING: Any = None
 
 
 def fit_of(*names: str) -> Any:
-    return SimpleNamespace(name="+".join(names), model=SimpleNamespace(additions=names), settled=True)
+    additions = tuple(SimpleNamespace(key=(name, "", "port")) for name in names)
+    return SimpleNamespace(name="+".join(names), model=SimpleNamespace(additions=additions), settled=True)
+
+
+def names_of(fit: Any) -> tuple[str, ...]:
+    return tuple(addition.key[0] for addition in fit.model.additions)
 
 
 def trial_of(effect: Effect, gain: float, *before: str) -> Trial:
@@ -45,7 +50,7 @@ def without(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fits without an addition have its name left out; their evidence is in their posterior's place."""
 
     def left(_: Any, fit: Any, addition: int) -> Any:
-        names = list(fit.model.additions)
+        names = list(names_of(fit))
         del names[addition]
         return fit_of(*names)
 
@@ -53,6 +58,7 @@ def without(monkeypatch: pytest.MonkeyPatch) -> None:
         "rig.highpass+rig.resonance": 56.0,
         "rig.highpass+rig.delay": 2.0,
         "rig.highpass": 0.0,
+        "rig.resonance": 1.0,
         WAY.fit.name: 0.0,
     }
     monkeypatch.setattr(exchange, "without", left)
@@ -70,7 +76,7 @@ class OneStep:
         self.asked.append(way)
         if self.effect is None:
             return Way(way.base, way.fit, (*way.steps, LAST), NOTHING)
-        before = way.fit.model.additions
+        before = names_of(way.fit)
         new = step_of(trial_of(self.effect, 90.0, *before), trial_of(RESONATOR, 34.0, *before), before=way.fit)
         return Way(way.base, fit_of(*before, self.effect.id), (*way.steps, new), cast(Any, "its own"))
 
@@ -78,10 +84,11 @@ class OneStep:
 @pytest.mark.usefixtures("without")
 def test_what_is_better_beside_the_later_ones_takes_the_place_of_the_earlier_choice() -> None:
     step_from = OneStep(RESONANCE)
-    way: Any = exchanged(NOTHING, WAY, step_from)
-    assert [(w.fit.model.additions, w.steps) for w in step_from.asked] == [((HIGHPASS.id,), (SECOND,))]
-    assert way.fit.model.additions == (HIGHPASS.id, RESONANCE.id)
-    assert way.posterior == "its own"
+    way, better = exchanged(NOTHING, WAY, step_from)
+    assert better
+    assert [(names_of(w.fit), w.steps) for w in step_from.asked] == [((HIGHPASS.id,), (SECOND,))]
+    assert names_of(way.fit) == (HIGHPASS.id, RESONANCE.id)
+    assert way.posterior == cast(Any, "its own")
     first, second = way.steps
     assert second is SECOND
     assert first.chosen is not None
@@ -92,16 +99,42 @@ def test_what_is_better_beside_the_later_ones_takes_the_place_of_the_earlier_cho
 
 
 @pytest.mark.usefixtures("without")
-@pytest.mark.parametrize("effect", [DELAY, None], ids=["hardly better", "nothing"])
-def test_the_choice_stays_where_nothing_is_clearly_better(effect: Effect | None) -> None:
-    step_from = OneStep(effect)
-    assert exchanged(NOTHING, WAY, step_from) is None
+def test_the_choice_stays_where_nothing_is_found() -> None:
+    step_from = OneStep(None)
+    assert exchanged(NOTHING, WAY, step_from) == (WAY, False)
     assert len(step_from.asked) == 1
 
 
-def test_one_choice_has_nothing_that_comes_later() -> None:
+@pytest.mark.usefixtures("without")
+def test_a_choice_that_stays_is_compared_with_what_was_tried_beside_the_others() -> None:
+    way, better = exchanged(NOTHING, WAY, OneStep(DELAY))
+    assert not better
+    assert way.fit is WAY.fit
+    first, second, last = way.steps
+    assert first.chosen is not None
+    assert first.chosen.effect is RESONATOR
+    assert first.before.name == HIGHPASS.id
+    assert [t.effect for t in first.trials] == [DELAY, RESONATOR]
+    assert (second, last) == (SECOND, LAST)
+
+
+def test_a_choice_that_was_made_beside_the_others_stays() -> None:
     step_from = OneStep(RESONANCE)
-    for steps in ((FIRST, LAST), (LAST,)):
-        way = Way(fit_of(), fit_of(), steps, NOTHING)
-        assert exchanged(NOTHING, way, step_from) is None
+    for way in (
+        Way(fit_of(), fit_of(RESONATOR.id), (FIRST, LAST), NOTHING),
+        Way(fit_of(), fit_of(), (LAST,), NOTHING),
+    ):
+        assert exchanged(NOTHING, way, step_from) == (way, False)
     assert step_from.asked == []
+
+
+@pytest.mark.usefixtures("without")
+def test_the_last_choice_is_made_anew_once_an_earlier_one_was_removed() -> None:
+    """It was made beside a resonator that is not there any more."""
+    way = pruned(WAY, fit_of(HIGHPASS.id))
+    assert way.steps == (SECOND, LAST)
+    assert way.posterior is None
+    step_from = OneStep(RESONANCE)
+    exchanged(NOTHING, way, step_from)
+    assert [names_of(w.fit) for w in step_from.asked] == [()]
+    assert pruned(WAY, WAY.fit) is WAY
