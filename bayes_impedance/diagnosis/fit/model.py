@@ -295,8 +295,8 @@ class _Reordered(Kernel):
 
 
 _LEAST_SD = 1e-7
-"""Least standard deviation of an addition's parameter between people: a coefficient of zero has one. By choice: far less
-than can be told, and the covariance can be inverted beside variances near one."""
+"""Least standard deviation of an addition's parameter between people: a coefficient of zero has one. By choice: far
+less than can be told, and the covariance can be inverted beside variances near one."""
 
 
 def with_dispersions(model: Model, covariance: np.ndarray, mu: np.ndarray) -> np.ndarray:
