@@ -1,8 +1,10 @@
 """Whether the effects that a search has found are identified, or together imitate physics outside the catalogue.
 
 A search over a catalogue can compose any smooth curve from enough effects: by Foster and Prony every passive one-port
-is a sum of resonances or of relaxations. Three signs of this are tested:
+is a sum of resonances or of relaxations. Five signs of this are tested:
 
+- structure remains, and is a large part of the median person's mismatch and larger than the noise;
+- structure remains although as many effects as a search may find were found;
 - the effects leave much unexplained relative to their gain, and a small unnamed network explains more than they do;
 - several relaxations or resonances are found that act at the same frequencies, and structure remains nevertheless;
 - two different effects of the body act at the same frequencies, and the recordings allow both at the same place: tissue
@@ -31,7 +33,7 @@ from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.residuals.missing_impedance import missing_one_ports
 from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, compare, log_evidence
 from bayes_impedance.diagnosis.selection.cross_validation import people_gain
-from bayes_impedance.diagnosis.selection.stepwise import Found, rivals
+from bayes_impedance.diagnosis.selection.stepwise import MOST_ADDITIONS, Found, rivals
 from bayes_impedance.diagnosis.selection.unnamed import Realised, stand_in_network
 from bayes_impedance.diagnosis.types import OnePort
 from bayes_impedance.network.operations import TRAITS
@@ -39,6 +41,9 @@ from bayes_impedance.network.operations import TRAITS
 _NAMED_SHARE = 0.9
 """Share of the total gain above which named effects are kept: an unnamed network then adds less than a tenth. By
 choice."""
+
+_NOISE = 2.0
+"""Misfit of a described point in units of its noise: a real and an imaginary part."""
 
 _SAME_BAND = 0.5
 """Overlap (Bhattacharyya coefficient) from which two effects count as acting at the same frequencies: that of two
@@ -86,6 +91,8 @@ def names_that_hold(
         alone = stand_in_network(refitter, found.base, found.steps[0].residuals, one_ports, seed, executor)
         if alone is not None and compare(alone.trial.fit, found.final).decided:
             return _without_names(found), alone
+    if own and remains and (len(own) == MOST_ADDITIONS or not _mostly_explained(refitter, found)):
+        return _unnamed(refitter, found, rest, seed)
     doubtful = _of_one_thing(found, own, residuals, remains)
     if doubtful and len(refitter.data) >= FEWEST_PEOPLE:
         fewer = without(refitter, found, doubtful)
@@ -94,13 +101,26 @@ def names_that_hold(
             remaining = tuple(person_residuals(fewer.final, [r.name for r in residuals], executor))
             ports = missing_one_ports(fewer.final, remaining)
             return fewer, stand_in_network(refitter, fewer.final, remaining, ports, seed, executor)
-        trial = rest.trial if rest is not None else next(s.chosen for s in reversed(found.steps) if s.chosen)
-        whole = rest.trial.fit if rest is not None else found.final
-        total, se = people_gain(refitter, found.base, whole, seed)
-        return _without_names(found), Realised(
-            replace(trial, fit=whole, gain=log_evidence(whole) - log_evidence(found.base)), total, se
-        )
+        return _unnamed(refitter, found, rest, seed)
     return found, rest
+
+
+def _mostly_explained(refitter: Refitter, found: Found) -> bool:
+    """Whether what was found leaves little of the median person's mismatch, or less than the noise."""
+    before, after = (
+        float(np.median(np.bincount(fit.owner, fit.equations.chi) / refitter.counts)) - _NOISE
+        for fit in (found.base, found.final)
+    )
+    return after <= max(_NOISE, (1.0 - _NAMED_SHARE) * before)
+
+
+def _unnamed(refitter: Refitter, found: Found, rest: Realised | None, seed: int) -> tuple[Found, Realised]:
+    """What was found, without names: its fit stands for unknown physics."""
+    trial = rest.trial if rest is not None else next(s.chosen for s in reversed(found.steps) if s.chosen)
+    whole = rest.trial.fit if rest is not None else found.final
+    total, se = people_gain(refitter, found.base, whole, seed)
+    gain = log_evidence(whole) - log_evidence(found.base)
+    return _without_names(found), Realised(replace(trial, fit=whole, gain=gain), total, se)
 
 
 def _of_one_thing(

@@ -85,7 +85,10 @@ def test_what_is_concealed_is_found_and_nothing_else(concealed: tuple[str, ...],
     assert named(result) == expected
     assert result.posterior is not None
     assert result.steps[-1].chosen is None
-    assert result.steps[0].before is result.base
+    for step in result.steps[:-1]:  # each is compared with what was tried beside the others
+        assert step.chosen is not None
+        beside = {a.key for a in result.final.model.additions} - {step.chosen.fit.model.additions[-1].key}
+        assert {a.key for a in step.before.model.additions} == beside
     assert all(step.log_p < np.log(ALPHA) for step in result.steps[:-1])
 
 
