@@ -28,6 +28,7 @@ from bayes_impedance.diagnosis.fit.coefficient_posterior import coefficient_post
 from bayes_impedance.diagnosis.fit.extend import rebuilt, shrunk
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.model import Addition
+from bayes_impedance.diagnosis.fit.normal_equations import counts
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.residuals.missing_impedance import missing_one_ports
@@ -91,10 +92,12 @@ def names_that_hold(
         alone = stand_in_network(refitter, found.base, found.steps[0].residuals, one_ports, seed, executor)
         if alone is not None and compare(alone.trial.fit, found.final).decided:
             return _without_names(found), alone
-    if own and remains and (len(own) == MOST_ADDITIONS or not _mostly_explained(refitter, found)):
+    if len(refitter.data) < FEWEST_PEOPLE:
+        return found, rest
+    if own and remains and (len(own) == MOST_ADDITIONS or not _mostly_explained(found)):
         return _unnamed(refitter, found, rest, seed)
     doubtful = _of_one_thing(found, own, residuals, remains)
-    if doubtful and len(refitter.data) >= FEWEST_PEOPLE:
+    if doubtful:
         fewer = without(refitter, found, doubtful)
         if log_evidence(fewer.final) - log_evidence(found.base) >= _NAMED_SHARE * named:
             # The later one of two that cannot be told apart adds little: the earlier one keeps its name.
@@ -105,10 +108,10 @@ def names_that_hold(
     return found, rest
 
 
-def _mostly_explained(refitter: Refitter, found: Found) -> bool:
+def _mostly_explained(found: Found) -> bool:
     """Whether what was found leaves little of the median person's mismatch, or less than the noise."""
     before, after = (
-        float(np.median(np.bincount(fit.owner, fit.equations.chi) / refitter.counts)) - _NOISE
+        float(np.median(np.bincount(fit.owner, fit.equations.chi) / counts(fit.data))) - _NOISE
         for fit in (found.base, found.final)
     )
     return after <= max(_NOISE, (1.0 - _NAMED_SHARE) * before)

@@ -251,11 +251,12 @@ def test_a_network_that_does_more_than_the_names_takes_their_place() -> None:
     assert unknown is not None
     assert unknown.trial.effect.id == "unknown"
     assert len(unknown.trial.fit.model.additions) == 1
-    # If it did little beside them, they would stay, and so would it.
+    # The relaxation leaves more than the noise, so it would not stay if the network did little beside it either.
     little = replace(rest, trial=replace(rest.trial, gain=1.0))
-    kept, beside = result.held(rest=little)
-    assert kept is result.found
-    assert beside is little
+    found, both = result.held(rest=little)
+    assert found.final is found.base
+    assert both is not None
+    assert both.trial.fit is rest.trial.fit
 
 
 # Where something is felt
