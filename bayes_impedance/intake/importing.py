@@ -13,17 +13,18 @@ import numpy as np
 
 from bayes_impedance.intake.assembly import SIGN, STOPPED, assemble
 from bayes_impedance.intake.calibrating import Calibrated, CalibrationSettings, calibrated
-from bayes_impedance.intake.calibration_files import CALIBRATION_FILE, RIG_FILE, calibration_files, csv_bytes
+from bayes_impedance.intake.calibration_files import RIG_FILE, calibration_files, csv_bytes
 from bayes_impedance.intake.moderated_noise import moderated
 from bayes_impedance.intake.names import who_is
 from bayes_impedance.intake.reading import Progress, ReadingSettings, read_spectra
 from bayes_impedance.intake.spectrum import Spectrum
+from bayes_impedance.recordings.calibration_map import MAP_FILE
 from bayes_impedance.recordings.dataset import Recordings
 from bayes_impedance.recordings.metadata import DRIVING_POINT, HERTZ, IMPEDANCE
 
 COHERENCE_FILE, REPETITIONS_FILE = "coherence.csv", "repetitions.csv"
 CALIBRATION_SD_FILE = "calibration_sd.csv"
-BESIDE = (COHERENCE_FILE, REPETITIONS_FILE, CALIBRATION_SD_FILE, CALIBRATION_FILE, RIG_FILE)
+BESIDE = (COHERENCE_FILE, REPETITIONS_FILE, CALIBRATION_SD_FILE, MAP_FILE, RIG_FILE)
 """Every file that may stand beside the recordings."""
 _NEGATIVE = 0.001
 """Share of points with Re z < 0 from which it is told. By choice: less is noise around zero, and is told as 0.0 %."""
@@ -157,6 +158,7 @@ def import_recordings(
         subjects=tuple(subjects),
         warnings=tuple(_merged(notes)),
         calibration=calibration.left,
+        calibration_map=calibration.map_left,
         place=DRIVING_POINT if settings.driving_point else None,
         quantity=IMPEDANCE if said.form == IMPEDANCE else None,
         frequency_unit=HERTZ if HERTZ in believed else None,

@@ -1,30 +1,33 @@
 r"""The error of a calibration at each frequency, in a fit: shared by everybody, with the calibration's distribution.
 
-The errors :math:`\delta v_f` of the map of a rig (:mod:`bayes_impedance.recordings.calibration_map`) are parameters of
-the rig, three complex numbers at each frequency, that are the same for all recordings, with a normal prior of
-covariance :math:`\Sigma_f`. Recording i at f is off by :math:`g_{if}\,\delta v_f`. Few lumped elements around the network
-do not describe that, because it is white over frequency; the rest would be taken for a property of the network. So they
-are carried on as they are, in two steps.
+The errors :math:`\delta v_f` of a rig's map (:mod:`bayes_impedance.recordings.calibration_map`) are three complex
+parameters of the rig at each frequency. They are the same for all recordings, and their prior is normal with the
+covariance :math:`\Sigma_f`. Recording i at f is off by :math:`g_{if}\,\delta v_f`.
+
+A rig of few lumped elements around the network, as for a smooth rig, does not describe that, because it is white over
+frequency. Its projection on such a rig is right for a network whose derivatives the rig's contain, as those of one
+mass, spring and damper; the part of another network's derivatives that the rig lacks would be read from what is left,
+as if that averaged out over people. So the error is carried on as it is, in two steps.
 
 **Weights.** Within one recording the error is as good as noise: it is independent from frequency to frequency. The fit
-is given the noise :math:`\sigma^2 + g \Sigma g^H`, so that a frequency counts as much as is known there, and a person's
-own elements are known as well as they are. Where no recording says its noise, its estimate from the roughness of the
-curves holds this error already.
+is given the noise :math:`\sigma^2 + g \Sigma g^H`, so that a frequency counts as much as is known there. Where
+recordings do not say their noise, its estimate from the roughness of the curves holds this error already.
 
 **What does not average out.** The posterior of the fit averages such noise over the M recordings of all people, so that
 a part 1/M of its variance is left in the centre, and of a person with :math:`R_i` recordings a part :math:`1/R_i`. What
-is missing is added. To first order the estimates follow an error :math:`e_i` of person i's recordings as those of linear least squares do. With the
-derivatives :math:`J_i` of the network, :math:`A_i = \Re(J_i^H W_i J_i)`, :math:`b_i = \Re(J_i^H W_i e_i)`, the covariance
-:math:`\Omega_i` of a person's mean elements in the population, and the precision :math:`\Lambda_0` of the centre's prior,
+is missing is added. To first order the estimates follow an error :math:`e_i` of person i's recordings as those of
+linear least squares do. With the derivatives :math:`J_i` of the network, the weights :math:`W_i`, the covariance
+:math:`\Omega_i` of a person's mean elements in the population, the precision :math:`\Lambda_0` of the centre's prior,
+:math:`A_i = \Re(J_i^H W_i J_i)` and :math:`b_i = \Re(J_i^H W_i e_i)`,
 
 .. math::
     \delta\mu &= \Bigl(\Lambda_0 + \sum_i K_i A_i\Bigr)^{-1} \sum_i K_i b_i, \qquad K_i = (1 + A_i \Omega_i)^{-1}, \\
     \delta\theta_i &= (1 + \Omega_i A_i)^{-1} (\delta\mu + \Omega_i b_i).
 
-For each posterior draw :math:`\delta v` is drawn from its prior, centre and persons are moved by minus what it makes,
-with :math:`b_i` times :math:`\sqrt{1 - 1/M}` in the first line and :math:`\sqrt{1 - 1/R_i}` in the second. To first
-order recordings cannot tell such a shift of everybody from another population, so that the prior of :math:`\delta v` is
-its posterior; dispersions do not change.
+For each posterior draw :math:`\delta v` is drawn from its prior, and centre and persons are moved by minus what it
+makes, with :math:`b_i` times :math:`\sqrt{1 - 1/M}` in the first line and :math:`\sqrt{1 - 1/R_i}` in the second. To
+first order recordings cannot tell such a shift of everybody from another population, so that the prior of
+:math:`\delta v` is its posterior; dispersions do not change.
 """
 
 from __future__ import annotations
@@ -43,11 +46,12 @@ from bayes_impedance.recordings.files import Recordings
 
 
 def with_map_noise(recordings: Recordings) -> Recordings:
-    """Recordings whose noise holds the error of the calibration's map; as they are without one."""
+    """Recordings whose noise holds the error of the calibration's map; as they are without one, or if it does."""
     error = recordings.calibration_map
-    if error is None:
+    if error is None or error.in_noise:
         return recordings
-    return replace(recordings, subjects=tuple(_noisier(error, one) for one in recordings.subjects))
+    noisier = tuple(_noisier(error, one) for one in recordings.subjects)
+    return replace(recordings, subjects=noisier, calibration_map=replace(error, in_noise=True))
 
 
 def _noisier(error: CalibrationMap, subject: Subject) -> Subject:
@@ -139,10 +143,10 @@ def _normal_equations(
     index, gradient = error.changes(subject.frequency_hz, subject.z)
     weight = 1 / sd**2
     information = np.einsum("pf,jf,qf->pq", jacobian.conj(), weight, jacobian).real
-    follows = np.einsum("pf,jf,jfi,fik->pfk", jacobian.conj(), weight, gradient, root[index])
-    at = np.zeros((jacobian.shape[0], *root.shape[:1], root.shape[2]), dtype=complex)
-    np.add.at(at, (slice(None), index), follows)
-    flat = at.reshape(len(at), -1)
+    follows = np.einsum("pf,jf,jfi,fik->fpk", jacobian.conj(), weight, gradient, root[index])
+    at = np.zeros((len(root), len(jacobian), root.shape[2]), dtype=complex)
+    np.add.at(at, index, follows)
+    flat = at.transpose(1, 0, 2).reshape(len(jacobian), -1)
     return information, np.concatenate([flat.real, -flat.imag], axis=1)
 
 

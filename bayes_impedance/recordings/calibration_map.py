@@ -47,6 +47,8 @@ class CalibrationMap:
         Without unit, in the dataset's unit, and in its reciprocal.
     covariance : ndarray of complex, shape (F, 3, 3), or None
         Of (a, b, c), of each of real and imaginary part; None if it is not known.
+    in_noise : bool
+        Whether the recordings' ``noise_sd`` holds the error already.
     """
 
     frequency_hz: FloatArray
@@ -54,6 +56,7 @@ class CalibrationMap:
     b: ComplexArray
     c: ComplexArray
     covariance: ComplexArray | None
+    in_noise: bool = False
 
     def csv(self) -> bytes:
         """The table as a file."""
@@ -98,8 +101,8 @@ class CalibrationMap:
         away = np.abs(log[index] - wanted)
         if away.max() > _SAME_FREQUENCY:
             raise InputError(
-                f"the calibration's map has no frequency near {frequency_hz[int(np.argmax(away))]:g} Hz, at which there "
-                "are recordings; import them again, or take the calibration as exact (--exact-calibration)"
+                f"the calibration's map has no frequency near {frequency_hz[int(np.argmax(away))]:g} Hz, at which "
+                "there are recordings; import them again, or take the calibration as exact (--exact-calibration)"
             )
         a, b, c = self.a[index], self.b[index], self.c[index]
         h = (a * z + b) / (c * z + 1)

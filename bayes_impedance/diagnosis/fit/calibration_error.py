@@ -20,6 +20,9 @@ removed then, and the search finds what it is.
 What the network lacks moves :math:`\hat v` too, as far as the prior lets it. When something was found it is therefore
 estimated once more, with what was found in the network, and the search is repeated if :math:`\hat v` has moved by
 more than its own uncertainty.
+
+The error of a calibration at each frequency (:mod:`bayes_impedance.recordings.calibration_map`) is no small rig. It is
+counted as noise, and a remark says that it does not average out.
 """
 
 from __future__ import annotations
@@ -38,6 +41,7 @@ from bayes_impedance.network.notation import Network, Place, parse
 from bayes_impedance.network.parameters import SIGNED, unit_of_parameter
 from bayes_impedance.population.calibrated import prior_of, within_rig
 from bayes_impedance.population.em import Estimate
+from bayes_impedance.population.map_error import with_map_noise
 from bayes_impedance.population.requirements import checked_model, network_of
 from bayes_impedance.recordings.calibration import CommonError
 from bayes_impedance.recordings.dataset import Subject
@@ -61,6 +65,12 @@ _PROBES = (0.5, 1.0, 2.0)
 _NOT_REPEATED = (
     "The calibration's error could not be estimated again with what was found, and is that of the network without it: "
     "it may hold a part of what was found, whose values are then off by as much"
+)
+
+_AS_NOISE = (
+    "The calibration's own error differs from frequency to frequency and was counted as noise of every recording. It "
+    "is the same in all of them, so that unlike noise it does not average out over people: what was found may be the "
+    "calibration's if its change of z is below calibration_sd.csv."
 )
 
 
@@ -127,7 +137,7 @@ class Corrected:
         """What was removed, in sentences; none without a calibration."""
         error = self.given.calibration
         if error is None:
-            return ()
+            return () if self.given.calibration_map is None else (_AS_NOISE,)
         told = f"{listed(error, self.values, self.given.unit)} (sd: the calibration's standard deviations)"
         if self.probability < IMPROBABLE:
             return (
@@ -194,6 +204,7 @@ def without_calibration_error(
     """
     error = recordings.calibration
     if error is None:
+        recordings = with_map_noise(recordings)
         return Corrected(given=recordings, recordings=recordings, network=network)
     kernel = checked_model(recordings, within_rig(recordings, network)).kernel
     point = point_estimate(recordings, kernel, prior_of(kernel, recordings), seed, executor, progress)
