@@ -110,7 +110,9 @@ def test_noise_holds_the_error_once() -> None:
     plain, error = recordings.subjects[0], recordings.calibration_map
     noisier = with_map_noise(recordings)
     sd = noisier.subjects[0].noise_sd
-    assert sd is not None and plain.noise_sd is not None and error is not None
+    assert error is not None
+    assert sd is not None
+    assert plain.noise_sd is not None
     np.testing.assert_allclose(sd**2 - plain.noise_sd**2, error.variance(FREQUENCY_HZ, plain.z), rtol=1e-9)
     assert with_map_noise(noisier) is noisier
     exact = replace(recordings, calibration_map=None)

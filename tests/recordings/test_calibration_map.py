@@ -90,7 +90,7 @@ def test_a_negative_variance_is_refused() -> None:
     [
         ('map = "calibration.csv"', "there is no calibration.csv beside it"),
         ('map = "../calibration.csv"', "must be the name of a file in the dataset's folder"),
-        ("map = 3", "map must be text"),
+        ("map = 3", "map is 3, but must be text"),
         ('map = "calibration.csv"\nsd = [1]', "is not used"),
     ],
 )
