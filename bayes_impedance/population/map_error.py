@@ -100,7 +100,7 @@ def response(
     """
     error = recordings.calibration_map
     assert error is not None
-    root = _root(error)
+    root = root_of(error)
     p, numbers = len(kernel.elements), 2 * root[..., 0].size
     one = len(recordings.subjects) == 1
     between, within = (np.zeros((p, p)), np.zeros((p, p))) if one else _dispersions(parameters)
@@ -121,7 +121,7 @@ def response(
     return Response(centre=centre, persons=np.array(persons))
 
 
-def _root(error: CalibrationMap) -> np.ndarray:
+def root_of(error: CalibrationMap) -> np.ndarray:
     """Factor of the covariance at each frequency, shape (F, 3, 3)."""
     assert error.covariance is not None
     values, vectors = np.linalg.eigh(error.covariance)
