@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from bayes_impedance.intake.calibrating import Calibrated
 from bayes_impedance.intake.smooth_rig import PARAMETERS, SmoothRig, rig_around
@@ -24,7 +24,7 @@ def calibration_files(calibration: Calibrated) -> dict[str, bytes]:
     return files
 
 
-def csv_bytes(rows: Sequence[Sequence[object]]) -> bytes:
+def csv_bytes(rows: Iterable[Sequence[object]]) -> bytes:
     """A table as CSV."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)

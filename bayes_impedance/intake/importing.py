@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -83,6 +84,14 @@ class Imported:
         """Whether every subject is called as its file is."""
         return all(one.subject == who_is(one.source, None).subject for one in self.spectra)
 
+    def _rows(self, name: str) -> Iterator[list[str]]:
+        """Each spectrum's values of one kind, by frequency; one row after the other, as they may be millions."""
+        for one in self.spectra:
+            values = getattr(one, name)
+            if values is not None:
+                for row in np.column_stack([one.frequency_hz, values]).tolist():
+                    yield [one.subject, one.repetition, *map(repr, row)]
+
     def recipe(self, arguments: Sequence[str]) -> str:
         """The table ``[import]`` of dataset.toml: arguments, sources with their digests, notes."""
         lines = ["[import]", f"arguments = {_toml(list(arguments))}", f"notes = {_toml(list(self.notes))}"]
@@ -97,14 +106,9 @@ class Imported:
             (COHERENCE_FILE, "coherence", ["coherence"]),
             (CALIBRATION_SD_FILE, "calibration_sd", ["calibration_sd_re", "calibration_sd_im"]),
         ):
-            rows: list[list[object]] = [["subject", "repetition", "frequency_hz", *columns]]
-            for one in self.spectra:
-                values = getattr(one, name)
-                if values is not None:
-                    table = np.column_stack([one.frequency_hz, values]).tolist()
-                    rows += [[one.subject, one.repetition, *map(repr, row)] for row in table]
-            if len(rows) > 1:
-                files[file] = csv_bytes(rows)
+            if any(getattr(one, name) is not None for one in self.spectra):
+                header = ["subject", "repetition", "frequency_hz", *columns]
+                files[file] = csv_bytes(chain([header], self._rows(name)))
         names = list(dict.fromkeys(name for one in self.spectra for name in _facts(one)))
         if names:
             noted: list[list[object]] = [["subject", "repetition", *names]]
