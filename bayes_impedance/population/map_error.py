@@ -54,6 +54,20 @@ def with_map_noise(recordings: Recordings) -> Recordings:
     return replace(recordings, subjects=noisier, calibration_map=replace(error, in_noise=True))
 
 
+def without_map_noise(recordings: Recordings) -> Recordings:
+    """Recordings without the error of the map in their noise: what :func:`with_map_noise` was given."""
+    error = recordings.calibration_map
+    if error is None or not error.in_noise:
+        return recordings
+    subjects = tuple(
+        one
+        if one.noise_sd is None
+        else replace(one, noise_sd=np.sqrt(one.noise_sd**2 - error.variance(one.frequency_hz, one.z)))
+        for one in recordings.subjects
+    )
+    return replace(recordings, subjects=subjects, calibration_map=replace(error, in_noise=False))
+
+
 def _noisier(error: CalibrationMap, subject: Subject) -> Subject:
     if subject.noise_sd is None:
         return subject

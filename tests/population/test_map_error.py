@@ -13,7 +13,7 @@ from bayes_impedance.intake.simulated_rig import SimulatedRig
 from bayes_impedance.intake.two_port import TwoPort, two_port
 from bayes_impedance.network import Kernel, parse
 from bayes_impedance.population.fit import QUICK_SETTINGS, fit_population
-from bayes_impedance.population.map_error import moved, response, with_map_noise
+from bayes_impedance.population.map_error import moved, response, with_map_noise, without_map_noise
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.prior import Prior
 from bayes_impedance.population.simulate import simulate_recordings
@@ -115,6 +115,9 @@ def test_noise_holds_the_error_once() -> None:
     assert plain.noise_sd is not None
     np.testing.assert_allclose(sd**2 - plain.noise_sd**2, error.variance(FREQUENCY_HZ, plain.z), rtol=1e-9)
     assert with_map_noise(noisier) is noisier
+    again = without_map_noise(noisier).subjects[0].noise_sd
+    assert again is not None
+    np.testing.assert_allclose(again, plain.noise_sd, rtol=1e-9)
     exact = replace(recordings, calibration_map=None)
     assert with_map_noise(exact) is exact
 

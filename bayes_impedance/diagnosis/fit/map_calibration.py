@@ -19,6 +19,7 @@ something or the variances are too small, and nothing is removed.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
@@ -75,7 +76,23 @@ def map_error(
     noisier = with_map_noise(recordings)
     kernel = checked_model(noisier, network).kernel
     point = point_estimate(noisier, kernel, prior_of(kernel, noisier), seed, executor, progress)
-    loads = _predicted(point, recordings)
+    return most_probable_error(recordings, _predicted(point, recordings), len(kernel.elements))
+
+
+def most_probable_error(recordings: Recordings, loads: Sequence[np.ndarray], elements: int) -> MapError:
+    """The error with which recordings are what a network predicts.
+
+    Parameters
+    ----------
+    recordings : Recordings
+        With a map, and noise that does not hold its error.
+    loads : sequence of ndarray of complex, shape (J, F)
+        What the network predicts for each person's repetitions.
+    elements : int
+        Number of elements of the network.
+    """
+    error = recordings.calibration_map
+    assert error is not None
     measured = [_measured(error, one) for one in recordings.subjects]
     root, at = root_of(error), np.array([error.a, error.b, error.c]).T
     xi, probability = np.zeros_like(at), 1.0
@@ -91,13 +108,13 @@ def map_error(
             np.add.at(size, index, np.einsum("jfk,jfm->fkm", each.conj(), each))
             np.add.at(follows, index, np.einsum("jfk,jf->fk", each.conj(), (h - made) / noise))
         follows += np.einsum("fij,fj->fi", size, xi)
-        xi, probability = _most_probable(size, follows, len(kernel.elements))
+        xi, probability = _most_probable(size, follows, elements)
     return MapError(errors=np.einsum("fij,fj->fi", root, xi), probability=probability)
 
 
 def _measured(error: CalibrationMap, subject: Subject) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What was measured before it was corrected, with its noise, shape (J, F), and the map's frequencies (F,)."""
-    assert subject.noise_sd is not None  # checked by `map_error`
+    assert subject.noise_sd is not None  # checked by who asks
     index, _ = error.changes(subject.frequency_hz, subject.z)
     a, b, c = error.a[index], error.b[index], error.c[index]
     below = c * subject.z + 1

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from conftest import THREE_ELEMENTS
 
+from bayes_impedance.diagnosis.examine import examine
 from bayes_impedance.diagnosis.fit.calibration_error import without_calibration_error
 from bayes_impedance.diagnosis.fit.map_calibration import map_error, removed
 from bayes_impedance.intake.simulated_rig import SimulatedRig
 from bayes_impedance.intake.two_port import two_port
+from bayes_impedance.population.fit import QUICK_SETTINGS, fit_population
 from bayes_impedance.population.simulate import simulate_recordings
 from bayes_impedance.recordings.dataset import Recordings
 
@@ -91,3 +93,14 @@ def test_a_diagnosis_is_given_what_is_left() -> None:
     assert again.calibration_map is recordings.calibration_map
     np.testing.assert_array_equal(again.subjects[0].z, recordings.subjects[0].z)
     assert "not all recordings come with their noise" in without_noise.remarks[0]
+
+
+@pytest.mark.slow
+def test_a_fit_that_carries_it_on_is_not_said_to_misfit() -> None:
+    """With the calibration taken as exact its error is a misfit."""
+    recordings, _ = corrected(1)
+    said = []
+    for own in (recordings, replace(recordings, calibration_map=None)):
+        fit = fit_population(own, settings=QUICK_SETTINGS, seed=1, workers=1)
+        said.append(bool(examine(fit, workers=1).misfit))
+    assert said == [False, True]
