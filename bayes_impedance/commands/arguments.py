@@ -228,7 +228,7 @@ def _exact_calibration(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--exact-calibration",
         action="store_true",
-        help="take the calibration of imported recordings as exact (default: its error is estimated along)",
+        help="take the calibration of imported recordings as exact (default: its error is carried on)",
     )
 
 

@@ -396,5 +396,5 @@ def with_terms_of(recordings: Recordings, options: FitOptions) -> tuple[Recordin
 def selected(recordings: Recordings, options: FitOptions) -> Recordings:
     """The recordings of the subjects named in the options, or of all subjects."""
     if options.exact_calibration:
-        recordings = replace(recordings, calibration=None)
+        recordings = replace(recordings, calibration=None, calibration_map=None)
     return recordings.select(options.subjects) if options.subjects else recordings

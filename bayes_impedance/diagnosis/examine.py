@@ -19,6 +19,9 @@ directions that the person's recordings do not determine. With :math:`\lambda` a
 
 so that an outlier is not masked by its own contribution to the covariance (Gnanadesikan and Kettenring,
 Biometrics 28, 81-124, 1972).
+
+The error of a calibration at each frequency is no misfit: its most probable value is removed from the recordings first
+(:mod:`bayes_impedance.diagnosis.fit.map_calibration`), unless it is improbable.
 """
 
 from __future__ import annotations
@@ -31,7 +34,9 @@ from scipy.stats import beta
 
 from bayes_impedance.diagnosis import catalogue  # noqa: F401  (fills the register of effects)
 from bayes_impedance.diagnosis.catalogue.effect import Effect, registered
+from bayes_impedance.diagnosis.fit.calibration_error import IMPROBABLE
 from bayes_impedance.diagnosis.fit.fitter import Refitter
+from bayes_impedance.diagnosis.fit.map_calibration import most_probable_error, removed
 from bayes_impedance.diagnosis.fit.model import build, scales_of
 from bayes_impedance.diagnosis.fit.normal_equations import Population
 from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
@@ -47,6 +52,8 @@ from bayes_impedance.diagnosis.selection.step import Step
 from bayes_impedance.diagnosis.selection.unnamed import ALPHA as STRUCTURE_ALPHA
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.population.fit import PopulationFit
+from bayes_impedance.population.map_error import without_map_noise
+from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.results.adequacy import Adequacy
 from bayes_impedance.results.curve_errors import relative_rms
 from bayes_impedance.results.misfit import MISFIT_SCALE, MISFIT_SHARE
@@ -135,15 +142,29 @@ def varying_of(fit: PopulationFit) -> np.ndarray:
     return np.array([fit.one_person or not p.shared for p in fit.kernel.parameters])
 
 
+def _without_calibration_error(fit: PopulationFit) -> Recordings | None:
+    """Recordings without the most probable error of a calibration at each frequency; None if none is removed."""
+    if fit.recordings.calibration_map is None or any(one.noise_sd is None for one in fit.recordings.subjects):
+        return None
+    plain, elements = without_map_noise(fit.recordings), fit.person_draws.mean(axis=(0, 1))
+    loads = [
+        fit.kernel.impedance(theta + own, one.frequency_hz)
+        for one, theta, own in zip(plain.subjects, elements, fit.deviations, strict=True)
+    ]
+    found = most_probable_error(plain, loads, len(fit.kernel.elements))
+    return removed(plain, found) if found.probability > IMPROBABLE else None
+
+
 def _refitted(fit: PopulationFit, executor: Executor) -> tuple[Refitter, Refit, tuple[str, ...]]:
     """Converged refit of the examined people, started at the posterior's centre, with its refitter and their names."""
     n = len(fit.recordings.subjects)
     some = np.unique(np.linspace(0, n - 1, min(n, _MOST_EXAMINED)).round().astype(int)).tolist()
-    data = []
+    data, clean = [], _without_calibration_error(fit)
     for i in some:
-        s = fit.recordings.subjects[i]
+        s = fit.recordings.subjects[i] if clean is None else clean.subjects[i]
+        noise = fit.noise[i] / fit.noise_scale[i] if s.noise_sd is None else s.noise_sd
         own = fit.deviations[i][:, varying_of(fit)]
-        data.append(Likelihood.make(s.frequency_hz, s.z, fit.noise[i] / fit.noise_scale[i], own))
+        data.append(Likelihood.make(s.frequency_hz, s.z, noise, own))
     refitter = Refitter(data, executor, fit.one_person)
     # What is the same for everybody is held at its central value: the people are examined.
     shared = ~varying_of(fit)

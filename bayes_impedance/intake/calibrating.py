@@ -23,6 +23,7 @@ from bayes_impedance.intake.smooth_rig import LARGEST_MISFIT, SmoothRig, smooth_
 from bayes_impedance.intake.spectrum import ComplexArray, FloatArray, Spectrum
 from bayes_impedance.intake.two_port import TwoPort, smoothed_noise, two_port, undetermined
 from bayes_impedance.recordings.calibration import CommonError
+from bayes_impedance.recordings.calibration_map import CalibrationMap
 from bayes_impedance.recordings.repetitions import MINIMUM_COMMON, MINIMUM_POINTS
 
 SMOOTH, EACH = "smooth", "each frequency"
@@ -66,6 +67,8 @@ class Calibrated:
         At the frequencies of the runs; None if every recording has its own run.
     left : CommonError or None
         What remains uncertain in all recordings, where a rig of few parameters describes it.
+    map_left : CalibrationMap or None
+        The same where the map of each frequency was used.
     """
 
     spectra: tuple[Spectrum, ...]
@@ -74,6 +77,7 @@ class Calibrated:
     rig: SmoothRig | None = None
     two_port: TwoPort | None = None
     left: CommonError | None = None
+    map_left: CalibrationMap | None = None
 
 
 def calibrated(
@@ -123,7 +127,8 @@ def calibrated(
     if reduced:
         told.append(f"{reduced[0].source}: frequencies that the calibration does not have were left out")
     left = None if rig is None else common_error(rig, corrected)
-    told += _said_of_error(corrected, left)
+    map_left = each.recorded if rig is None and each.covariance is not None else None
+    told += _said_of_error(corrected, left, map_left)
     return Calibrated(
         spectra=tuple(corrected),
         notes=(*notes, *told),
@@ -131,6 +136,7 @@ def calibrated(
         rig=rig,
         two_port=each if rig is None else rig.at(each.frequency_hz),
         left=left,
+        map_left=map_left,
     )
 
 
@@ -218,7 +224,9 @@ def _said(rig: SmoothRig) -> str:
     return f"rig: gain {g}, delay {d} s, seismic mass {m} kg, damper {r} N s/m, stiffness {k} N/m, {mount}{fits}"
 
 
-def _said_of_error(corrected: Sequence[Spectrum], left: CommonError | None) -> list[str]:
+def _said_of_error(
+    corrected: Sequence[Spectrum], left: CommonError | None, map_left: CalibrationMap | None
+) -> list[str]:
     """Size of the error that the calibration leaves in all recordings."""
     relative = [
         np.sqrt(np.mean(one.calibration_sd**2, axis=1)) / np.abs(one.z)
@@ -229,7 +237,9 @@ def _said_of_error(corrected: Sequence[Spectrum], left: CommonError | None) -> l
         return []
     middle, largest = np.median(np.concatenate(relative)), max(float(one.max()) for one in relative)
     known = (
-        "and fits do not know of it"
+        "and fits carry it on, at each frequency as parameters of the rig that are the same for everybody"
+        if map_left is not None
+        else "and fits do not know of it"
         if left is None
         else f"and fits estimate {100 * left.share:.3g} % of its variance as a gain, a delay, a mass, a damper and a "
         "stiffness around the network that are the same for everybody"

@@ -5,48 +5,30 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from bayes_impedance.intake.calibrating import Calibrated
 from bayes_impedance.intake.smooth_rig import PARAMETERS, SmoothRig, rig_around
-from bayes_impedance.intake.two_port import TwoPort
+from bayes_impedance.recordings.calibration_map import MAP_FILE
 
-CALIBRATION_FILE, RIG_FILE = "calibration.csv", "rig.toml"
-_PAIRS = ((0, 1, "ab"), (0, 2, "ac"), (1, 2, "bc"))
+RIG_FILE = "rig.toml"
 
 
 def calibration_files(calibration: Calibrated) -> dict[str, bytes]:
     """Contents of the files by their names."""
     files = {}
     if calibration.two_port is not None:
-        files[CALIBRATION_FILE] = csv_bytes(_rows(calibration.two_port))
+        files[MAP_FILE] = calibration.two_port.recorded.csv()
     if calibration.rig is not None:
         files[RIG_FILE] = _rig_toml(calibration.rig, calibration.spectra[0].unit).encode()
     return files
 
 
-def csv_bytes(rows: Sequence[Sequence[object]]) -> bytes:
+def csv_bytes(rows: Iterable[Sequence[object]]) -> bytes:
     """A table as CSV."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue().encode()
-
-
-def _rows(found: TwoPort) -> list[list[object]]:
-    """Frequency, the map (a z + b)/(c z + 1), and the covariance of each part of (a, b, c) where it is known."""
-    names = [f"{x}_{part}" for x in "abc" for part in ("re", "im")]
-    of_covariance = [f"var_{x}" for x in "abc"] + [f"cov_{xy}_{part}" for *_, xy in _PAIRS for part in ("re", "im")]
-    rows: list[list[object]] = [["frequency_hz", *names, *(of_covariance if found.covariance is not None else ())]]
-    for i, frequency in enumerate(found.frequency_hz):
-        row = [float(frequency)]
-        for value in (found.a[i], found.b[i], found.c[i]):
-            row += [float(value.real), float(value.imag)]
-        if found.covariance is not None:
-            row += [float(found.covariance[i, k, k].real) for k in range(3)]
-            for k, m, _ in _PAIRS:
-                row += [float(found.covariance[i, k, m].real), float(found.covariance[i, k, m].imag)]
-        rows.append([repr(value) for value in row])
-    return rows
 
 
 def _rig_toml(rig: SmoothRig, unit: str) -> str:

@@ -5,25 +5,27 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
 from bayes_impedance.intake.assembly import SIGN, STOPPED, assemble
 from bayes_impedance.intake.calibrating import Calibrated, CalibrationSettings, calibrated
-from bayes_impedance.intake.calibration_files import CALIBRATION_FILE, RIG_FILE, calibration_files, csv_bytes
+from bayes_impedance.intake.calibration_files import RIG_FILE, calibration_files, csv_bytes
 from bayes_impedance.intake.moderated_noise import moderated
 from bayes_impedance.intake.names import who_is
 from bayes_impedance.intake.reading import Progress, ReadingSettings, read_spectra
 from bayes_impedance.intake.spectrum import Spectrum
+from bayes_impedance.recordings.calibration_map import MAP_FILE
 from bayes_impedance.recordings.dataset import Recordings
 from bayes_impedance.recordings.metadata import DRIVING_POINT, HERTZ, IMPEDANCE
 
 COHERENCE_FILE, REPETITIONS_FILE = "coherence.csv", "repetitions.csv"
 CALIBRATION_SD_FILE = "calibration_sd.csv"
-BESIDE = (COHERENCE_FILE, REPETITIONS_FILE, CALIBRATION_SD_FILE, CALIBRATION_FILE, RIG_FILE)
+BESIDE = (COHERENCE_FILE, REPETITIONS_FILE, CALIBRATION_SD_FILE, MAP_FILE, RIG_FILE)
 """Every file that may stand beside the recordings."""
 _NEGATIVE = 0.001
 """Share of points with Re z < 0 from which it is told. By choice: less is noise around zero, and is told as 0.0 %."""
@@ -82,6 +84,14 @@ class Imported:
         """Whether every subject is called as its file is."""
         return all(one.subject == who_is(one.source, None).subject for one in self.spectra)
 
+    def _rows(self, name: str) -> Iterator[list[str]]:
+        """Each spectrum's values of one kind, by frequency; one row after the other, as they may be millions."""
+        for one in self.spectra:
+            values = getattr(one, name)
+            if values is not None:
+                for row in np.column_stack([one.frequency_hz, values]).tolist():
+                    yield [one.subject, one.repetition, *map(repr, row)]
+
     def recipe(self, arguments: Sequence[str]) -> str:
         """The table ``[import]`` of dataset.toml: arguments, sources with their digests, notes."""
         lines = ["[import]", f"arguments = {_toml(list(arguments))}", f"notes = {_toml(list(self.notes))}"]
@@ -96,14 +106,9 @@ class Imported:
             (COHERENCE_FILE, "coherence", ["coherence"]),
             (CALIBRATION_SD_FILE, "calibration_sd", ["calibration_sd_re", "calibration_sd_im"]),
         ):
-            rows: list[list[object]] = [["subject", "repetition", "frequency_hz", *columns]]
-            for one in self.spectra:
-                values = getattr(one, name)
-                if values is not None:
-                    table = np.column_stack([one.frequency_hz, values]).tolist()
-                    rows += [[one.subject, one.repetition, *map(repr, row)] for row in table]
-            if len(rows) > 1:
-                files[file] = csv_bytes(rows)
+            if any(getattr(one, name) is not None for one in self.spectra):
+                header = ["subject", "repetition", "frequency_hz", *columns]
+                files[file] = csv_bytes(chain([header], self._rows(name)))
         names = list(dict.fromkeys(name for one in self.spectra for name in _facts(one)))
         if names:
             noted: list[list[object]] = [["subject", "repetition", *names]]
@@ -157,6 +162,7 @@ def import_recordings(
         subjects=tuple(subjects),
         warnings=tuple(_merged(notes)),
         calibration=calibration.left,
+        calibration_map=calibration.map_left,
         place=DRIVING_POINT if settings.driving_point else None,
         quantity=IMPEDANCE if said.form == IMPEDANCE else None,
         frequency_unit=HERTZ if HERTZ in believed else None,

@@ -33,6 +33,7 @@ import numpy as np
 
 from bayes_impedance.errors import InputError
 from bayes_impedance.intake.spectrum import ComplexArray, FloatArray
+from bayes_impedance.recordings.calibration_map import CalibrationMap
 
 _STEPS = 5
 """Of Gauss and Newton. The linear equations are wrong by the noise only, so the second step is already below it."""
@@ -69,6 +70,13 @@ class TwoPort:
     c: ComplexArray
     covariance: ComplexArray | None = None
     relation: ComplexArray | None = None
+
+    @property
+    def recorded(self) -> CalibrationMap:
+        """The map as a dataset keeps it."""
+        return CalibrationMap(
+            frequency_hz=self.frequency_hz, a=self.a, b=self.b, c=self.c, covariance=self.covariance
+        )  # fmt: skip
 
     def measured(self, z: ComplexArray) -> ComplexArray:
         """What is measured with a load, shapes (..., F)."""

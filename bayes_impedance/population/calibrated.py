@@ -87,4 +87,8 @@ def inseparable_given(kernel: Kernel, prior: Prior) -> tuple[str, ...]:
 
 def known_of(recordings: Recordings) -> tuple[str, ...]:
     """What a fit takes from the calibration, for comparison with another fit; nothing if there is none."""
-    return () if recordings.calibration is None else (recordings.calibration.toml(),)
+    lumped, each = recordings.calibration, recordings.calibration_map
+    return (
+        *(() if lumped is None else (lumped.toml(),)),
+        *(() if each is None else (each.csv().decode(),)),
+    )

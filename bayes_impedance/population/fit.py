@@ -40,6 +40,7 @@ from bayes_impedance.population.dependence import dependent
 from bayes_impedance.population.diagnostics import Diagnostics, assess
 from bayes_impedance.population.em import Estimate, estimate, with_groups
 from bayes_impedance.population.heavy_tails import NORMAL, STUDENT_T
+from bayes_impedance.population.map_error import moved, response, with_map_noise
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.posterior import Posterior
 from bayes_impedance.population.prior import Prior
@@ -199,6 +200,7 @@ def fit_population(
     checkpoint = None if checkpoint is None else Path(checkpoint)
     settings = settings or FitSettings()
     recordings, terms = with_terms(recordings, settings.covariates)
+    recordings = with_map_noise(recordings)
     settings = replace(settings, covariates=terms, sampler=replace(settings.sampler, workers=workers))
     model = checked_model(recordings, within_rig(recordings, network), settings.covariates)
     kernel, covariates = model.kernel, model.covariates
@@ -212,7 +214,7 @@ def fit_population(
     if too_few_for_correlations(len(recordings.subjects), pooling.varying.size):
         settings = replace(settings, covariance="diagonal")
     prior = prior_for(kernel, recordings, settings)
-    seeds = np.random.SeedSequence(seed).spawn(5)
+    seeds = np.random.SeedSequence(seed).spawn(6)
     if checkpoint is not None:
         same_for_any = replace(settings, sampler=replace(settings.sampler, workers=0))
         others = (
@@ -245,9 +247,10 @@ def fit_population(
             )
             point = with_groups(point, covariates) if settings.distribution == MIXTURE else point
         if one:
-            return _one_person(
+            alone = _one_person(
                 recordings, whole, model, prior, settings, seed, point, first, seeds[2], clock, progress, checkpoint
             )
+            return _with_map_error(alone, seeds[5])
         repetitions = np.array([len(s.repetitions) for s in recordings.subjects])
         full = settings.covariance == "full"
         posterior = Posterior(repetitions, prior, full, settings.draws, point, covariates)
@@ -268,7 +271,7 @@ def fit_population(
     shape = (settings.sampler.ensembles, -1, len(recordings.subjects))
     shared_spread = np.zeros(0) if parameters.shared is None else parameters.shared.std(axis=0)
     identified = pooling.whole(known, point.shared_determined & (shared_spread < IDENTIFIED_SD)).astype(bool)
-    return PopulationFit(
+    fit = PopulationFit(
         recordings=recordings,
         kernel=whole.kernel,
         written=model.written,
@@ -288,6 +291,23 @@ def fit_population(
         identified=identified,
         diagnostics=diagnostics,
         seconds=clock.seconds,
+    )
+    return _with_map_error(fit, seeds[5])
+
+
+def _with_map_error(fit: PopulationFit, seed: np.random.SeedSequence) -> PopulationFit:
+    """The posterior with the error of a calibration at each frequency; as it is without one."""
+    if fit.recordings.calibration_map is None:
+        return fit
+    elements = fit.person_draws.mean(axis=(0, 1))
+    follows = response(fit.recordings, fit.kernel, elements, fit.noise, fit.parameters, fit.prior)
+    flat = fit.person_draws.reshape(-1, *elements.shape)
+    parameters, persons = moved(follows, fit.parameters, flat, seed)
+    return replace(
+        fit,
+        parameters=parameters,
+        person_draws=persons.reshape(fit.person_draws.shape),
+        identified=fit.identified & (parameters.mu.std(axis=0) < IDENTIFIED_SD),
     )
 
 

@@ -208,7 +208,7 @@ def _converted(recordings: Recordings, subjects: Sequence[Subject], convert: Con
         replace(one, z=convert(one.z, 2j * np.pi * one.frequency_hz), noise_sd=None, covariates={}, circumstances={})
         for one in subjects
     )
-    return replace(recordings, subjects=changed, calibration=None)
+    return replace(recordings, subjects=changed, calibration=None, calibration_map=None)
 
 
 @dataclass(frozen=True)

@@ -37,6 +37,12 @@ _HARDLY_NEGATIVE, _MUCH_NEGATIVE = 0.05, 0.2
 """Fraction of points with Re < 0 up to which a quantity counts as passive (noise around zero at an end of the band),
 and from which the recorded one may be another quantity. By choice."""
 
+_QUANTITIES = {
+    True: "apparent mass (force per acceleration) and receptance (displacement per force) are",
+    False: "accelerance (acceleration per force) and dynamic stiffness (force per displacement) are",
+}
+"""Which quantities are passive if multiplied by jw, and if divided: z/s and 1/(s z), and s/z and s z."""
+
 _DIAGNOSE = "keep the points, they take part in fits, and 'bayes-impedance diagnose'"
 
 
@@ -49,7 +55,8 @@ class Explanation:
     cause : str
         ``sign``, ``lag``, ``angle``, ``conjugation``, ``filter``, ``quantity``, or nothing if the curve does not say.
     size : float
-        Of a lag in s, positive if the motion is late; of an angle in degrees.
+        Of a lag in s, positive if the motion is late; of an angle in degrees. Of another quantity above zero if it is
+        passive multiplied by jw, and below if divided.
     """
 
     cause: str
@@ -70,8 +77,10 @@ def explain(frequency_hz: FloatArray, z: ComplexArray) -> Explanation:
     if found.cause != "none":
         return Explanation(found.cause, found.size)
     s = 1j * frequency_hz
-    negative, other = np.mean(z.real < 0), min(np.mean((z / s).real < 0), np.mean((z * s).real < 0))
-    return Explanation("quantity" if negative > _MUCH_NEGATIVE and other < _HARDLY_NEGATIVE else "filter")
+    divided, multiplied = float(np.mean((z / s).real < 0)), float(np.mean((z * s).real < 0))
+    if np.mean(z.real < 0) > _MUCH_NEGATIVE and min(divided, multiplied) < _HARDLY_NEGATIVE:
+        return Explanation("quantity", 1.0 if multiplied < divided else -1.0)
+    return Explanation("filter")
 
 
 def sentence(whose: str, where: str, depth: str, explanations: Sequence[Explanation]) -> str:
@@ -102,9 +111,9 @@ def sentence(whose: str, where: str, depth: str, explanations: Sequence[Explanat
         "channel, a small delay between the channels, or a mass correction in excess does this to an inertial or "
         f"elastic load; {_DIAGNOSE} says which",
         "quantity": "phase and magnitude belong together, so that the sign is right, and they are those of a passive "
-        "load if divided or multiplied by jw: check that the motion is a velocity, and not an acceleration or a "
-        "displacement, and that this is no accelerance (if it is, 'import' takes --form accelerance; 'check' decides "
-        f"it with --network); if it is a velocity behind a filter, {_DIAGNOSE} finds that",
+        f"load if {'multiplied' if size > 0 else 'divided'} by jw, as {_QUANTITIES[size > 0]}; 'check' decides it with "
+        f"--network, and 'import' takes them with that --form; if it is a velocity behind a filter, {_DIAGNOSE} finds "
+        "that",
         "": "check the delay between the channels, the mass correction and the sign there",
     }[cause]
     return (

@@ -1,6 +1,7 @@
 """The error that a calibration has left in all recordings of a dataset: the table ``[calibration]`` of dataset.toml.
 
-It is described by a rig around whatever network is fitted, with parameters that are the same for everybody, and what
+Of a calibration at each frequency the table only names the file that holds it (:mod:`.calibration_map`). Else it is
+described by a rig around whatever network is fitted, with parameters that are the same for everybody, and what
 the calibration says of them: means, standard deviations and correlations, those of a gain on its logarithm.
 """
 
@@ -20,6 +21,8 @@ TABLE = "calibration"
 """Key of the table."""
 PLACE = "NETWORK"
 """Where the network stands in that of the rig."""
+MAP = "map"
+"""Key of the name of the file with the error of each frequency."""
 _KEYS = ("network", "parameters", "mean", "sd", "correlation", "share")
 
 
@@ -71,6 +74,34 @@ class CommonError:
                 *(f"{key} = {json.dumps(value)}" for key, value in lists.items()),
             ]
         )
+
+
+def map_table(file: str) -> str:
+    """The table as it stands in dataset.toml where a file beside it holds the error of each frequency."""
+    return "\n".join(
+        [
+            f"[{TABLE}]",
+            "# What the calibration leaves uncertain at each frequency, the same in all recordings, is in this file.",
+            "# Fits carry it on.",
+            f"{MAP} = {json.dumps(file)}",
+        ]
+    )
+
+
+def map_file_of(value: object, where: Callable[[str], str]) -> str:
+    """Name of the file that the table of a file names; empty if it describes a rig.
+
+    Raises
+    ------
+    InputError
+        If the name is none of a file in the dataset's folder, or other keys stand beside it.
+    """
+    if not isinstance(value, Mapping) or MAP not in value:
+        return ""
+    name = UserTable(value, where, (MAP,)).text(MAP)
+    if name in ("", ".", "..") or "/" in name or "\\" in name:
+        raise InputError(f"{where(MAP)}: {MAP} must be the name of a file in the dataset's folder, as calibration.csv")
+    return name
 
 
 def common_error_of(value: object, where: Callable[[str], str]) -> CommonError:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bayes_impedance.errors import InputError
-from bayes_impedance.recordings.csv_table import FloatArray, columns_of_values, names, parse_csv
+from bayes_impedance.recordings.csv_table import FloatArray, Table, columns_of_values, names, parse_csv
 from bayes_impedance.recordings.dataset import Subject
 
 KEYS = ("subject", "repetition")
@@ -54,6 +54,48 @@ def is_amplitude(name: str) -> bool:
     """
     column, is_text, value = _WORD_BEGINS.sub("_", name).lower().partition("=")
     return _AMPLITUDE.search(column) is not None and (not is_text or value.strip() in _LEVELS)
+
+
+UP, DOWN = "up", "down"
+_DIRECTIONS = {
+    UP: frozenset({"up", "upward", "upwards", "ascending", "increasing", "rising"}),
+    DOWN: frozenset({"down", "downward", "downwards", "descending", "decreasing", "falling"}),
+}
+"""Words for the direction of a sweep, towards higher and lower frequencies."""
+_OTHER = {UP: DOWN, DOWN: UP}
+
+
+def sweep_direction(name: str) -> str | None:
+    """The direction of a sweep, ``up`` or ``down``, that a circumstance means where it is 1; None if it is none.
+
+    Parameters
+    ----------
+    name : str
+        ``column=value`` of a column of text, as ``sweep_direction=up``.
+    """
+    column, is_text, value = _WORD_BEGINS.sub("_", name).lower().partition("=")
+    if not is_text or "sweep" not in column:
+        return None
+    return next((direction for direction, words in _DIRECTIONS.items() if value.strip() in words), None)
+
+
+def sweep_directions(subjects: Sequence[Subject]) -> frozenset[str]:
+    """All directions of sweeps that are noted of any repetition."""
+    found = set()
+    for subject in subjects:
+        for name, values in subject.circumstances.items():
+            direction = sweep_direction(name)
+            if direction is not None:
+                found |= {direction} if np.any(values == 1) else set()
+                found |= {_OTHER[direction]} if np.any(values == 0) else set()
+    return frozenset(found)
+
+
+def _single_directions(table: Table) -> dict[str, str]:
+    """Columns of one direction for all, with it: they are no categories, but say how the sweeps went."""
+    values = {name: {str(cell).strip() for cell in cells} for name, cells in table.columns.items()}
+    found = {name: next(iter(own)) for name, own in values.items() if len(own) == 1}
+    return {name: value for name, value in found.items() if sweep_direction(f"{name}={value}") is not None}
 
 
 @dataclass(frozen=True)
@@ -125,7 +167,9 @@ def parse_circumstances(data: bytes, file: str) -> CircumstanceTable:
                 f"{table.row[first[pair]]}); keep one row for each repetition"
             )
         first[pair] = i
-    columns, warnings = columns_of_values(table, (*KEYS, *OF_THE_ESTIMATE), "repetitions")
+    directions = _single_directions(table)
+    columns, warnings = columns_of_values(table, (*KEYS, *OF_THE_ESTIMATE, *directions), "repetitions")
+    columns |= {f"{name}={value}": np.ones(table.row.size) for name, value in directions.items()}
     values = {pair: {name: float(column[i]) for name, column in columns.items()} for i, pair in enumerate(pairs)}
     return CircumstanceTable(values, tuple(columns), warnings, file)
 

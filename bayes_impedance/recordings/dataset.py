@@ -16,6 +16,7 @@ import numpy as np
 from bayes_impedance.display import MOST_CURVES, MOST_ROWS, curves, heading, joined, lines, table
 from bayes_impedance.errors import InputError
 from bayes_impedance.recordings.calibration import CommonError
+from bayes_impedance.recordings.calibration_map import CalibrationMap
 from bayes_impedance.recordings.csv_table import ComplexArray, FloatArray, has_control_character
 from bayes_impedance.runtime.user_table import shown, similar
 
@@ -144,7 +145,9 @@ class Recordings:
     convention : str or None
         Convention that the file declares; z here is that of exp(+jwt). None if it does not say.
     calibration : CommonError or None
-        What a calibration has left uncertain, the same in all recordings.
+        What a calibration has left uncertain, the same in all recordings, as a rig of few parameters.
+    calibration_map : CalibrationMap or None
+        The same of a calibration that was made at each frequency for itself.
     place : str or None
         ``driving point`` if that is declared: recordings that look like transfer functions are then believed.
     quantity, frequency_unit : str or None
@@ -167,6 +170,7 @@ class Recordings:
     polar: bool = False
     convention: str | None = None
     calibration: CommonError | None = None
+    calibration_map: CalibrationMap | None = None
     place: str | None = None
     quantity: str | None = None
     frequency_unit: str | None = None

@@ -3,7 +3,7 @@ r"""Whether a curve can be of a driving point: force and velocity of one place.
 Of a passive load the velocity at the place of the force is nowhere against it, :math:`\operatorname{Re} z \ge 0`, and
 resonances and antiresonances alternate, so that the phase goes to and fro within half a turn. Of a **transfer**
 function, with the velocity of another place, antiresonances are missing: each further resonance turns the phase half a
-turn further, and the magnitude with it. Two numbers are looked at, and both must be large:
+turn further, and the magnitude with it. Two numbers are looked at, and both must be large, or the first very large:
 
 **The turn** is how far the phase goes from one end to the other that belongs to the *magnitude* by Bode's relation
 (:func:`.phase_relation.bode_phase`, here of a band extended by straight lines in log-log through its outer parts, and
@@ -33,7 +33,7 @@ a high-pass in one channel         0.8         2.5
 a low-pass and a lag               0.5         3.5
 with a reflex                      0.5         0.8
 transfer between neighbours        14          48
-transfer between others            47          80
+transfer between others            61          80
 =================================  ==========  ==============
 
 What is not found has one resonance in the band, or one whose half turn falls between two points, and is the curve of a
@@ -51,6 +51,10 @@ from bayes_impedance.recordings.phase_relation import comparable
 
 TURN_DEG, LARGE_TURN_DEG = 270.0, 300.0
 """Turns of the phase above which a curve may be, or is, no driving point: derived above."""
+ANY_FILTER_DEG = 540.0
+"""Turn above which a curve is no driving point however small the share is, as of lightly damped structures, whose z is
+nearly imaginary between resonances: half a turn of a driving point, and a whole one of a filter of fourth order in one
+channel. By choice: steeper filters are those of analysers against aliasing, which both channels have."""
 CLEARLY, SHARE = 0.3, 0.04
 """Re z below this share of -abs z is clearly negative, 17 degrees beyond a quarter of a turn, and the share of such
 points above which a curve is no driving point. By choice: noise of 5 % reaches three degrees; and measured above."""
@@ -94,7 +98,8 @@ def verdict_of(frequency_hz: FloatArray, z: ComplexArray) -> Verdict:
     share = share_against_force(frequency_hz, z)
     if share <= 0 or (turned := turn_deg(frequency_hz, z)) <= TURN_DEG:
         return "driving"
-    return "transfer" if share > SHARE and turned > LARGE_TURN_DEG else "maybe"
+    surely = turned > ANY_FILTER_DEG or (share > SHARE and turned > LARGE_TURN_DEG)
+    return "transfer" if surely else "maybe"
 
 
 def share_against_force(frequency_hz: FloatArray, z: ComplexArray) -> float:

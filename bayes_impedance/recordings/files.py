@@ -19,6 +19,8 @@ from pathlib import Path
 import numpy as np
 
 from bayes_impedance.errors import InputError
+from bayes_impedance.recordings.calibration import map_table
+from bayes_impedance.recordings.calibration_map import MAP_FILE, CalibrationMap, parse_map
 from bayes_impedance.recordings.circumstances import CircumstanceTable, circumstances_csv, parse_circumstances
 from bayes_impedance.recordings.csv_table import CovariateTable, IntArray, parse_covariates
 from bayes_impedance.recordings.dataset import Recordings, Subject
@@ -85,6 +87,10 @@ def read_recordings(path: str | os.PathLike[str]) -> Recordings:
     if folder is not None and metadata_file.exists():
         described.append(read_bytes(metadata_file, LARGEST_DESCRIPTION))
         metadata = parse_metadata(described[-1], str(metadata_file), metadata.title)
+    calibration_map = None
+    if metadata.map_file:
+        calibration_map = _map_of(metadata_file, metadata)
+        described.append(calibration_map[0])
     reading = _Reading(file, metadata, covariates, circumstances)
     for table, place in _tables(file, digest):
         reading.add(table, *place)
@@ -114,10 +120,25 @@ def read_recordings(path: str | os.PathLike[str]) -> Recordings:
         polar=reading.polar,
         convention=metadata.convention,
         calibration=metadata.calibration,
+        calibration_map=None if calibration_map is None else calibration_map[1],
         place=metadata.place,
         quantity=metadata.quantity,
         frequency_unit=metadata.frequency_unit,
     )
+
+
+def _map_of(metadata_file: Path, metadata: Metadata) -> tuple[bytes, CalibrationMap]:
+    """The table that dataset.toml names for the calibration's error: its bytes and content."""
+    file = metadata_file.parent / metadata.map_file
+    if not file.exists():
+        raise InputError(f"{metadata_file}: there is no {file.name} beside it; import the recordings again")
+    if metadata.factor != 1.0:
+        raise InputError(
+            f"{metadata_file}: the values of {file.name} are in {metadata.unit}, but recordings in another unit; "
+            "import the recordings again, which converts them"
+        )
+    data = read_bytes(file)
+    return data, parse_map(data, str(file))
 
 
 def _tables(file: Path, digest: hashlib._Hash) -> Iterator[tuple[RecordingTable, tuple[Path, str] | tuple[()]]]:
@@ -307,6 +328,8 @@ def write_recordings(
     if noted is not None:
         contents[REPETITIONS_FILE] = noted
     left = "" if recordings.calibration is None else recordings.calibration.toml() + "\n"
+    if recordings.calibration_map is not None:
+        left, contents[MAP_FILE] = map_table(MAP_FILE) + "\n", recordings.calibration_map.csv()
     contents[METADATA_FILE] = "\n".join(filter(None, (_metadata_toml(recordings), left, recipe))).encode()
     contents |= beside or {}
     write_together({target / name: content for name, content in contents.items()})

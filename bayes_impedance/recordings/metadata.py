@@ -10,7 +10,7 @@ import re
 from dataclasses import dataclass
 
 from bayes_impedance.errors import InputError
-from bayes_impedance.recordings.calibration import TABLE, CommonError, common_error_of
+from bayes_impedance.recordings.calibration import TABLE, CommonError, common_error_of, map_file_of
 from bayes_impedance.runtime.input_files import decode, line_of, parse_toml
 from bayes_impedance.runtime.user_table import UserTable, shown
 
@@ -100,7 +100,9 @@ class Metadata:
         Notation of the network that the data are usually modelled with.
     warnings : tuple of str
     calibration : CommonError or None
-        What a calibration has left uncertain in all recordings.
+        What a calibration has left uncertain in all recordings, as a rig of few parameters.
+    map_file : str
+        Name of the table beside the file that holds the same at each frequency; empty if there is none.
     place : str or None
         :data:`DRIVING_POINT` if that is declared.
     quantity, frequency_unit : str or None
@@ -117,6 +119,7 @@ class Metadata:
     licence: str = ""
     warnings: tuple[str, ...] = ()
     calibration: CommonError | None = None
+    map_file: str = ""
     place: str | None = None
     quantity: str | None = None
     frequency_unit: str | None = None
@@ -184,6 +187,7 @@ def parse_metadata(data: bytes, file: str, default_title: str) -> Metadata:
             f"{where('convention')}: convention {shown(given_convention)} is unknown; "
             f'write "{CONVENTIONS[0]}" (a mass is +jwm) or "{CONVENTIONS[1]}"'
         )
+    map_file = map_file_of(table[TABLE], where) if TABLE in table else ""
     return Metadata(
         title=title.strip() or default_title,
         unit=unit,
@@ -194,7 +198,8 @@ def parse_metadata(data: bytes, file: str, default_title: str) -> Metadata:
         source=source,
         licence=licence,
         warnings=tuple(warnings),
-        calibration=common_error_of(table[TABLE], where) if TABLE in table else None,
+        calibration=common_error_of(table[TABLE], where) if TABLE in table and not map_file else None,
+        map_file=map_file,
         place=table.choice("place", (DRIVING_POINT,)) if "place" in table else None,
         quantity=table.choice("quantity", (IMPEDANCE,)) if "quantity" in table else None,
         frequency_unit=table.choice("frequency_unit", (HERTZ,)) if "frequency_unit" in table else None,

@@ -216,6 +216,12 @@ def _remarks(fit: PopulationFit, predictive: Predictive, gross: bool) -> list[st
             f"{100 * left.share:.3g} % of its variance as {', '.join(left.parameters)}, with the calibration's prior. "
             "--exact-calibration takes the calibration as exact instead."
         )
+    if fit.recordings.calibration_map is not None:
+        remarks.append(
+            "The calibration's own error, which is the same in all recordings and differs from frequency to frequency, "
+            "is carried on: it counts as noise of each frequency, and what does not average out over people is in the "
+            "intervals of centres and persons. --exact-calibration takes the calibration as exact instead."
+        )
     for c in fit.combinations:
         remarks.append(
             f"Recordings can determine only {c.expression}, not {' or '.join(c.elements)} alone: one element, "

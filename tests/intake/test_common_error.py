@@ -111,8 +111,30 @@ def test_it_goes_to_the_dataset_and_comes_back(tmp_path: Path, capsys: pytest.Ca
     assert (
         main(["import", *people, "--known-load", *runs, "--rig", "each frequency", "-o", str(tmp_path / "each")]) == 0
     )
-    assert "and fits do not know of it" in capsys.readouterr().out
-    assert read_recordings(tmp_path / "each").calibration is None
+    assert "and fits carry it on, at each frequency" in capsys.readouterr().out
+    each = read_recordings(tmp_path / "each")
+    assert each.calibration is None
+    assert each.calibration_map is not None
+    again = write_recordings(each, tmp_path / "each again")
+    assert (again / "calibration.csv").read_bytes() == (tmp_path / "each" / "calibration.csv").read_bytes()
+    other = read_recordings(again)
+    assert other.calibration_map is not None
+    assert other.calibration_map.csv() == each.calibration_map.csv()
+    assert not other.warnings
+
+
+def test_a_single_run_that_corrects_all_is_carried_on_too(tmp_path: Path) -> None:
+    people, runs = write_all(tmp_path, Rig(gain=1.0, delay_s=0.0, mount=0.0), noise=0.02)
+    run = runs[0].removeprefix("open:")
+    assert main(["import", *people, "--unloaded", run, "-o", str(tmp_path / "out")]) == 0
+    recordings = read_recordings(tmp_path / "out")
+    error = recordings.calibration_map
+    assert error is not None
+    np.testing.assert_allclose(error.a, 1.0)
+    sd = 0.02 * np.abs(Rig(gain=1.0, delay_s=0.0, mount=0.0).measures(0 * S))
+    for one in recordings.subjects:
+        # The noise of the run is averaged over neighbouring lines.
+        np.testing.assert_allclose(np.sqrt(error.variance(FREQUENCY, one.z)), sd[None], rtol=0.4)
 
 
 @pytest.mark.parametrize(

@@ -60,8 +60,15 @@ def test_a_filter_is_not_taken_for_a_wrong_sign(load: str, corner: float, tmp_pa
 
 
 @pytest.mark.parametrize("load", ["finger", "spring"])
-def test_accelerance_is_pointed_at(load: str, tmp_path: Path) -> None:
-    assert "check that the motion is a velocity" in _said(load, lambda s, z: s / z, 1, tmp_path)
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda s, z: s / z, "divided by jw, as accelerance"),
+        (lambda s, z: z / s, "multiplied by jw, as apparent mass"),
+    ],
+)
+def test_another_quantity_is_pointed_at(load: str, change: Chain, said: str, tmp_path: Path) -> None:
+    assert said in _said(load, change, 1, tmp_path)
 
 
 @pytest.mark.parametrize("load", LOADS)

@@ -10,7 +10,7 @@ import pytest
 
 from bayes_impedance.commands.cli import main
 from bayes_impedance.errors import InputError
-from bayes_impedance.recordings.circumstances import circumstances_csv
+from bayes_impedance.recordings.circumstances import circumstances_csv, sweep_direction, sweep_directions
 from bayes_impedance.recordings.dataset import Subject
 from bayes_impedance.recordings.files import read_recordings, write_recordings
 
@@ -110,3 +110,32 @@ def test_values_are_one_for_each_repetition() -> None:
             repetitions=("1", "2"),
             circumstances={"force_n": np.ones(3)},
         )
+
+
+@pytest.mark.parametrize(
+    ("name", "direction"),
+    [
+        ("sweep_direction=up", "up"),
+        ("SweepDirection=descending", "down"),
+        ("direction of sweep=Downwards", "down"),
+        ("sweep=rising", "up"),
+        ("sweep=chirp", None),
+        ("excitation=up", None),
+        ("sweep_direction", None),
+    ],
+)
+def test_directions_of_sweeps_are_recognised(name: str, direction: str | None) -> None:
+    assert sweep_direction(name) == direction
+
+
+@pytest.mark.parametrize("words", [("up", "down"), ("down", "down"), ("ascending", "ascending")])
+def test_directions_of_sweeps_are_kept(words: tuple[str, str], folder: Path) -> None:
+    """Also where all have the same, which is no category."""
+    rows = "".join(f"{subject},{k + 1},{words[k]}\n" for subject in "ABCD" for k in range(2))
+    (folder / "repetitions.csv").write_text(f"subject,repetition,sweep_direction\n{rows}")
+    recordings = read_recordings(folder)
+    expected = {"down" if word == "down" else "up" for word in words}
+    assert sweep_directions(recordings.subjects) == expected
+    assert not any("not used" in warning for warning in recordings.warnings)
+    again = read_recordings(write_recordings(recordings, folder / "again"))
+    assert sweep_directions(again.subjects) == expected

@@ -20,6 +20,8 @@ removed then, and the search finds what it is.
 What the network lacks moves :math:`\hat v` too, as far as the prior lets it. When something was found it is therefore
 estimated once more, with what was found in the network, and the search is repeated if :math:`\hat v` has moved by
 more than its own uncertainty.
+
+The error of a calibration at each frequency is estimated and removed in the same way in :mod:`.map_calibration`.
 """
 
 from __future__ import annotations
@@ -32,12 +34,14 @@ import numpy as np
 from scipy.stats import chi2
 
 from bayes_impedance.diagnosis.fit.baseline import point_estimate, shared_values
+from bayes_impedance.diagnosis.fit.map_calibration import map_error, removed
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Network, Place, parse
 from bayes_impedance.network.parameters import SIGNED, unit_of_parameter
 from bayes_impedance.population.calibrated import prior_of, within_rig
 from bayes_impedance.population.em import Estimate
+from bayes_impedance.population.map_error import with_map_noise
 from bayes_impedance.population.requirements import checked_model, network_of
 from bayes_impedance.recordings.calibration import CommonError
 from bayes_impedance.recordings.dataset import Subject
@@ -63,6 +67,21 @@ _NOT_REPEATED = (
     "it may hold a part of what was found, whose values are then off by as much"
 )
 
+_MAP_REMOVED = (
+    "The calibration's own error, which differs from frequency to frequency, was estimated from all recordings along "
+    "with the network, with the calibration's variances, and removed before the search, so that it is no finding "
+    "(p = {:.2g})."
+)
+_MAP_KEPT = (
+    "With the calibration's own error, which differs from frequency to frequency, estimated along, the network would "
+    "need one that is improbable under the calibration (p = {:.1g}): its variances are too small, or the network lacks "
+    "something. Nothing was removed, so that a part of what was found may be the calibration's error."
+)
+_MAP_UNKNOWN = (
+    "The calibration's own error differs from frequency to frequency and was not removed, because not all recordings "
+    "come with their noise: what all have in common may be the calibration's."
+)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Corrected:
@@ -82,6 +101,8 @@ class Corrected:
         Their standard deviations by recordings and calibration, over those by the calibration alone.
     not_repeated : str
         Why the error was not estimated again with what was found; empty if it was, or nothing was found.
+    map_remark : str or None
+        What became of the error of a calibration at each frequency.
     """
 
     given: Recordings
@@ -90,10 +111,11 @@ class Corrected:
     values: Mapping[str, float] = field(default_factory=dict)
     uncertainty: np.ndarray = field(default_factory=lambda: np.zeros(0))
     not_repeated: str = ""
+    map_remark: str | None = None
 
     def as_given(self, clean: Recordings) -> Recordings:
         """The recordings as measured, at the frequencies at which `clean` has recordings of the same subjects."""
-        if self.given.calibration is None:
+        if self.given.calibration is None and self.given.calibration_map is None:
             return clean
         kept = zip(self.given.subjects, clean.subjects, strict=True)
         subjects = tuple(own.at(np.isin(own.frequency_hz, some.frequency_hz)) for own, some in kept)
@@ -127,7 +149,7 @@ class Corrected:
         """What was removed, in sentences; none without a calibration."""
         error = self.given.calibration
         if error is None:
-            return ()
+            return () if self.map_remark is None else (self.map_remark,)
         told = f"{listed(error, self.values, self.given.unit)} (sd: the calibration's standard deviations)"
         if self.probability < IMPROBABLE:
             return (
@@ -194,7 +216,7 @@ def without_calibration_error(
     """
     error = recordings.calibration
     if error is None:
-        return Corrected(given=recordings, recordings=recordings, network=network)
+        return _without_map_error(recordings, network, seed, executor, progress)
     kernel = checked_model(recordings, within_rig(recordings, network)).kernel
     point = point_estimate(recordings, kernel, prior_of(kernel, recordings), seed, executor, progress)
     values = {name: _value(point, kernel, name) for name in error.parameters}
@@ -214,6 +236,23 @@ def without_calibration_error(
         return inside
     subjects = tuple(_inside(error, values, subject) for subject in recordings.subjects)
     return replace(inside, recordings=replace(recordings, subjects=subjects, calibration=None))
+
+
+def _without_map_error(
+    recordings: Recordings, network: Network | str | None, seed: int, executor: Executor, progress: Progress
+) -> Corrected:
+    """Recordings without the most probable error of a map, if they have one."""
+    if recordings.calibration_map is None:
+        return Corrected(given=recordings, recordings=recordings, network=network)
+    found = map_error(recordings, network, seed, executor, progress)
+    kept = replace(with_map_noise(recordings), calibration_map=None)
+    if found is None:
+        return Corrected(given=recordings, recordings=kept, network=network, map_remark=_MAP_UNKNOWN)
+    if found.probability < IMPROBABLE:
+        said = _MAP_KEPT.format(found.probability)
+        return Corrected(given=recordings, recordings=kept, network=network, map_remark=said)
+    said = _MAP_REMOVED.format(found.probability)
+    return Corrected(given=recordings, recordings=removed(recordings, found), network=network, map_remark=said)
 
 
 def _within(error: CommonError, network: Network) -> Network:

@@ -8,7 +8,7 @@ from importlib.metadata import version
 
 import numpy as np
 
-from bayes_impedance.diagnosis.catalogue.offered import withheld
+from bayes_impedance.diagnosis.catalogue.offered import about_direction, not_shown
 from bayes_impedance.diagnosis.extended_network import ExtendedNetwork, no_networks
 from bayes_impedance.diagnosis.fit.baseline import Fitted
 from bayes_impedance.diagnosis.fit.coefficient_posterior import CoefficientPosterior
@@ -220,7 +220,7 @@ def make_verdict(
         improvement=_improvement(evidence, physics),
         network=(str(network.sharing(fitted.shared)), after.network if after is not None else str(before.network)),
         detectable=limits,
-        not_identifiable=("gain", *hidden, *(f"{name} in one sweep of each" for name in withheld(recordings))),
+        not_identifiable=("gain", *hidden, *not_shown(recordings)),
         elements_not_identified=tuple(
             e for e, known in zip(network.elements, fitted.determined, strict=True) if not known
         ),
@@ -233,6 +233,7 @@ def make_verdict(
             *gross,
             *partial,
             *fitted.remarks,
+            *about_direction(recordings, [entry.id for entry in effects]),
             *evidence.remarks,
             *_left_out(evidence),
             *_limits_of_few(recordings),

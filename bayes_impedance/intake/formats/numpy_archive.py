@@ -11,10 +11,16 @@ from bayes_impedance.intake.contents import Contents
 from bayes_impedance.intake.formats.array_variables import named_arrays
 from bayes_impedance.intake.formats.optional_libraries import damaged
 
+_ZIP, _NPY = b"PK", b"\x93NUMPY"
+"""First bytes of .npz and of .npy."""
+
 
 def read(file: Path, record: str | None) -> list[Contents]:
     """All arrays of numbers."""
     arrays: dict[str, np.ndarray] = {}
+    with file.open("rb") as stream:
+        if not stream.read(len(_NPY)).startswith((_ZIP, _NPY)):  # NumPy would take it for objects that it may not load
+            raise damaged(file, "a NumPy file", ValueError("it does not begin as one"))
     try:
         with file.open("rb") as stream:  # np.load leaves a file open that it cannot read
             content = np.load(stream, allow_pickle=False)
