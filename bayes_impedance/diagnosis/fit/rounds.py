@@ -99,13 +99,12 @@ def blocks_of(
     w = weights_of(owner, layout.counts, equations.chi)[owner]
     h = w[:, None, None] * equations.information[:, varying][:, :, varying]
     r = rho_of(model, population) ** -2.0
-    a = h + np.diag(r)
-    diagonal = np.einsum("mpp->mp", h)
-    a[:, np.arange(r.size), np.arange(r.size)] += (damping[owner, None] + ROUNDING) * diagonal
-    inverse = np.linalg.inv(a)
+    diagonal = np.einsum("mpp->mp", h).copy()
+    h[:, np.arange(r.size), np.arange(r.size)] += (damping[owner, None] + ROUNDING) * diagonal
+    inverse = np.linalg.inv(h + np.diag(r))
     pull = -w[:, None] * equations.gradient[:, varying] - r * (u[:, varying] - persons[owner])
-    kept = np.diag(r) - r[:, None] * inverse * r
-    precision = np.linalg.inv(population.covariance) + sums(kept, owner, n)
+    kept = r[:, None] * inverse @ h  # R - R A^-1 R, without the difference of large numbers
+    precision = np.linalg.inv(population.covariance) + sums(0.5 * (kept + np.swapaxes(kept, 1, 2)), owner, n)
     return Blocks(inverse, pull, precision)
 
 

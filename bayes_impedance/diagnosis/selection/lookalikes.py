@@ -27,6 +27,10 @@ from bayes_impedance.diagnosis.selection.score_scan import Screening
 _ALIKE = 0.8
 """Cosine of two signatures from which effects look alike: what one leaves of the other is then 0.6 of it. By choice."""
 
+_LARGEST = 10.0
+"""Largest size at which a coefficient begins, in units of what changes the impedance by its magnitude. By choice: where
+the place is hardly felt, a derivative of nearly zero gave 1e5, of which the exponential has no value."""
+
 MOST = 2
 """Lookalikes that are fitted, the most alike first. By choice: each costs as much as another candidate."""
 
@@ -107,5 +111,5 @@ def _sizes(leader: Refit, model: Model, u: np.ndarray, column: int) -> np.ndarra
         up[rows] = np.sum((slope.conj() * change).real / np.abs(z) ** 2)
         down[rows] = np.sum(np.abs(slope / z) ** 2)
     if model.shared[column]:
-        return np.full(len(u), up.sum() / max(down.sum(), 1e-300))
-    return np.asarray(up / np.maximum(down, 1e-300))
+        up, down = np.full(len(u), up.sum()), np.full(len(u), down.sum())
+    return np.clip(up / np.maximum(down, 1e-300), -_LARGEST, _LARGEST)
