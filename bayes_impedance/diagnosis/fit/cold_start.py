@@ -19,10 +19,10 @@ _DRIVEN_AWAY = 0.6
 """Standard deviation of a log element between people above which a model may have driven it away: a factor of 1.8.
 People differ by 0.2 to 0.5; elements that a missing effect had driven away showed 0.9 to 1.8."""
 
-_TYPICAL = 0.3
+TYPICAL = 0.3
 """Standard deviation of the log elements between people at the start: a typical one."""
 
-_TYPICAL_REPETITIONS = 0.03
+TYPICAL_REPETITIONS = 0.03
 """The same between repetitions. By choice: small, so that a person's repetitions begin together."""
 
 
@@ -86,7 +86,7 @@ def population_around(population: Population, centre: np.ndarray) -> Population:
     """The population with its first elements at a centre (n,), with typical dispersions and without correlations."""
     n = centre.size
     mu, covariance, rho = population.mu.copy(), population.covariance.copy(), population.rho.copy()
-    mu[:n], rho[:n] = centre, _TYPICAL_REPETITIONS
+    mu[:n], rho[:n] = centre, TYPICAL_REPETITIONS
     covariance[:n], covariance[:, :n] = 0.0, 0.0
-    covariance[np.arange(n), np.arange(n)] = _TYPICAL**2
+    covariance[np.arange(n), np.arange(n)] = TYPICAL**2
     return Population(mu, covariance, rho)

@@ -17,9 +17,13 @@ from dataclasses import dataclass, replace
 from bayes_impedance.diagnosis.fit.coefficient_posterior import CoefficientPosterior
 from bayes_impedance.diagnosis.fit.extend import rebuilt, shrunk
 from bayes_impedance.diagnosis.fit.fitter import Refitter
+from bayes_impedance.diagnosis.fit.lost_elements import lost_elements, with_lost_elements
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN, log_evidence
 from bayes_impedance.diagnosis.selection.step import Step
+
+_ROUNDS = 40
+"""Rounds of a fit with elements that had been lost: that of a refit which begins at another one."""
 
 
 @dataclass(frozen=True)
@@ -33,9 +37,14 @@ class Way:
 
 
 def without(refitter: Refitter, fit: Refit, addition: int) -> Refit:
-    """The fit of the model without one of its additions, from the fit with it."""
+    """The fit of the model without one of its additions, from the fit with it.
+
+    What was added may have taken the place of elements that the fit had lost: then they are searched.
+    """
     kept = [k for k in range(len(fit.model.additions)) if k != addition]
-    return shrunk(refitter, fit, rebuilt(fit.model, [fit.model.additions[k] for k in kept], kept), kept)
+    smaller = shrunk(refitter, fit, rebuilt(fit.model, [fit.model.additions[k] for k in kept], kept), kept)
+    columns = [*range(fit.model.n_elements), *sorted(c for k in kept for c in fit.model.columns(k))]
+    return with_lost_elements(refitter, smaller, fit.u[:, columns], lost_elements(fit), _ROUNDS)
 
 
 def pruned(way: Way, fit: Refit) -> Way:
