@@ -14,7 +14,7 @@ from bayes_impedance.diagnosis.catalogue.effect import Candidate
 from bayes_impedance.diagnosis.fit.extend import with_pooling
 from bayes_impedance.diagnosis.fit.normal_equations import log_densities, marginal, quadratic
 from bayes_impedance.diagnosis.fit.refit import Refit
-from bayes_impedance.diagnosis.selection.compare import compare, log_evidence, typical_gain
+from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN, Comparison, compare, log_evidence, typical_gain
 from bayes_impedance.diagnosis.selection.finalists import in_order
 from bayes_impedance.diagnosis.selection.shortlist import Trial, poolings_for, try_candidate
 
@@ -134,3 +134,43 @@ def test_clipped_differences_about_zero_exceed_two_standard_errors_by_chance_onl
     share = np.mean([typical_gain(own) > 2 for own in draws])
     assert share < 0.023 + 4 * np.sqrt(0.023 / 4000) + 0.01  # 25 people: a t distribution
     assert typical_gain(np.zeros(12)) == 0
+
+
+# Which of two
+
+
+def test_excluded_is_what_the_better_of_two_leaves_unlikely() -> None:
+    """Three nats, and no more scatter over people than such a difference has: 3 > 0.5 se^2/3."""
+    assert Comparison(8.5, 5.3).separated
+    assert not Comparison(8.5, 5.3).decided
+    assert not Comparison(2.9, 0.1).separated
+    assert not Comparison(8.5, 7.0).separated
+    assert not Comparison(-8.5, 1.0).separated
+    assert Comparison(8.5, 7.0, typical=2.5).separated
+
+
+def test_what_is_wrong_in_both_excludes_only_what_is_decided() -> None:
+    assert Comparison(20.0, 12.0).separated
+    assert not Comparison(20.0, 12.0, 2.5).separated
+    assert Comparison(20.0, 5.0, 2.5).separated
+
+
+@pytest.mark.parametrize("apart", [2.0, 4.0])
+def test_the_truth_is_rarely_excluded(apart: float) -> None:
+    """Log likelihoods of 40 people, of a right and a wrong explanation that are so many standard deviations apart."""
+    rng = np.random.default_rng(1)
+    own = rng.normal(apart**2 / 80, apart / np.sqrt(40), size=(4000, 40))
+
+    def separated(differences: np.ndarray) -> np.ndarray:
+        errors = np.sqrt(40) * differences.std(axis=1, ddof=1)
+        return np.array(
+            [
+                Comparison(float(d.sum()), float(e), typical=typical_gain(d)).separated
+                for d, e in zip(differences, errors, strict=True)
+            ]
+        )
+
+    # The sum is normal, with mean apart^2 / 2 and standard deviation apart; 4000 draws know a share to 0.008.
+    above, below = norm.sf((LEAST_GAIN - apart**2 / 2) / apart), norm.cdf((-LEAST_GAIN - apart**2 / 2) / apart)
+    assert separated(own).mean() > above - 0.1
+    assert separated(-own).mean() < below + 0.005
