@@ -107,6 +107,8 @@ def search(
     way = forward(Way(base, base, (), None), begin=begin)
     for _ in range(_EXCHANGES):
         way = pruned(way, _backward(refitter, way.base, way.fit, seed))
+        if _is_no_list(way):
+            break
         way, better = exchanged(refitter, way, partial(forward, steps_left=1))
         if not better:
             break
@@ -118,6 +120,12 @@ def search(
         final, posterior = measured(refitter, final, seed)
     progress("looking for what is missing", MOST_ADDITIONS + 1, MOST_ADDITIONS + 1)
     return Found(way.base, final, way.steps, posterior if final.model.additions else None)
+
+
+def _is_no_list(way: Way) -> bool:
+    """Whether as many effects as may be found leave structure: the names are withdrawn (:mod:`.identifiability`)."""
+    last = way.steps[-1]
+    return len(way.steps) > MOST_ADDITIONS and last.chosen is None and last.log_p < np.log(ALPHA)
 
 
 def _forward(
