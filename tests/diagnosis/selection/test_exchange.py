@@ -60,6 +60,8 @@ def without(monkeypatch: pytest.MonkeyPatch) -> None:
         "rig.highpass": 0.0,
         "rig.resonance": 1.0,
         WAY.fit.name: 0.0,
+        RESONATOR.id: -80.0,
+        f"{RESONATOR.id}+{HIGHPASS.id}": 0.0,
     }
     monkeypatch.setattr(exchange, "without", left)
     monkeypatch.setattr(exchange, "log_evidence", lambda fit: evidence[fit.name])
@@ -138,3 +140,13 @@ def test_the_last_choice_is_made_anew_once_an_earlier_one_was_removed() -> None:
     exchanged(NOTHING, way, step_from)
     assert [names_of(w.fit) for w in step_from.asked] == [()]
     assert pruned(WAY, WAY.fit) is WAY
+
+
+@pytest.mark.usefixtures("without")
+def test_a_choice_that_was_far_ahead_of_everything_stays() -> None:
+    """Its nearest rival lacked 890, and what came later brought 80."""
+    far = step_of(trial_of(RESONATOR, 900.0), trial_of(DELAY, 10.0))
+    step_from = OneStep(RESONANCE)
+    way: Any = Way(WAY.base, WAY.fit, (far, SECOND, LAST), NOTHING)
+    assert exchanged(NOTHING, way, step_from) == (way, False)
+    assert step_from.asked == []
