@@ -27,8 +27,8 @@ from bayes_impedance.diagnosis.selection.step import Step
 
 _FAR = 10.0
 """Ratio of a choice's lead to what later additions have brought, from which it is not made anew. By choice: it is not
-one, for beside the later ones a rival gains more than they did (a power law that stood for a delay and a relaxation was 1409
-ahead, the delay then brought 1346, and the relaxation in the power law's place another 3400)."""
+one, for beside the later ones a rival gains more than they did (a power law that stood for a delay and a relaxation was
+1409 ahead, the delay then brought 1346, and the relaxation in the power law's place another 3400)."""
 
 _ROUNDS = 40
 """Rounds of a fit with elements that had been lost: that of a refit which begins at another one."""
