@@ -39,6 +39,9 @@ _AMPLITUDE = re.compile(
 )
 """Words of the field for how far or how hard a load is moved. A shaker alone is a device, and a number or a name of
 one is no level."""
+_SWEEP = re.compile("sweep")
+"""Column that may say the direction of a sweep."""
+
 _WORD_BEGINS = re.compile(r"(?<=[a-z])(?=[A-Z])")
 _LEVELS = frozenset({"full", "half", "high", "large", "low", "max", "medium", "mid", "min", "small", "strong", "weak"})
 """Values of a column of text that are levels. Others, as in ``excitation=sweep``, may be kinds of signals."""
@@ -74,7 +77,7 @@ def sweep_direction(name: str) -> str | None:
         ``column=value`` of a column of text, as ``sweep_direction=up``.
     """
     column, is_text, value = _WORD_BEGINS.sub("_", name).lower().partition("=")
-    if not is_text or "sweep" not in column:
+    if not is_text or not _SWEEP.search(column):
         return None
     return next((direction for direction, words in _DIRECTIONS.items() if value.strip() in words), None)
 

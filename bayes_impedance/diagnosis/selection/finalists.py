@@ -31,7 +31,7 @@ concealed effects the best after convergence was among the first three of the fi
 _SHARE = 0.6
 """Fraction of the best gain that an explanation must have. In those 31 steps none overtook it from below 0.92."""
 
-_EQUAL = 1.0
+EQUAL = 1.0
 """Differences of log evidence below this one are rounding and convergence error; the catalogue's order decides then."""
 
 _FIRST_SHARE, _FIRST_ROUNDS = 0.3, 8
@@ -140,7 +140,7 @@ def _with_others_people(refitter: Refitter, fit: Refit, trial: Trial, trials: Se
     grown = trial.fit
     evidence = np.array([np.nan_to_num(t.fit.evidence, nan=-np.inf) for t in possible])
     donor = np.argmax(evidence, axis=0)
-    better = evidence.max(axis=0) > grown.evidence + _EQUAL
+    better = evidence.max(axis=0) > grown.evidence + EQUAL
     if not better.any():
         return trial
     varying = np.flatnonzero(~fit.model.shared)
@@ -149,7 +149,7 @@ def _with_others_people(refitter: Refitter, fit: Refit, trial: Trial, trials: Se
         rows = np.ix_(grown.owner == i, varying)
         start[rows] = possible[donor[i]].fit.u[rows]
     tried = refitter.fit(grown.model, start, grown.population, _FIRST_ROUNDS, hold_population=True, hold_additions=True)
-    taken = tried.evidence > grown.evidence + _EQUAL
+    taken = tried.evidence > grown.evidence + EQUAL
     if not taken.any():
         return trial
     start = np.where(taken[grown.owner, None], tried.u, grown.u)
@@ -162,7 +162,7 @@ def in_order(trials: Sequence[Trial], effects: Sequence[Effect]) -> list[Trial]:
     top = max(t.gain for t in trials)
     return sorted(
         trials,
-        key=lambda t: (0, rank.get(t.effect, len(rank)), -t.gain) if t.gain > top - _EQUAL else (1, 0, -t.gain),
+        key=lambda t: (0, rank.get(t.effect, len(rank)), -t.gain) if t.gain > top - EQUAL else (1, 0, -t.gain),
     )
 
 

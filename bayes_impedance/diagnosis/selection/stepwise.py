@@ -26,7 +26,7 @@ from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN, compare, log_evidence
 from bayes_impedance.diagnosis.selection.exchange import Way, exchanged, pruned, without
 from bayes_impedance.diagnosis.selection.few_people import holds_beside
-from bayes_impedance.diagnosis.selection.finalists import finalists, in_order, with_lookalikes
+from bayes_impedance.diagnosis.selection.finalists import EQUAL, finalists, in_order, with_lookalikes
 from bayes_impedance.diagnosis.selection.misfit import dependence
 from bayes_impedance.diagnosis.selection.score_scan import screen
 from bayes_impedance.diagnosis.selection.shortlist import ALPHA, Trial, from_afar, try_shortlist
@@ -172,7 +172,7 @@ def _forward(
                 if better_than_without.decided and not (few and not holds_beside(refitter, fit, trial.fit, seed)):
                     chosen, posterior = replace(trial, gain=better_than_without.difference), measure
                     contest.measure_rivals_of(chosen)
-                    if contest.leader()[0] is trial:
+                    if max(other.gain for other in contest.trials) <= trial.gain + EQUAL:
                         break  # none of the rivals is ahead now that they are measured
                 else:
                     contest.drop(trial)
