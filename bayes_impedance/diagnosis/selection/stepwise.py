@@ -123,7 +123,7 @@ def search(
 
 
 def _is_no_list(way: Way) -> bool:
-    """Whether as many effects as may be found leave structure: the names are withdrawn (:mod:`.identifiability`)."""
+    """Whether as many effects as may be found leave structure: then it is not worth the time to choose each anew."""
     last = way.steps[-1]
     return len(way.steps) > MOST_ADDITIONS and last.chosen is None and last.log_p < np.log(ALPHA)
 
