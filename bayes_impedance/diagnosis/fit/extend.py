@@ -145,9 +145,14 @@ def measured(refitter: Refitter, fit: Refit, seed: int) -> tuple[Refit, Coeffici
     return fit, posterior
 
 
+def columns_kept(model: Model, kept: Sequence[int]) -> list[int]:
+    """Columns of the parameters of a model's network and of some of its additions."""
+    return [*range(model.n_elements), *sorted(c for k in kept for c in model.columns(k))]
+
+
 def shrunk(refitter: Refitter, fit: Refit, model: Model, kept: Sequence[int]) -> Refit:
     """Refit of a model with fewer additions (their numbers in the parameters' names may differ), from `fit`."""
-    columns = list(range(fit.model.n_elements)) + sorted(c for k in kept for c in fit.model.columns(k))
+    columns = columns_kept(fit.model, kept)
     u = fit.u[:, columns]
     varying_old = np.flatnonzero(~fit.model.shared)
     positions = [int(np.flatnonzero(varying_old == c)[0]) for c in columns if not fit.model.shared[c]]

@@ -18,6 +18,7 @@ import numpy as np
 
 from bayes_impedance.diagnosis.fit.cold_start import TYPICAL, TYPICAL_REPETITIONS, driven_away
 from bayes_impedance.diagnosis.fit.fitter import Refitter
+from bayes_impedance.diagnosis.fit.model import Model
 from bayes_impedance.diagnosis.fit.normal_equations import counts, equations_at, weights_of
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.network.elements import KINDS, band_scale
@@ -34,6 +35,10 @@ two. With more lost elements there is nothing left that holds the others."""
 _DESCENTS, _STEPS, _DAMPING = 3, 12, 0.01
 """Best points of the grid from which a search descends, its largest number of steps, and its first damping. By choice:
 the grid is coarser than a valley."""
+
+_PEOPLE = 8
+"""People with whom the elements are searched, spread over all. By choice: values that are the same for everybody need
+no more, and the fit that begins there is of all."""
 
 _FELT = 1.0
 """Information of a person's recordings on a log element below which they do not feel it: a factor of e is not told."""
@@ -81,16 +86,19 @@ def with_lost_elements(refitter: Refitter, fit: Refit, begin: np.ndarray, lost: 
     scales, names = fit.model.scales, fit.model.network.elements
     centre = np.array([band_scale(names[k], scales.z_middle, scales.middle / (2 * np.pi)) for k in which])
     steps = np.linspace(-_REACH, _REACH, _POINTS[which.size])
-    least = _misfit(refitter, fit, begin)[0] - _WORTH
-    points = [_set(begin, which, centre + offset) for offset in product(steps, repeat=which.size)]
-    order = np.argsort([_misfit(refitter, fit, u)[0] for u in points])
-    value, start = min(
-        (_descended(refitter, fit, points[k], which) for k in order[:_DESCENTS]), key=lambda end: end[0]
+    some = np.unique(np.linspace(0, len(refitter.data) - 1, _PEOPLE).round().astype(int))
+    few, rows = refitter.subset(some), np.flatnonzero(np.isin(fit.owner, some))
+    least = _misfit(few, fit.model, begin[rows])[0] - _WORTH
+    points = [_set(begin[rows], which, centre + offset) for offset in product(steps, repeat=which.size)]
+    order = np.argsort([_misfit(few, fit.model, u)[0] for u in points])
+    value, values = min(
+        (_descended(few, fit.model, points[k], which) for k in order[:_DESCENTS]), key=lambda end: end[0]
     )  # fmt: skip
     if not value < least:
         return fit
+    start = _set(begin, which, values)
     mu, covariance, rho = (x.copy() for x in (fit.population.mu, fit.population.covariance, fit.population.rho))
-    mu[which], rho[which] = start[0, which], TYPICAL_REPETITIONS
+    mu[which], rho[which] = values, TYPICAL_REPETITIONS
     covariance[which], covariance[:, which] = 0.0, 0.0
     covariance[which, which] = TYPICAL**2
     found = refitter.fit(fit.model, start, replace(fit.population, mu=mu, covariance=covariance, rho=rho), rounds)
@@ -103,30 +111,30 @@ def _set(u: np.ndarray, which: np.ndarray, values: np.ndarray) -> np.ndarray:
     return u
 
 
-def _descended(refitter: Refitter, fit: Refit, u: np.ndarray, which: np.ndarray) -> tuple[float, np.ndarray]:
-    """Least misfit, and where, by damped Gauss-Newton steps of some elements that are the same for everybody."""
-    value, slope, curvature = _misfit(refitter, fit, u, which)
+def _descended(refitter: Refitter, model: Model, u: np.ndarray, which: np.ndarray) -> tuple[float, np.ndarray]:
+    """Least misfit, and the values of some elements there, the same for everybody, by damped Gauss-Newton steps."""
+    value, slope, curvature = _misfit(refitter, model, u, which)
     damping = _DAMPING
     for _ in range(_STEPS):
         diagonal = np.diag(curvature)
         step = np.linalg.solve(curvature + np.diag(damping * diagonal + np.finfo(float).tiny), -slope)
         tried = _set(u, which, u[0, which] + np.clip(step, -1.0, 1.0))
-        end = _misfit(refitter, fit, tried, which)
+        end = _misfit(refitter, model, tried, which)
         if end[0] < value:
             (value, slope, curvature), u, damping = end, tried, 0.1 * damping
         else:
             damping *= 10.0
-    return value, u
+    return value, u[0, which]
 
 
 def _misfit(
-    refitter: Refitter, fit: Refit, u: np.ndarray, which: np.ndarray | None = None
+    refitter: Refitter, model: Model, u: np.ndarray, which: np.ndarray | None = None
 ) -> tuple[float, np.ndarray, np.ndarray]:
     """Negative log likelihood of all people at u (M, P), scales integrated out; slope and curvature of some."""
     which = np.arange(0) if which is None else which
-    equations, n = equations_at(fit.model, refitter.stack, u, refitter.executor), counts(refitter.data)
-    own = np.bincount(fit.owner, equations.chi, minlength=n.size)
+    equations, n = equations_at(model, refitter.stack, u, refitter.executor), counts(refitter.data)
+    own = np.bincount(refitter.owner, equations.chi, minlength=n.size)
     value = float(np.sum((SCALE_SHAPE + n) * np.log(SCALE_SHAPE + 0.5 * own)))
-    weight = weights_of(fit.owner, n, equations.chi)[fit.owner]
+    weight = weights_of(refitter.owner, n, equations.chi)[refitter.owner]
     curvature = np.einsum("m,mpq->pq", weight, equations.information[:, which][:, :, which])
     return value if np.isfinite(value) else np.inf, weight @ equations.gradient[:, which], curvature

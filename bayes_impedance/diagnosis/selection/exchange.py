@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayes_impedance.diagnosis.fit.coefficient_posterior import CoefficientPosterior
-from bayes_impedance.diagnosis.fit.extend import rebuilt, shrunk
+from bayes_impedance.diagnosis.fit.extend import columns_kept, rebuilt, shrunk
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.lost_elements import lost_elements, with_lost_elements
 from bayes_impedance.diagnosis.fit.refit import Refit
@@ -51,8 +51,8 @@ def without(refitter: Refitter, fit: Refit, addition: int) -> Refit:
     """
     kept = [k for k in range(len(fit.model.additions)) if k != addition]
     smaller = shrunk(refitter, fit, rebuilt(fit.model, [fit.model.additions[k] for k in kept], kept), kept)
-    columns = [*range(fit.model.n_elements), *sorted(c for k in kept for c in fit.model.columns(k))]
-    return with_lost_elements(refitter, smaller, fit.u[:, columns], lost_elements(fit), _ROUNDS)
+    begin = fit.u[:, columns_kept(fit.model, kept)]
+    return with_lost_elements(refitter, smaller, begin, lost_elements(fit), _ROUNDS)
 
 
 def pruned(way: Way, fit: Refit) -> Way:

@@ -107,7 +107,7 @@ def search(
     way = forward(Way(base, base, (), None), begin=begin)
     for _ in range(_EXCHANGES):
         way = pruned(way, _backward(refitter, way.base, way.fit, seed))
-        if _is_no_list(way):
+        if is_no_list(way):
             break
         way, better = exchanged(refitter, way, partial(forward, steps_left=1))
         if not better:
@@ -122,7 +122,7 @@ def search(
     return Found(way.base, final, way.steps, posterior if final.model.additions else None)
 
 
-def _is_no_list(way: Way) -> bool:
+def is_no_list(way: Way) -> bool:
     """Whether as many effects as may be found leave structure: then it is not worth the time to choose each anew."""
     last = way.steps[-1]
     return len(way.steps) > MOST_ADDITIONS and last.chosen is None and last.log_p < np.log(ALPHA)

@@ -7,6 +7,8 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +22,7 @@ from bayes_impedance.diagnosis.selection.step import SPREAD_PENALTY, Step
 from bayes_impedance.diagnosis.selection.stepwise import (
     MOST_ADDITIONS,
     Found,
+    is_no_list,
     rivals,
     search,
 )
@@ -320,3 +323,15 @@ def test_the_step_of_an_addition_is_the_one_that_chose_it() -> None:
     assert mine[0] is not mine[1]
     assert result.step_of(Addition(effect=entry("rig.delay"), place="port", pooling="shared")) is None
     assert result.step_of(replace(result.final.model.additions[0], place="elsewhere")) is None
+
+
+def way_of(made: int, log_p: float) -> Any:
+    """A search that chose so often, and then nothing."""
+    steps = [SimpleNamespace(chosen=object(), log_p=-99.0)] * made
+    return SimpleNamespace(steps=(*steps, SimpleNamespace(chosen=None, log_p=log_p)))
+
+
+def test_as_many_as_may_be_found_with_structure_beside_them_are_no_list() -> None:
+    assert is_no_list(way_of(MOST_ADDITIONS, -50.0))
+    assert not is_no_list(way_of(MOST_ADDITIONS, np.log(0.5)))
+    assert not is_no_list(way_of(MOST_ADDITIONS - 1, -50.0))
