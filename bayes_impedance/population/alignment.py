@@ -6,8 +6,8 @@ person's elements, linear steps do not lead to those of a recording whose resona
 are described worse than the person's best one, or all of a person who is described badly, are searched alone, by the
 exact and by the bounded error (:mod:`bayes_impedance.person.bounded_search`), under a prior about the person's elements
 as wide as the dispersion between repetitions. The search begins at the person's elements, at those of the other
-recordings, and at the recording's own with each element changed so that a resonance moves by half a gap of the grid to
-either side: without damping the error is unbounded where the resonance meets a point, and no step leads across. Then
+recordings, and at all of these with a sharp resonance in other gaps of the grid (:mod:`bayes_impedance.person.gaps`).
+Then
 
 .. math:: \theta = \tfrac 1 J \sum_j \theta_j, \qquad d_j = \theta_j - \theta .
 """
@@ -17,7 +17,8 @@ from __future__ import annotations
 import numpy as np
 
 from bayes_impedance.network.kernel import Kernel
-from bayes_impedance.person.bounded_search import GROSS, modes_from
+from bayes_impedance.person.bounded_search import GROSS, best_end
+from bayes_impedance.person.gaps import other_gaps
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.marginal_likelihood import LEAST_RHO
 from bayes_impedance.person.mode import find_mode
@@ -27,7 +28,7 @@ _REACH = 0.1
 """Least prior standard deviation of a recording's log elements about the person's: where the dispersion between
 repetitions starts."""
 
-_HELD = 1e-4
+HELD = 1e-4
 """Prior width of what is held. By choice: far below any standard error."""
 
 _UNEQUAL = 2.0
@@ -75,7 +76,8 @@ def searched_alone(
     places: np.ndarray,
     centre: np.ndarray,
     rho: np.ndarray,
-    everyone: bool,
+    everyone: bool = False,
+    sharp: bool = False,
 ) -> np.ndarray:
     """Log elements (J, P) of a person's recordings, some of them searched alone.
 
@@ -91,22 +93,26 @@ def searched_alone(
         The population's dispersion between repetitions; zero for what is the same in all of them, which is held.
     everyone : bool
         Whether all recordings are searched, and not only those that are described worse than the best.
+    sharp : bool
+        Whether recordings with a resonance that may lie in another gap are searched too.
     """
     misfit = _misfits(kernel, likelihood, places)
     chance = 1 + _UNEQUAL * np.sqrt(2 / likelihood.omega.size)  # of the ratio of two sums of 2 F squares
-    searched = np.flatnonzero(everyone | ~(misfit <= chance * misfit.min()))
-    if not searched.size:
-        return places
+    worse = ~(misfit <= chance * misfit.min())
     free = rho > 0
-    held, own = np.diag(np.where(free, np.maximum(rho, _REACH), _HELD) ** -2.0), places.copy()
-    # A resonance's frequency is the root of two elements' product: half a gap, to the middle of the next one.
-    across = float(np.median(np.diff(np.log(likelihood.omega)))) * np.eye(rho.size)[free]
-    for j in searched.tolist():
-        alone = likelihood.recording(j, rho.size)
-        starts = np.concatenate([centre[None], np.roll(places, -j, axis=0), places[j] + across, places[j] - across])
-        ends, objectives = modes_from(kernel, alone, starts, centre, held)
-        own[j] = np.where(free, ends[np.argmin(objectives)], places[j])
-    return own
+    held, own = np.diag(np.where(free, np.maximum(rho, _REACH), HELD) ** -2.0), places.copy()
+    searched = False
+    for j in range(len(places)):
+        if not (everyone or worse[j] or sharp):
+            continue
+        alone, around = likelihood.recording(j, rho.size), np.roll(places, -j, axis=0)
+        across = other_gaps(kernel, alone, around, free)
+        if not (everyone or worse[j] or len(across)):
+            continue
+        searched = True
+        starts = np.concatenate([around, centre[None], across])
+        own[j] = np.where(free, best_end(kernel, alone, starts, centre, held), places[j])
+    return own if searched else places
 
 
 def _misfits(kernel: Kernel, likelihood: Likelihood, places: np.ndarray) -> np.ndarray:

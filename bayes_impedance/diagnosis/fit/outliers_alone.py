@@ -19,9 +19,9 @@ import numpy as np
 from bayes_impedance.diagnosis.fit.normal_equations import Population
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.network.kernel import Kernel
-from bayes_impedance.person.bounded_search import GROSS, bounded_search
+from bayes_impedance.person.bounded_search import GROSS, best_mode, bounded_search
 from bayes_impedance.person.likelihood import Likelihood
-from bayes_impedance.person.mode import all_modes
+from bayes_impedance.population.alignment import HELD
 
 _WORSE, _BADLY = 1.25, 2.0
 """Noise scales, over the median person's, from which a person is searched, and counts as described badly. By choice:
@@ -42,19 +42,6 @@ _MOST, _MOST_OF_A_RIGHT_MODEL = 0.25, 0.5
 wrong, and nobody is. Where it describes the median person to within :data:`GROSS` times the noise it is right for most,
 and up to half may be in other valleys: a line whose poles lie inside the band was within 1.9 times the noise of 36 of
 56 people, and six to a hundred and twenty times it off in the others."""
-
-_HELD = 1e-4
-"""Prior width that holds shared parameters at their values. By choice: far below their standard errors."""
-
-_STAGES = ((4, 2 * _STARTS), (15, 4), (40, 1))
-"""Largest numbers of steps of the exact search, and how many of the ends go on: 4 steps from all starts, 15 from the
-best of these, as many as make no use of the exact second derivative, and 40 from the few best. With the 40 for all
-ends of the first stage, twelve times as long, the optimum was lower by at most 0.2 in 140 searches of a battery's
-recordings."""
-
-_SAME = 1e-3
-"""Differences of objectives below which ends are the same optimum, of which one goes on. By choice: a hundredth of what
-decides anything. Under a wrong model most of the four ends of the second stage are the same."""
 
 
 def ends_of_outliers(
@@ -113,7 +100,7 @@ def search_alone(
         Distributes the people; without it they are searched one after the other.
     """
     varying = ~fit.model.shared
-    precision = np.eye(varying.size) / _HELD**2
+    precision = np.eye(varying.size) / HELD**2
     precision[np.ix_(varying, varying)] = np.linalg.inv(population.covariance) / _WIDER**2
     factor, sd = _WIDER * np.linalg.cholesky(population.covariance), np.sqrt(np.diag(population.covariance))
     data, centres, begins = [], [], []
@@ -142,9 +129,4 @@ def _end(kernel: Kernel, precision: np.ndarray, data: Likelihood, centre: np.nda
     """The best optimum of a person's first recording that is reached from any start (S, P); shape (P,)."""
     one = data.recording(0, centre.size)
     ends = np.concatenate([starts, bounded_search(kernel, one, starts, centre, precision)])
-    for steps, kept in _STAGES:
-        ends, values, _ = all_modes(kernel, one, ends, centre, precision, steps)
-        order = np.argsort(values, kind="stable")
-        sorted_values = np.nan_to_num(values[order])  # inf where the network has no value
-        ends = ends[order[np.diff(sorted_values, prepend=-np.inf) > _SAME][:kept]]
-    return np.asarray(ends[0])
+    return best_mode(kernel, one, ends, centre, precision)[0]

@@ -49,6 +49,20 @@ def test_a_recording_beside_an_addition_comes_back(absorber: Experiment, good: R
     assert np.ptp(again.u[:, shared], axis=0) == pytest.approx(0.0)
 
 
+@pytest.mark.parametrize("repetitions", [1, 2])
+def test_all_recordings_of_a_person_come_back_from_wrong_gaps(repetitions: int) -> None:
+    even = toy(
+        *ABSORBER, seed=3, n=10, repetitions=repetitions, rho=0.02, frequency_hz=np.linspace(5, 1000, 150)
+    )  # fmt: skip
+    right = even.fit()
+    u = right.u.copy()
+    u[right.owner == STUCK, right.model.kernel.elements.index("n1")] += 0.15
+    wrong = even.refitter.fit(right.model, u, right.population, 30, hold_population=True)
+    assert wrong.evidence.sum() < right.evidence.sum() - 20
+    again = recordings_alone(even.refitter, wrong)
+    assert again.evidence.sum() == pytest.approx(right.evidence.sum(), abs=1.0)
+
+
 def test_nothing_changes_where_all_are_right(absorber: Experiment, good: Refit) -> None:
     assert recordings_alone(absorber.refitter, good).evidence.sum() >= good.evidence.sum() - 0.1
 

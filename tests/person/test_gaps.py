@@ -1,0 +1,56 @@
+"""From other gaps of the grid of frequencies the optimum of a sharp resonance is found, and only of a sharp one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.network.notation import parse
+from bayes_impedance.person.bounded_search import best_end, best_mode
+from bayes_impedance.person.gaps import other_gaps
+from bayes_impedance.person.likelihood import Likelihood
+
+NETWORK = "r1|n2|(m1-n1)"
+TRUE = np.log([0.8, 8e-4, 0.02, 1e-4])
+GRIDS = {"linear": np.linspace(5, 1000, 250), "logarithmic": np.geomspace(5, 1000, 250)}
+PRECISION, FREE = np.eye(4) / 0.3**2, np.ones(4, dtype=bool)
+
+
+def recorded(kernel: Kernel, theta: np.ndarray, frequency_hz: np.ndarray) -> Likelihood:
+    rng = np.random.default_rng(1)
+    z = kernel.impedance(theta, frequency_hz)[None]
+    sd = 0.01 * np.abs(z)
+    z = z + sd * (rng.normal(size=z.shape) + 1j * rng.normal(size=z.shape))
+    return Likelihood.make(frequency_hz, z, sd, np.zeros((1, theta.size)))
+
+
+@pytest.mark.parametrize("grid", GRIDS)
+@pytest.mark.parametrize("moved", [-0.2, -0.1, 0.1, 0.2])
+def test_a_resonance_many_gaps_off_is_found(grid: str, moved: float) -> None:
+    kernel = Kernel(parse(NETWORK))
+    data = recorded(kernel, TRUE, GRIDS[grid])
+    wrong = TRUE.copy()
+    wrong[3] += moved
+    stuck, worse = best_mode(kernel, data, wrong[None], TRUE, PRECISION)
+    starts = other_gaps(kernel, data, stuck[None], FREE)
+    assert 0 < len(starts) <= 8
+    found = best_end(kernel, data, np.concatenate([stuck[None], starts]), TRUE, PRECISION)
+    _, better = best_mode(kernel, data, found[None], TRUE, PRECISION)
+    assert better <= worse
+    np.testing.assert_allclose(found, TRUE, atol=0.05)
+
+
+def test_a_wide_resonance_has_no_other_gaps() -> None:
+    kernel = Kernel(parse("r1|n2|(m1-n1-r2)"))
+    theta = np.log([0.8, 8e-4, 0.02, 1e-4, 3.0])
+    data = recorded(kernel, theta, GRIDS["linear"])
+    assert other_gaps(kernel, data, theta[None], np.ones(5, dtype=bool)).shape == (0, 5)
+
+
+def test_what_is_held_is_not_moved() -> None:
+    kernel = Kernel(parse(NETWORK))
+    data = recorded(kernel, TRUE, GRIDS["linear"])
+    assert len(other_gaps(kernel, data, TRUE[None], np.zeros(4, dtype=bool))) == 0
+    starts = other_gaps(kernel, data, TRUE[None], np.array([False, False, True, False]))
+    np.testing.assert_array_equal(starts[:, [0, 1, 3]], np.tile(TRUE[[0, 1, 3]], (len(starts), 1)))
