@@ -78,19 +78,26 @@ def extended_start(fit: Refit, model: Model) -> tuple[np.ndarray, Population]:
 
 def is_physical(fit: Refit) -> bool:
     """Whether every coefficient has an admissible sign, and is absent in some people if the effect claims that."""
-    for i, addition in enumerate(fit.model.additions):
-        effect = addition.effect
-        if not effect.operation:
-            continue
-        if addition.only_in_some and not members(fit, i).only_some:
-            return False
-        if effect.signed:
-            continue
-        linear = [c for c, k in zip(fit.model.columns(i), effect.coefficients, strict=True) if k.link == "linear"]
-        values = fit.u[:, linear].mean(axis=0)
-        if not effect.traits.allows(values):
-            return False
-    return True
+    return not unphysical(fit)
+
+
+def unphysical(fit: Refit) -> list[int]:
+    """Additions of which a coefficient has another sign than it may, or that everybody has though some should not."""
+    return [i for i in range(len(fit.model.additions)) if not _may_be(fit, i)]
+
+
+def _may_be(fit: Refit, addition: int) -> bool:
+    own = fit.model.additions[addition]
+    effect = own.effect
+    if not effect.operation:
+        return True
+    if own.only_in_some and not members(fit, addition).only_some:
+        return False
+    if effect.signed:
+        return True
+    columns = zip(fit.model.columns(addition), effect.coefficients, strict=True)
+    linear = [column for column, coefficient in columns if coefficient.link == "linear"]
+    return effect.traits.allows(fit.u[:, linear].mean(axis=0))
 
 
 def has_shapes(effect: Effect) -> bool:

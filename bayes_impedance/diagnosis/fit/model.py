@@ -125,7 +125,7 @@ class Model:
     kernel: Kernel
     parameters: tuple[Parameter, ...]
 
-    @property
+    @cached_property
     def n_elements(self) -> int:
         """Number of the network's own elements."""
         return len(self.network.elements)

@@ -75,7 +75,8 @@ def _places(
     """Log elements (J, P) of a person's recordings, some of them searched; `between` is the population's precision."""
     if len(u) > 1:
         return searched_alone(kernel, likelihood, u, centre, rho, sharp=True)
-    across = other_gaps(kernel, likelihood, u, np.diag(between) < HELD**-2)
+    alone = likelihood.recording(0, centre.size)
+    across = other_gaps(kernel, alone, u, np.diag(between) < HELD**-2)
     if not len(across):
         return u
-    return best_end(kernel, likelihood, np.concatenate([u, across]), centre, between)[None]
+    return best_end(kernel, alone, np.concatenate([u, across]), centre, between)[None]

@@ -8,6 +8,11 @@ damper of 0.42 N s/m explained twice as much as the damping of the rig that was 
 that was not chosen beside the others that are there now is left out, and one step of the search chooses anew beside
 them; if that describes more than what was found, the search goes on from there. A choice that was far ahead of
 everything else in comparison with what was found later is not made anew: such a step costs as much as the first.
+
+An addition that stood for an error of the wrong choice has no sense beside the right one: its coefficient may then have
+the wrong sign, with which nothing is chosen. Where a hysteresis had been taken for a damping that follows the
+amplitude, a resonator that mended that law had a negative mass beside the hysteresis, which could not be chosen though
+it was 700 ahead. Such additions are removed, and the choice is made without them.
 """
 
 from __future__ import annotations
@@ -18,7 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayes_impedance.diagnosis.fit.coefficient_posterior import CoefficientPosterior
-from bayes_impedance.diagnosis.fit.extend import columns_kept, rebuilt, shrunk
+from bayes_impedance.diagnosis.fit.extend import columns_kept, rebuilt, shrunk, unphysical
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.lost_elements import lost_elements, with_lost_elements
 from bayes_impedance.diagnosis.fit.refit import Refit
@@ -93,21 +98,46 @@ def exchanged(refitter: Refitter, way: Way, step_from: Callable[[Way], Way]) -> 
         if _keys(step.before) < beside and _lead(step) > _FAR * max(later, LEAST_GAIN):
             continue
         others = (*made[:k], *made[k + 1 :])
-        own = [addition.key for addition in way.fit.model.additions].index(_key(step))
-        anew = step_from(Way(way.base, without(refitter, way.fit, own), others, None))
+        begin = without(refitter, way.fit, _index(way.fit, _key(step)))
+        anew = step_from(Way(way.base, begin, others, None))
         new = anew.steps[len(others)]
+        if senseless := _senseless_beside(new) & {_key(other) for other in others}:
+            for key in senseless:
+                begin = without(refitter, begin, _index(begin, key))
+            others = tuple(other for other in others if _key(other) not in senseless)
+            anew = step_from(Way(way.base, begin, others, None))
+            new = anew.steps[len(others)]
         if new.chosen is None:
             continue
         # What was tried beside the others is what it is compared with; the step's place and residuals stay.
         instead = replace(step, before=new.before, trials=new.trials, chosen=new.chosen)
         if log_evidence(anew.fit) > log_evidence(way.fit) + LEAST_GAIN:
-            return replace(anew, steps=(*made[:k], instead, *made[k + 1 :])), True
+            place = sum(1 for other in made[:k] if other in others)
+            return replace(anew, steps=(*others[:place], instead, *others[place:])), True
+        if senseless:
+            continue
         again = [t for t in (new.chosen, *new.trials) if t.fit.model.additions[-1].key == _key(step)]
         if again:
             made[k] = replace(instead, chosen=again[0])
             last = way.steps[len(made) :]
             way = replace(way, steps=(*made, *last))
     return way, False
+
+
+def _index(fit: Refit, key: tuple[str, str, str]) -> int:
+    return [addition.key for addition in fit.model.additions].index(key)
+
+
+def _senseless_beside(step: Step) -> set[tuple[str, str, str]]:
+    """Additions that have the wrong sign beside what describes most, if that itself has not."""
+    trials = [t for t in (*step.trials, *([step.chosen] if step.chosen else [])) if np.isfinite(t.gain)]
+    if not trials:
+        return set()
+    fit = max(trials, key=lambda t: t.gain).fit
+    wrong = unphysical(fit)
+    if len(fit.model.additions) - 1 in wrong:
+        return set()
+    return {fit.model.additions[i].key for i in wrong}
 
 
 def _lead(step: Step) -> float:

@@ -28,7 +28,7 @@ MOST = 4
 """Explanations that are refitted to convergence: each costs as much as all first refits together. In 31 steps with
 concealed effects the best after convergence was among the first three of the first refits, and the first in 25."""
 
-_SHARE = 0.6
+SHARE = 0.6
 """Fraction of the best gain that an explanation must have. In those 31 steps none overtook it from below 0.92."""
 
 EQUAL = 1.0
@@ -68,7 +68,7 @@ def finalists(
         return []
     order = sorted((_with_others_people(refitter, fit, t, order) for t in order), key=lambda t: -t.gain)
     order = sorted((_beside(refitter, fit, t, order[0], _FIRST_ROUNDS) for t in order), key=lambda t: -t.gain)
-    close = [t for t in order if t.gain > _SHARE * order[0].gain]
+    close = [t for t in order if t.gain > SHARE * order[0].gain]
     some = [t for t in order if t.effect.pooling == "some" and t not in close[:MOST]]
     grown = [_with_own_shapes(refitter, fit, t) for t in (*close[:MOST], *some[:1])]
     return _at_rest(refitter, fit, in_order(grown, effects), effects, seed)

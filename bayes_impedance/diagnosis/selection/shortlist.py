@@ -6,7 +6,7 @@ people. The candidate with the largest gain in log evidence (:func:`.compare.log
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -225,21 +225,30 @@ def own_shapes(
 
 
 def try_shortlist(
-    refitter: Refitter, fit: Refit, screening: Screening, seed: int, begin: Refit | None = None
+    refitter: Refitter,
+    fit: Refit,
+    screening: Screening,
+    seed: int,
+    begin: Refit | None = None,
+    tried: Collection[tuple[Effect, str]] = (),
 ) -> list[Trial]:
     """Refit the shortlist, and then its best effect at all remaining places.
 
-    The refits begin at `begin` if given, else at `fit`.
+    The refits begin at `begin` if given, else at `fit`. If effects were `tried` at their places, only others are.
     """
     trials: list[Trial] = []
     for k in shortlist(screening):
         candidate = screening.candidates[k]
+        if (candidate.effect, candidate.place) in tried:
+            continue
         differs = bool(screening.log_p_spread[k] < _CLEARLY_VARIES)
         poolings = poolings_for(candidate.effect, len(refitter.data), differs)
         trials += try_candidate(refitter, fit, candidate, float(screening.size[k]), poolings, _FIRST_ROUNDS, begin)
         if candidate.effect.side == "body" and "varying" in poolings and has_shapes(candidate.effect) and differs:
             trials.append(own_shapes(refitter, fit, screening, k, _FIRST_ROUNDS, begin))
     trials = _continued(refitter, fit, trials)
+    if tried:
+        return trials
     trials += _from_levels(refitter, fit, screening, seed, max((t.gain for t in _possible(trials)), default=0.0))
     possible = _possible(trials)
     if not possible:
@@ -247,8 +256,8 @@ def try_shortlist(
     leader = max(possible, key=lambda t: t.gain)
     for k in best_shapes(screening):
         other = screening.candidates[k]
-        tried = {(t.candidate.place, t.pooling) for t in trials if t.effect == leader.effect}
-        if other.effect == leader.effect and (other.place, leader.pooling) not in tried:
+        there = {(t.candidate.place, t.pooling) for t in trials if t.effect == leader.effect}
+        if other.effect == leader.effect and (other.place, leader.pooling) not in there:
             if leader.pooling == "free":
                 trials.append(own_shapes(refitter, fit, screening, k, begin=begin))
             else:

@@ -26,9 +26,9 @@ from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN, compare, log_evidence
 from bayes_impedance.diagnosis.selection.exchange import Way, exchanged, pruned, without
 from bayes_impedance.diagnosis.selection.few_people import holds_beside
-from bayes_impedance.diagnosis.selection.finalists import EQUAL, finalists, in_order, with_lookalikes
+from bayes_impedance.diagnosis.selection.finalists import EQUAL, MOST, SHARE, finalists, in_order, with_lookalikes
 from bayes_impedance.diagnosis.selection.misfit import dependence
-from bayes_impedance.diagnosis.selection.score_scan import screen
+from bayes_impedance.diagnosis.selection.score_scan import Screening, screen
 from bayes_impedance.diagnosis.selection.shortlist import ALPHA, Trial, from_afar, try_shortlist
 from bayes_impedance.diagnosis.selection.step import Step
 from bayes_impedance.runtime.progress import Progress
@@ -144,6 +144,7 @@ def _forward(
     of_the_chain = tuple(e for e in effects if e.side == "rig" and e.operation and len(e.coefficients) == 1)
     base, fit, steps, posterior = way.base, way.fit, list(way.steps), way.posterior
     number, repeats = len(steps), 0
+    known: tuple[Trial, ...] = ()  # explanations of this step, from before the model without them was better fitted
     last = min(most, number + steps_left - 1)
     while number <= last:
         progress("looking for what is missing", number, most + 1)
@@ -156,9 +157,7 @@ def _forward(
             screening = screen(begin, person_residuals(begin, names, executor), possible, seed, executor)
         step = Step(fit, residuals, screening, (), None)
         if number < most and step.log_p < np.log(ALPHA):
-            trials = [*try_shortlist(refitter, fit, screening, seed, begin), *from_afar(refitter, fit, possible, seed)]
-            ranked = finalists(refitter, fit, trials, possible, seed)
-            ranked = with_lookalikes(refitter, fit, screening, ranked, possible, seed)
+            trials, ranked = _explanations(refitter, fit, screening, possible, seed, begin, known)
             contest = _Contest(refitter, fit, ranked, possible, seed)
             chosen, better = None, None
             for _ in range(_SECOND_CHANCES):
@@ -180,6 +179,7 @@ def _forward(
                 repeats += 1
                 base = better if fit is base else base
                 fit = better
+                known = contest.among(trials)
                 continue
             step = replace(step, trials=contest.among(trials), chosen=chosen)
         if begin is not None:
@@ -190,8 +190,39 @@ def _forward(
         if step.chosen is None:
             break
         fit = step.chosen.fit
-        number += 1
+        number, known = number + 1, ()
     return Way(base, fit, tuple(steps), posterior)
+
+
+def _explanations(
+    refitter: Refitter,
+    fit: Refit,
+    screening: Screening,
+    effects: Sequence[Effect],
+    seed: int,
+    begin: Refit | None,
+    known: Sequence[Trial],
+) -> tuple[list[Trial], list[Trial]]:
+    """All trials of a step, and the best ones at rest.
+
+    Where only the fit without them has become another one, those that are known have come to rest already, and what
+    they gain over it counts anew. Only candidates that were not tried are.
+    """
+    known = [replace(t, gain=log_evidence(t.fit) - log_evidence(fit)) for t in known]
+    tried = {(t.effect, t.candidate.place) for t in known}
+    fresh = try_shortlist(refitter, fit, screening, seed, begin, tried)
+    if not known:
+        fresh += from_afar(refitter, fit, effects, seed)
+        ranked = finalists(refitter, fit, fresh, effects, seed)
+        return fresh, with_lookalikes(refitter, fit, screening, ranked, effects, seed)
+    possible = [t for t in known if t.physical and np.isfinite(t.gain)]
+    hopeful = [t for t in fresh if t.gain > max((k.gain for k in possible), default=-np.inf) * SHARE]
+    ranked = finalists(refitter, fit, hopeful, effects, seed) if hopeful else []
+    best: dict[tuple[str, str, str], Trial] = {}
+    for trial in sorted((*possible, *ranked), key=lambda t: -t.gain):
+        best.setdefault(trial.fit.model.additions[-1].key, trial)
+    enough = [t for t in best.values() if t.gain > LEAST_GAIN]
+    return [*known, *fresh], in_order(enough, effects)[:MOST] if enough else []
 
 
 class _Contest:

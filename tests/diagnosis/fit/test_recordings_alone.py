@@ -50,14 +50,16 @@ def test_a_recording_beside_an_addition_comes_back(absorber: Experiment, good: R
 
 
 @pytest.mark.parametrize("repetitions", [1, 2])
-def test_all_recordings_of_a_person_come_back_from_wrong_gaps(repetitions: int) -> None:
-    even = toy(
-        *ABSORBER, seed=3, n=10, repetitions=repetitions, rho=0.02, frequency_hz=np.linspace(5, 1000, 150)
-    )  # fmt: skip
+@pytest.mark.parametrize("added", [False, True])
+def test_all_recordings_of_a_person_come_back_from_wrong_gaps(repetitions: int, added: bool) -> None:
+    even = toy(*ABSORBER, seed=3, n=10, repetitions=repetitions, rho=0.02, frequency_hz=np.linspace(5, 1000, 150))
     right = even.fit()
+    if added:
+        model = extended(right.model, Candidate(entry("rig.mass"), "port", {}), "shared", 0.0)
+        right = even.refitter.fit(model, *extended_start(right, model), 100)
     u = right.u.copy()
     u[right.owner == STUCK, right.model.kernel.elements.index("n1")] += 0.15
-    wrong = even.refitter.fit(right.model, u, right.population, 30, hold_population=True)
+    wrong = even.refitter.fit(right.model, u, right.population, 30, hold_population=True, hold_additions=True)
     assert wrong.evidence.sum() < right.evidence.sum() - 20
     again = recordings_alone(even.refitter, wrong)
     assert again.evidence.sum() == pytest.approx(right.evidence.sum(), abs=1.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -60,11 +61,13 @@ def without(monkeypatch: pytest.MonkeyPatch) -> None:
         "rig.highpass": 0.0,
         "rig.resonance": 1.0,
         WAY.fit.name: 0.0,
+        "": -100.0,
         RESONATOR.id: -80.0,
         f"{RESONATOR.id}+{HIGHPASS.id}": 0.0,
     }
     monkeypatch.setattr(exchange, "without", left)
     monkeypatch.setattr(exchange, "log_evidence", lambda fit: evidence[fit.name])
+    monkeypatch.setattr(exchange, "unphysical", lambda fit: [])
 
 
 class OneStep:
@@ -118,6 +121,40 @@ def test_a_choice_that_stays_is_compared_with_what_was_tried_beside_the_others()
     assert first.before.name == HIGHPASS.id
     assert [t.effect for t in first.trials] == [DELAY, RESONATOR]
     assert (second, last) == (SECOND, LAST)
+
+
+@pytest.mark.usefixtures("without")
+def test_what_has_the_wrong_sign_beside_the_best_is_removed_and_the_choice_made_without_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Beside a resonance the high-pass has no sense, and the resonance cannot be chosen before it is removed."""
+    senseless = fit_of(HIGHPASS.id, RESONANCE.id)
+    evidence = exchange.log_evidence
+    monkeypatch.setattr(exchange, "log_evidence", lambda fit: 30.0 if fit.name == RESONANCE.id else evidence(fit))
+    monkeypatch.setattr(exchange, "unphysical", lambda fit: [0] if fit is senseless else [])
+    best = replace(trial_of(RESONANCE, 90.0), fit=senseless, physical=False)
+    asked = []
+
+    def step_from(way: Any) -> Way:
+        asked.append(names_of(way.fit))
+        if way.fit.name == HIGHPASS.id:
+            found = step_of(trial_of(DELAY, 20.0, HIGHPASS.id), best, before=way.fit)
+            return Way(way.base, fit_of(HIGHPASS.id, DELAY.id), (*way.steps, found), NOTHING)
+        return Way(way.base, fit_of(RESONANCE.id), (*way.steps, step_of(trial_of(RESONANCE, 90.0))), NOTHING)
+
+    way, better = exchanged(NOTHING, WAY, step_from)
+    assert better
+    assert asked == [(HIGHPASS.id,), ()]
+    assert names_of(way.fit) == (RESONANCE.id,)
+    assert [step.chosen.effect for step in way.steps if step.chosen is not None] == [RESONANCE]
+
+
+@pytest.mark.usefixtures("without")
+def test_a_choice_of_the_wrong_sign_itself_removes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(exchange, "unphysical", lambda fit: [0, 1])
+    step_from = OneStep(RESONANCE)
+    exchanged(NOTHING, WAY, step_from)
+    assert [names_of(way.fit) for way in step_from.asked] == [(HIGHPASS.id,)]
 
 
 def test_a_choice_that_was_made_beside_the_others_stays() -> None:
