@@ -23,11 +23,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayes_impedance.diagnosis.fit.coefficient_posterior import CoefficientPosterior
+from bayes_impedance.diagnosis.fit.cold_start import driven_away
 from bayes_impedance.diagnosis.fit.extend import columns_kept, rebuilt, shrunk, unphysical
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.lost_elements import lost_elements, with_lost_elements
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN, log_evidence
+from bayes_impedance.diagnosis.selection.far_starts import network_from_afar
 from bayes_impedance.diagnosis.selection.step import Step
 
 _FAR = 10.0
@@ -49,15 +51,20 @@ class Way:
     posterior: CoefficientPosterior | None
 
 
-def without(refitter: Refitter, fit: Refit, addition: int) -> Refit:
+def without(refitter: Refitter, fit: Refit, addition: int, seed: int) -> Refit:
     """The fit of the model without one of its additions, from the fit with it.
 
-    What was added may have taken the place of elements that the fit had lost: then they are searched.
+    What was added may have taken the place of elements that the fit had lost: then they are searched, and where a wrong
+    addition has driven elements away, all of the network's. A residual mass beside which a law of the amplitude had
+    stood was 6300 behind, with the elements that it was left with, what it was with those of the network's search.
     """
     kept = [k for k in range(len(fit.model.additions)) if k != addition]
     smaller = shrunk(refitter, fit, rebuilt(fit.model, [fit.model.additions[k] for k in kept], kept), kept)
     begin = fit.u[:, columns_kept(fit.model, kept)]
-    return with_lost_elements(refitter, smaller, begin, lost_elements(fit), _ROUNDS)
+    smaller = with_lost_elements(refitter, smaller, begin, lost_elements(fit), _ROUNDS)
+    if refitter.one_person or not kept or not driven_away(smaller).any():
+        return smaller
+    return network_from_afar(refitter, smaller, seed, _ROUNDS)
 
 
 def pruned(way: Way, fit: Refit) -> Way:
@@ -69,7 +76,7 @@ def pruned(way: Way, fit: Refit) -> Way:
     return Way(way.base, fit, steps, None)
 
 
-def exchanged(refitter: Refitter, way: Way, step_from: Callable[[Way], Way]) -> tuple[Way, bool]:
+def exchanged(refitter: Refitter, way: Way, step_from: Callable[[Way], Way], seed: int) -> tuple[Way, bool]:
     """Choose one addition anew beside the others, if that is better.
 
     Parameters
@@ -79,6 +86,7 @@ def exchanged(refitter: Refitter, way: Way, step_from: Callable[[Way], Way]) -> 
         Of a search.
     step_from : callable
         Makes one more step from a way.
+    seed : int
 
     Returns
     -------
@@ -98,12 +106,12 @@ def exchanged(refitter: Refitter, way: Way, step_from: Callable[[Way], Way]) -> 
         if _keys(step.before) < beside and _lead(step) > _FAR * max(later, LEAST_GAIN):
             continue
         others = (*made[:k], *made[k + 1 :])
-        begin = without(refitter, way.fit, _index(way.fit, _key(step)))
+        begin = without(refitter, way.fit, _index(way.fit, _key(step)), seed)
         anew = step_from(Way(way.base, begin, others, None))
         new = anew.steps[len(others)]
         if senseless := _senseless_beside(new) & {_key(other) for other in others}:
             for key in senseless:
-                begin = without(refitter, begin, _index(begin, key))
+                begin = without(refitter, begin, _index(begin, key), seed)
             others = tuple(other for other in others if _key(other) not in senseless)
             anew = step_from(Way(way.base, begin, others, None))
             new = anew.steps[len(others)]

@@ -47,6 +47,10 @@ _START_SPREAD = 2.5
 _ELEMENT_SD = 3.0
 """Prior standard deviation of a log element: that of the network's own fit."""
 
+_KNOWN_SD = 0.3
+"""Standard deviation of what was added, beside which the network is searched: of a coefficient as a share of it, of a
+shape in its logarithm. By choice: beside another addition it was off by a tenth."""
+
 _ENDS = 3
 """Best end points of the search from which all people are refitted. By choice: a search is of thinned recordings."""
 
@@ -100,7 +104,7 @@ def refits_from_afar(refitter: Refitter, fit: Refit, candidate: Candidate, seed:
     """
     model = extended(fit.model, candidate, "shared", 1.0)
     u, population = extended_start(fit, model)
-    typical = _typical_person(fit)
+    typical = _typical_person(fit, u.shape[1])
     refits = []
     for end in _search(model, u, typical, candidate.effect.signed, seed):
         begin = np.tile(end, (len(u), 1))
@@ -109,25 +113,66 @@ def refits_from_afar(refitter: Refitter, fit: Refit, candidate: Candidate, seed:
     return refits
 
 
-def _typical_person(fit: Refit) -> Likelihood:
-    """Mean recording, at few frequencies and with provisional noise, of the person of median magnitude."""
+def network_from_afar(refitter: Refitter, fit: Refit, seed: int, rounds: int) -> Refit:
+    """The fit, or a better one of the same model whose network is searched anew beside what was added.
+
+    Parameters
+    ----------
+    refitter : Refitter
+        Of a population.
+    fit : Refit
+        Of a model whose additions are near their right values, and whose network may not be.
+    seed : int
+        For the random starts.
+    rounds : int
+        Of each refit.
+    """
+    model = fit.model
+    centre, sd = _expected(model, fit.u)
+    sd[model.n_elements :] = _KNOWN_SD * np.maximum(
+        [abs(centre[c]) if p.is_coefficient else 1.0 for c, p in enumerate(model.parameters, model.n_elements)], 1e-9
+    )
+    spread = np.where(sd == _ELEMENT_SD, _START_SPREAD, 0.0)
+    starts = centre + spread * np.random.default_rng(seed).normal(size=(_SIZES * _STARTS, centre.size))
+    typical = _typical_person(fit, centre.size)
+    ends = search_modes(model.kernel, typical, starts, Prior(centre=centre, centre_sd=sd), _ENDS)
+    for end in ends:
+        begin = fit.u.copy()
+        begin[:, : model.n_elements] = end[: model.n_elements]
+        around = population_around(fit.population, end[: model.n_elements])
+        found = refitter.fit(model, begin, around, rounds)
+        fit = found if found.evidence.sum() > fit.evidence.sum() else fit
+    return fit
+
+
+def _typical_person(fit: Refit, n_parameters: int) -> Likelihood:
+    """Mean recording, at few frequencies and with provisional noise, of the person of median magnitude.
+
+    `n_parameters` is the number of a model's parameters.
+    """
     size = [float(np.mean(np.log(np.hypot(d.z[:, 0], d.z[:, 1])))) for d in fit.data]
     d = fit.data[int(np.argsort(size)[len(size) // 2])]
     points = thinned_points(d.omega.size)
     z = (d.z[:, 0] + 1j * d.z[:, 1]).mean(axis=0)[None, points]
-    deviations = np.zeros((1, fit.u.shape[1] + 1))
+    deviations = np.zeros((1, n_parameters))
     return Likelihood.make(d.omega[points] / (2 * np.pi), z, PROVISIONAL_NOISE * np.abs(z), deviations)
+
+
+def _expected(model: Model, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Centre and standard deviation of the parameters: elements as in a first fit, others at the median of u (M, P)."""
+    centre, sd = np.median(u, axis=0), np.ones(u.shape[1])
+    for k, name in enumerate(model.network.elements):
+        if name[:1] in KINDS:
+            centre[k] = band_scale(name, model.scales.z_middle, model.scales.middle / (2 * np.pi))
+            sd[k] = _ELEMENT_SD
+    sd[model.n_elements :] = [p.prior_sd for p in model.parameters]
+    return centre, sd
 
 
 def _search(model: Model, u: np.ndarray, typical: Likelihood, signed: bool, seed: int) -> np.ndarray:
     """Best end points of searches from random elements and all sizes of the last addition, shape (_ENDS, P)."""
-    n, scales = model.n_elements, model.scales
-    centre, sd = np.median(u, axis=0), np.ones(u.shape[1])
-    for k, name in enumerate(model.network.elements):
-        if name[:1] in KINDS:
-            centre[k] = band_scale(name, scales.z_middle, scales.middle / (2 * np.pi))
-            sd[k] = _ELEMENT_SD
-    sd[n:] = [p.prior_sd for p in model.parameters]
+    scales = model.scales
+    centre, sd = _expected(model, u)
     (coefficient,) = model.columns(len(model.additions) - 1)
     sizes = np.geomspace(_SMALLEST, _LARGEST * scales.high / scales.low, _SIZES)
     if signed:

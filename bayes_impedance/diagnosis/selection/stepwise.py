@@ -109,7 +109,7 @@ def search(
         way = pruned(way, _backward(refitter, way.base, way.fit, seed))
         if is_no_list(way):
             break
-        way, better = exchanged(refitter, way, partial(forward, steps_left=1))
+        way, better = exchanged(refitter, way, partial(forward, steps_left=1), seed)
         if not better:
             break
         way = forward(way)
@@ -285,7 +285,7 @@ def _backward(refitter: Refitter, base: Refit, fit: Refit, seed: int) -> Refit:
     """Remove additions that later ones have made superfluous."""
     first = len(base.model.additions)
     while len(fit.model.additions) > first + 1:
-        smaller = (without(refitter, fit, k) for k in range(first, len(fit.model.additions)))
+        smaller = (without(refitter, fit, k, seed) for k in range(first, len(fit.model.additions)))
         best = max(smaller, key=log_evidence)
         if compare(fit, best).decided:
             best = refitter.settle(

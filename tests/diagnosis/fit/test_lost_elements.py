@@ -46,7 +46,7 @@ def test_elements_that_nobody_feels_are_lost(world: Experiment, misled: Refit) -
 
 
 def test_they_come_back_where_the_addition_is_left_out(world: Experiment, misled: Refit) -> None:
-    again = without(world.refitter, misled, 0)
+    again = without(world.refitter, misled, 0, 1)
     truth = world.fit()
     assert again.evidence.sum() == pytest.approx(truth.evidence.sum(), abs=1.0)
     assert again.evidence.sum() > misled.evidence.sum()

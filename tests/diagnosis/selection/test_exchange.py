@@ -50,7 +50,7 @@ WAY: Any = Way(fit_of(), fit_of(RESONATOR.id, HIGHPASS.id), (FIRST, SECOND, LAST
 def without(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fits without an addition have its name left out; their evidence is in their posterior's place."""
 
-    def left(_: Any, fit: Any, addition: int) -> Any:
+    def left(_: Any, fit: Any, addition: int, _seed: int) -> Any:
         names = list(names_of(fit))
         del names[addition]
         return fit_of(*names)
@@ -89,7 +89,7 @@ class OneStep:
 @pytest.mark.usefixtures("without")
 def test_what_is_better_beside_the_later_ones_takes_the_place_of_the_earlier_choice() -> None:
     step_from = OneStep(RESONANCE)
-    way, better = exchanged(NOTHING, WAY, step_from)
+    way, better = exchanged(NOTHING, WAY, step_from, 1)
     assert better
     assert [(names_of(w.fit), w.steps) for w in step_from.asked] == [((HIGHPASS.id,), (SECOND,))]
     assert names_of(way.fit) == (HIGHPASS.id, RESONANCE.id)
@@ -106,13 +106,13 @@ def test_what_is_better_beside_the_later_ones_takes_the_place_of_the_earlier_cho
 @pytest.mark.usefixtures("without")
 def test_the_choice_stays_where_nothing_is_found() -> None:
     step_from = OneStep(None)
-    assert exchanged(NOTHING, WAY, step_from) == (WAY, False)
+    assert exchanged(NOTHING, WAY, step_from, 1) == (WAY, False)
     assert len(step_from.asked) == 1
 
 
 @pytest.mark.usefixtures("without")
 def test_a_choice_that_stays_is_compared_with_what_was_tried_beside_the_others() -> None:
-    way, better = exchanged(NOTHING, WAY, OneStep(DELAY))
+    way, better = exchanged(NOTHING, WAY, OneStep(DELAY), 1)
     assert not better
     assert way.fit is WAY.fit
     first, second, last = way.steps
@@ -142,7 +142,7 @@ def test_what_has_the_wrong_sign_beside_the_best_is_removed_and_the_choice_made_
             return Way(way.base, fit_of(HIGHPASS.id, DELAY.id), (*way.steps, found), NOTHING)
         return Way(way.base, fit_of(RESONANCE.id), (*way.steps, step_of(trial_of(RESONANCE, 90.0))), NOTHING)
 
-    way, better = exchanged(NOTHING, WAY, step_from)
+    way, better = exchanged(NOTHING, WAY, step_from, 1)
     assert better
     assert asked == [(HIGHPASS.id,), ()]
     assert names_of(way.fit) == (RESONANCE.id,)
@@ -153,7 +153,7 @@ def test_what_has_the_wrong_sign_beside_the_best_is_removed_and_the_choice_made_
 def test_a_choice_of_the_wrong_sign_itself_removes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(exchange, "unphysical", lambda fit: [0, 1])
     step_from = OneStep(RESONANCE)
-    exchanged(NOTHING, WAY, step_from)
+    exchanged(NOTHING, WAY, step_from, 1)
     assert [names_of(way.fit) for way in step_from.asked] == [(HIGHPASS.id,)]
 
 
@@ -163,7 +163,7 @@ def test_a_choice_that_was_made_beside_the_others_stays() -> None:
         Way(fit_of(), fit_of(RESONATOR.id), (FIRST, LAST), NOTHING),
         Way(fit_of(), fit_of(), (LAST,), NOTHING),
     ):
-        assert exchanged(NOTHING, way, step_from) == (way, False)
+        assert exchanged(NOTHING, way, step_from, 1) == (way, False)
     assert step_from.asked == []
 
 
@@ -174,7 +174,7 @@ def test_the_last_choice_is_made_anew_once_an_earlier_one_was_removed() -> None:
     assert way.steps == (SECOND, LAST)
     assert way.posterior is None
     step_from = OneStep(RESONANCE)
-    exchanged(NOTHING, way, step_from)
+    exchanged(NOTHING, way, step_from, 1)
     assert [names_of(w.fit) for w in step_from.asked] == [()]
     assert pruned(WAY, WAY.fit) is WAY
 
@@ -185,5 +185,5 @@ def test_a_choice_that_was_far_ahead_of_everything_stays() -> None:
     far = step_of(trial_of(RESONATOR, 900.0), trial_of(DELAY, 10.0))
     step_from = OneStep(RESONANCE)
     way: Any = Way(WAY.base, WAY.fit, (far, SECOND, LAST), NOTHING)
-    assert exchanged(NOTHING, way, step_from) == (way, False)
+    assert exchanged(NOTHING, way, step_from, 1) == (way, False)
     assert step_from.asked == []
