@@ -23,7 +23,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayes_impedance.diagnosis.fit.coefficient_posterior import CoefficientPosterior
-from bayes_impedance.diagnosis.fit.cold_start import driven_away
 from bayes_impedance.diagnosis.fit.extend import columns_kept, rebuilt, shrunk, unphysical
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.lost_elements import lost_elements, with_lost_elements
@@ -62,8 +61,6 @@ def without(refitter: Refitter, fit: Refit, addition: int, seed: int) -> Refit:
     smaller = shrunk(refitter, fit, rebuilt(fit.model, [fit.model.additions[k] for k in kept], kept), kept)
     begin = fit.u[:, columns_kept(fit.model, kept)]
     smaller = with_lost_elements(refitter, smaller, begin, lost_elements(fit), _ROUNDS)
-    if refitter.one_person or not kept or not driven_away(smaller).any():
-        return smaller
     return network_from_afar(refitter, smaller, seed, _ROUNDS)
 
 

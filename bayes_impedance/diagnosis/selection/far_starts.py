@@ -20,7 +20,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from bayes_impedance.diagnosis.catalogue.effect import Candidate, Effect
-from bayes_impedance.diagnosis.fit.cold_start import population_around
+from bayes_impedance.diagnosis.fit.cold_start import driven_away, population_around
 from bayes_impedance.diagnosis.fit.extend import extended, extended_start
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.model import Model
@@ -37,6 +37,9 @@ _SIZES = 8
 _SMALLEST, _LARGEST = 0.1, 3.0
 """Smallest size in units of the coefficient's scale, at which an effect changes one end of the band by its magnitude;
 and the largest, in units of what changes the other end. By choice: a smaller effect is seen by the scan."""
+
+_WHOLE_LOAD = 1.0
+"""Largest size of a mass, spring or damper of the rig: it is no larger than the whole load is."""
 
 _STARTS = 48
 """Random starts of the elements for each size: with two signs 768 in all, as many as for the network."""
@@ -71,20 +74,25 @@ def wholly_off(fit: Refit) -> bool:
 
 
 def of_the_chain(fit: Refit, effects: Sequence[Effect]) -> list[Candidate]:
-    """Delays and filters at the port that the model does not contain yet.
+    """Effects of the rig with one coefficient at the port that the model does not contain yet.
 
-    Masses, springs and dampers of the rig are left out: with more subtracted than the whole load they fit recordings of
-    anything, even complex conjugates.
+    Of a network that does not describe the recordings at all only delays and filters: with more subtracted than the
+    whole load, masses, springs and dampers fit recordings of anything, even complex conjugates.
     """
+    any_kind = not wholly_off(fit)
     taken = {addition.key for addition in fit.model.additions}
     return [
         Candidate(effect, place.name, {})
         for effect in effects
         if effect.side == "rig" and effect.operation and len(effect.coefficients) == 1
-        if effect.traits.connection == "replaces" and not effect.traits.passive
+        if any_kind or _in_the_channels(effect)
         for place in effect.sites(fit.model.network)
         if (effect.id, effect.form, place.name) not in taken
     ]
+
+
+def _in_the_channels(effect: Effect) -> bool:
+    return effect.traits.connection == "replaces" and not effect.traits.passive
 
 
 def refits_from_afar(refitter: Refitter, fit: Refit, candidate: Candidate, seed: int, rounds: int) -> list[Refit]:
@@ -106,7 +114,7 @@ def refits_from_afar(refitter: Refitter, fit: Refit, candidate: Candidate, seed:
     u, population = extended_start(fit, model)
     typical = _typical_person(fit, u.shape[1])
     refits = []
-    for end in _search(model, u, typical, candidate.effect.signed, seed):
+    for end in _search(model, u, typical, candidate.effect, seed):
         begin = np.tile(end, (len(u), 1))
         around = population if refitter.one_person else population_around(population, end[: model.n_elements])
         refits.append(refitter.fit(model, begin, around, rounds))
@@ -116,10 +124,11 @@ def refits_from_afar(refitter: Refitter, fit: Refit, candidate: Candidate, seed:
 def network_from_afar(refitter: Refitter, fit: Refit, seed: int, rounds: int) -> Refit:
     """The fit, or a better one of the same model whose network is searched anew beside what was added.
 
+    It is searched if the fit has driven elements away from everybody's values.
+
     Parameters
     ----------
     refitter : Refitter
-        Of a population.
     fit : Refit
         Of a model whose additions are near their right values, and whose network may not be.
     seed : int
@@ -128,6 +137,8 @@ def network_from_afar(refitter: Refitter, fit: Refit, seed: int, rounds: int) ->
         Of each refit.
     """
     model = fit.model
+    if refitter.one_person or not model.additions or not driven_away(fit).any():
+        return fit
     centre, sd = _expected(model, fit.u)
     sd[model.n_elements :] = _KNOWN_SD * np.maximum(
         [abs(centre[c]) if p.is_coefficient else 1.0 for c, p in enumerate(model.parameters, model.n_elements)], 1e-9
@@ -169,13 +180,14 @@ def _expected(model: Model, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return centre, sd
 
 
-def _search(model: Model, u: np.ndarray, typical: Likelihood, signed: bool, seed: int) -> np.ndarray:
+def _search(model: Model, u: np.ndarray, typical: Likelihood, effect: Effect, seed: int) -> np.ndarray:
     """Best end points of searches from random elements and all sizes of the last addition, shape (_ENDS, P)."""
     scales = model.scales
     centre, sd = _expected(model, u)
     (coefficient,) = model.columns(len(model.additions) - 1)
-    sizes = np.geomspace(_SMALLEST, _LARGEST * scales.high / scales.low, _SIZES)
-    if signed:
+    largest = _LARGEST * scales.high / scales.low if _in_the_channels(effect) else _WHOLE_LOAD
+    sizes = np.geomspace(_SMALLEST, largest, _SIZES)
+    if effect.signed:
         sizes = np.concatenate([sizes, -sizes])
     spread = np.where(sd == _ELEMENT_SD, _START_SPREAD, 0.0)
     starts = centre + spread * np.random.default_rng(seed).normal(size=(sizes.size, _STARTS, centre.size))

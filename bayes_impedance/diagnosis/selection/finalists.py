@@ -21,6 +21,7 @@ from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.recordings_alone import recordings_alone
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import FEWEST_TO_VARY, LEAST_GAIN, log_evidence
+from bayes_impedance.diagnosis.selection.far_starts import network_from_afar
 from bayes_impedance.diagnosis.selection.score_scan import Screening
 from bayes_impedance.diagnosis.selection.shortlist import Trial, lookalike_trials
 
@@ -171,7 +172,8 @@ def _settled(refitter: Refitter, fit: Refit, trial: Trial, seed: int, tries: int
 
 
 def _searched(refitter: Refitter, fit: Refit, seed: int, tries: int = 6, rounds: int = 3) -> Refit:
-    """The fit after a search for better optima of people and of single recordings."""
+    """The fit after a search for better optima of the network, of people and of single recordings."""
+    fit = network_from_afar(refitter, fit, seed, _ROUNDS)
     return recordings_alone(refitter, refitter.settle(fit, seed, tries=tries, rounds=rounds))
 
 
