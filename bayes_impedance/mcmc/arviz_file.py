@@ -1,11 +1,12 @@
 """All uses of ArviZ, for its versions 0.x and 1.x.
 
 ArviZ 1.x needs Python 3.12 and this package supports 3.11, so both generations are supported. They differ in the
-container (InferenceData or DataTree), in the shape of ``from_dict`` and in where the statistics live. No other module,
-test, analysis or benchmark depends on the installed version: files are read back as plain arrays (:func:`load_groups`),
-and only features common to both containers are used elsewhere (``data["posterior"]``, ``summary``).
+container (InferenceData or DataTree) and in the shape of ``from_dict``. No other module, test, analysis or benchmark
+depends on the installed version: files are read back as plain arrays (:func:`load_groups`), and only features common to
+both containers are used elsewhere (``data["posterior"]``, ``summary``).
 
-ArviZ takes seconds to import, so it is imported inside the functions.
+ArviZ takes seconds and a hundred megabytes to import, so it is imported where networks are compared alone; a fit takes
+its two numbers from :mod:`bayes_impedance.mcmc.convergence`.
 """
 
 from __future__ import annotations
@@ -39,44 +40,6 @@ _NETCDF_ATTRIBUTES = frozenset({"_NCProperties", "_nc3_strict", "_Netcdf4Dimid",
 
 def _modern() -> bool:
     return int(version("arviz").split(".")[0]) >= 1
-
-
-def _statistics() -> Any:
-    """ArviZ's statistics on plain arrays."""
-    if _modern():
-        from arviz_stats.base import array_stats
-
-        return array_stats
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # 0.23 announces 1.x at import
-        import arviz
-    return arviz
-
-
-def rhat(chains: np.ndarray) -> np.ndarray:
-    """Rank-normalised split R-hat of chains (C, S, D) for each of D quantities; infinite where it is undefined."""
-    statistics = _statistics()
-    with np.errstate(all="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # constant chains
-        if _modern():
-            values = statistics.rhat(chains, chain_axis=0, draw_axis=1)
-        else:
-            values = np.array([statistics.rhat(chains[:, :, d]) for d in range(chains.shape[2])])
-    return np.asarray(np.where(np.isfinite(values), values, np.inf), dtype=float)
-
-
-def pareto_k(log_weights: np.ndarray) -> np.ndarray:
-    """Pareto shape of the largest importance weights, for log weights (..., K): shape (...)."""
-    statistics = _statistics()
-    flat = log_weights.reshape(-1, log_weights.shape[-1]).astype(float)
-    with np.errstate(all="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        if _modern():
-            # 1.x takes log likelihoods and changes their sign; 0.x takes log weights.
-            k = np.array([statistics.psislw(-row, axis=-1)[1] for row in flat])
-        else:
-            k = np.array([statistics.psislw(row)[1] for row in flat])
-    return np.asarray(k, dtype=float).reshape(log_weights.shape[:-1])
 
 
 def leave_one_out(
