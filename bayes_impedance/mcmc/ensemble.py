@@ -24,9 +24,9 @@ import numpy as np
 
 from bayes_impedance.mcmc.autocorrelation import autocorrelation_time
 from bayes_impedance.mcmc.chain_file import read_chain, write_chain
+from bayes_impedance.mcmc.convergence import rhat
 from bayes_impedance.mcmc.crank_nicolson import crank_nicolson_move
 from bayes_impedance.mcmc.hamiltonian import hamiltonian_move
-from bayes_impedance.mcmc.convergence import rhat
 from bayes_impedance.mcmc.mirrored import labelled, mirrored_move
 from bayes_impedance.runtime.progress import Progress
 
