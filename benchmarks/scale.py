@@ -7,6 +7,9 @@ killed while the chains grow, and the result is compared with that of an undistu
 With ``--files csv`` or ``--files parquet`` the people are written as a dataset in a temporary folder, by a process of
 its own, and read from there; with Parquet files partitioned by subject no impedances stay in this process.
 
+``--overhead`` measures what a likelihood costs beside its arithmetic: every part of the people is asked for 104 numbers
+that cost nothing.
+
 Run from the repository's root: ``python benchmarks/scale.py --people 100 1000 10000``; results go to ``scale.json``.
 """
 
@@ -35,6 +38,7 @@ from bayes_impedance.population.fit import FitSettings, PopulationFit, fit_popul
 from bayes_impedance.population.simulate import simulate_recordings
 from bayes_impedance.recordings.files import Recordings, read_recordings, write_recordings
 from bayes_impedance.runtime.executors import Cluster
+from bayes_impedance.runtime.sharded import Kept, parts_of
 
 HERE = Path(__file__).resolve().parent
 _POINTS, _REPETITIONS = 101, 3
@@ -90,6 +94,39 @@ def measured(
         "tau sd": fit.parameters.between_persons.std(axis=0).tolist(),
         "killed": bool(killed),
     }, fit
+
+
+def nothing(_part: Any, sets: np.ndarray) -> np.ndarray:
+    """A likelihood without arithmetic."""
+    return np.zeros(len(sets))
+
+
+def overhead(n: int, workers: int, rounds: int = 20) -> dict[str, Any]:
+    """Milliseconds for which a cluster is asked for a likelihood of n people that costs nothing."""
+    import distributed
+
+    with (
+        distributed.LocalCluster(
+            n_workers=workers, threads_per_worker=1, dashboard_address=None, memory_limit=0, silence_logs=50
+        ) as cluster,
+        distributed.Client(cluster, set_as_default=False) as client,
+    ):
+        executor = Cluster(client)
+        parts = [executor.keep(range, 1) for _ in parts_of(n)]
+        kept, sets, times = Kept(executor, parts), np.ones((104, 88)), []
+        client.gather(parts)
+        for _ in range(1 + rounds):
+            started = time.perf_counter()
+            kept.ask(nothing, sets)
+            times.append(1e3 * (time.perf_counter() - started))
+    return {
+        "people": n,
+        "workers": workers,
+        "parts": len(parts),
+        "median ms": float(np.median(times[1:])),
+        "least ms": min(times[1:]),
+        "load": os.getloadavg()[0],
+    }
 
 
 def people(n: int) -> Recordings:
@@ -173,8 +210,14 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--draws", type=int, default=256)
     parser.add_argument("--files", choices=("csv", "parquet"), help="write the people to files and read them there")
     parser.add_argument("--kill", action="store_true", help="repeat each fit with a worker killed in the middle")
+    parser.add_argument("--overhead", action="store_true", help="only what a likelihood costs beside its arithmetic")
     parser.add_argument("-o", "--out", type=Path, default=HERE / "scale.json")
     options = parser.parse_args(arguments)
+    if options.overhead:
+        for n in options.people:
+            for workers in options.workers:
+                print(json.dumps(overhead(n, workers)), flush=True)
+        return
     rows = json.loads(options.out.read_text(encoding="utf-8")) if options.out.is_file() else []
     for n in options.people:
         with read_people(n, options.files) as (recordings, told):

@@ -1,11 +1,12 @@
 """All uses of ArviZ, for its versions 0.x and 1.x.
 
 ArviZ 1.x needs Python 3.12 and this package supports 3.11, so both generations are supported. They differ in the
-container (InferenceData or DataTree), in the shape of ``from_dict`` and in where the statistics live. No other module,
-test, analysis or benchmark depends on the installed version: files are read back as plain arrays (:func:`load_groups`),
-and only features common to both containers are used elsewhere (``data["posterior"]``, ``summary``).
+container (InferenceData or DataTree) and in the shape of ``from_dict``. No other module, test, analysis or benchmark
+depends on the installed version: files are read back as plain arrays (:func:`load_groups`), and only features common to
+both containers are used elsewhere (``data["posterior"]``, ``summary``).
 
-ArviZ takes seconds to import, so it is imported inside the functions.
+ArviZ takes seconds and a hundred megabytes to import, so it is imported where networks are compared alone; a fit takes
+its two numbers from :mod:`bayes_impedance.mcmc.convergence`.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import warnings
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -39,44 +40,6 @@ _NETCDF_ATTRIBUTES = frozenset({"_NCProperties", "_nc3_strict", "_Netcdf4Dimid",
 
 def _modern() -> bool:
     return int(version("arviz").split(".")[0]) >= 1
-
-
-def _statistics() -> Any:
-    """ArviZ's statistics on plain arrays."""
-    if _modern():
-        from arviz_stats.base import array_stats
-
-        return array_stats
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # 0.23 announces 1.x at import
-        import arviz
-    return arviz
-
-
-def rhat(chains: np.ndarray) -> np.ndarray:
-    """Rank-normalised split R-hat of chains (C, S, D) for each of D quantities; infinite where it is undefined."""
-    statistics = _statistics()
-    with np.errstate(all="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # constant chains
-        if _modern():
-            values = statistics.rhat(chains, chain_axis=0, draw_axis=1)
-        else:
-            values = np.array([statistics.rhat(chains[:, :, d]) for d in range(chains.shape[2])])
-    return np.asarray(np.where(np.isfinite(values), values, np.inf), dtype=float)
-
-
-def pareto_k(log_weights: np.ndarray) -> np.ndarray:
-    """Pareto shape of the largest importance weights, for log weights (..., K): shape (...)."""
-    statistics = _statistics()
-    flat = log_weights.reshape(-1, log_weights.shape[-1]).astype(float)
-    with np.errstate(all="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        if _modern():
-            # 1.x takes log likelihoods and changes their sign; 0.x takes log weights.
-            k = np.array([statistics.psislw(-row, axis=-1)[1] for row in flat])
-        else:
-            k = np.array([statistics.psislw(row)[1] for row in flat])
-    return np.asarray(k, dtype=float).reshape(log_weights.shape[:-1])
 
 
 def leave_one_out(
@@ -139,14 +102,12 @@ def save(
     meanings : mapping, optional
         Variable, or ``group/variable``, to its own attributes, such as ``units``.
     """
-    import xarray as xr
-
     meanings = meanings or {}
-    datasets, labels = {}, {}
+    content, labels = {}, {}
     for group, variables in groups.items():
         sampled = ("chain", "draw") if group in _SAMPLED else ()
         used: dict[str, Any] = {}
-        content = {}
+        own: dict[str, _Variable] = {}
         for name, values in variables.items():
             axes = (*sampled, *dims.get(name, ()))
             for axis, size in zip(axes, np.shape(values), strict=True):
@@ -155,33 +116,47 @@ def save(
                 used[axis] = coords[key] if labelled else np.arange(size)
                 if labelled:
                     labels[key] = coords[key]
-            own = dict(meanings.get(name, {})) | dict(meanings.get(f"{group}/{name}", {}))
-            content[name] = xr.Variable(axes, values, attrs=own)
-        datasets[group] = xr.Dataset(content, coords={axis: np.asarray(values) for axis, values in used.items()})
+            said = dict(meanings.get(name, {})) | dict(meanings.get(f"{group}/{name}", {}))
+            own[name] = _Variable(axes, np.asarray(values), said)
+        content[group] = own | {axis: _Variable((axis,), np.asarray(values), {}) for axis, values in used.items()}
     own_attributes = dict(attributes) | {_SEAL: _seal(groups, labels, attributes)}
-    write_bytes(file, _as_netcdf(datasets, own_attributes))
+    write_bytes(file, _as_netcdf(content, own_attributes))
 
 
-def _as_netcdf(datasets: Mapping[str, Any], attributes: Mapping[str, Any]) -> bytes:
-    """A netCDF file of one group for each dataset.
+class _Variable(NamedTuple):
+    """An array, the names of its axes and what is said of it; one with the name of its only axis labels that."""
 
-    It is made in memory: HDF5 ends the process if it cannot write its buffers, which may happen on a full disk.
+    axes: tuple[str, ...]
+    values: np.ndarray
+    attributes: Mapping[str, str]
+
+
+def _as_netcdf(content: Mapping[str, Mapping[str, _Variable]], attributes: Mapping[str, Any]) -> bytes:
+    """A netCDF file with a group for each mapping.
+
+    It is made in memory: HDF5 ends the process if it cannot write its buffers, which may happen on a full disk. It is
+    made without xarray, whose import takes pandas along, a second and seventy megabytes.
     """
     import h5netcdf
-    import xarray as xr
-    from xarray.backends import H5NetCDFStore
+    import h5py
 
-    content = io.BytesIO()
-    with h5netcdf.File(content, "w") as opened:
-        xr.Dataset(attrs=dict(attributes)).dump_to_store(H5NetCDFStore(opened, mode="w"))
-        for name, dataset in datasets.items():
-            labelled = dataset.copy()
-            labelled.attrs = dict(attributes)  # without ArviZ's time of creation: equal runs give equal files
-            numbers = {
-                key: {"zlib": True, "shuffle": True} for key, v in labelled.variables.items() if v.dtype.kind in "iufcb"
+    file = io.BytesIO()
+    with h5netcdf.File(file, "w") as opened:
+        opened.attrs.update(attributes)
+        for name, variables in content.items():
+            group = opened.create_group(name)
+            group.attrs.update(attributes)  # without ArviZ's time of creation: equal runs give equal files
+            group.dimensions = {
+                axis: size for v in variables.values() for axis, size in zip(v.axes, v.values.shape, strict=True)
             }
-            labelled.dump_to_store(H5NetCDFStore(opened, group=name, mode="a"), encoding=numbers)
-    return content.getvalue()
+            for key, (axes, values, said) in variables.items():
+                if values.dtype.kind in "OSU":
+                    group.create_variable(key, axes, h5py.string_dtype(), data=values.astype(object))
+                    continue
+                packed = {"compression": "gzip", "compression_opts": 4, "shuffle": True} if axes else {}
+                missing = {"fillvalue": np.nan} if values.dtype.kind == "f" else {}
+                group.create_variable(key, axes, values.dtype, data=values, **packed, **missing).attrs.update(said)
+    return file.getvalue()
 
 
 def load_groups(file: Path) -> tuple[dict[str, dict[str, np.ndarray]], dict[str, Any], dict[str, Any]]:

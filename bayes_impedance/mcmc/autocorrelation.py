@@ -21,13 +21,14 @@ def autocorrelation_time(chain: np.ndarray) -> np.ndarray:
         With Sokal's window of five times the result; infinite for a coordinate that does not move.
     """
     steps = chain.shape[0]
-    centred = chain - chain.mean(axis=(0, 1))
-    transformed = np.fft.rfft(centred, n=2 * steps, axis=0)
-    covariance = np.fft.irfft(np.mean(np.abs(transformed) ** 2, axis=1), axis=0)[:steps]
-    covariance /= np.arange(steps, 0, -1)[:, None]
     result = np.full(chain.shape[2], np.inf)
-    for d in np.flatnonzero(covariance[0] > 0):
-        times = 2 * np.cumsum(covariance[:, d] / covariance[0, d]) - 1
+    for d in range(result.size):  # one at a time: transforms of all of them take three times the chain's memory
+        one = chain[:, :, d] - chain[:, :, d].mean()
+        transformed = np.fft.rfft(one, n=2 * steps, axis=0)
+        covariance = np.fft.irfft(np.mean(np.abs(transformed) ** 2, axis=1))[:steps] / np.arange(steps, 0, -1)
+        if not covariance[0] > 0:
+            continue
+        times = 2 * np.cumsum(covariance / covariance[0]) - 1
         enough = np.arange(steps) >= 5 * times
         result[d] = max(times[int(np.argmax(enough))] if enough.any() else times[-1], 1.0)
     return result

@@ -24,6 +24,7 @@ import numpy as np
 
 from bayes_impedance.mcmc.autocorrelation import autocorrelation_time
 from bayes_impedance.mcmc.chain_file import read_chain, write_chain
+from bayes_impedance.mcmc.convergence import rhat
 from bayes_impedance.mcmc.crank_nicolson import crank_nicolson_move
 from bayes_impedance.mcmc.hamiltonian import hamiltonian_move
 from bayes_impedance.mcmc.mirrored import labelled, mirrored_move
@@ -356,11 +357,8 @@ def sample(
 
 
 def _collect(ensembles: list[_Ensemble]) -> Chains:
-    from bayes_impedance.mcmc.arviz_file import rhat
-
     draws, log_probability, times = [], [], []
-    chains = [e.sampler.get_chain() for e in ensembles]  # (steps, walkers, D)
-    chains = [np.where(e.even, np.abs(chain), chain) for e, chain in zip(ensembles, chains, strict=True)]
+    chains = [_positive(e.sampler.get_chain(), e.even) for e in ensembles]  # (steps, walkers, D)
     for ensemble, chain in zip(ensembles, labelled(chains, ensembles[0].mirrored), strict=True):
         tau = autocorrelation_time(chain)
         times.append(tau)
@@ -383,6 +381,13 @@ def _collect(ensembles: list[_Ensemble]) -> Chains:
         steps=steps,
         walkers=walkers,
     )
+
+
+def _positive(chain: np.ndarray, even: np.ndarray) -> np.ndarray:
+    """A copy of a chain with the absolute values of even coordinates."""
+    copied = chain.copy()
+    np.abs(copied, out=copied, where=even)
+    return copied
 
 
 def _refined(covariance: np.ndarray, sampled: np.ndarray) -> np.ndarray:

@@ -33,15 +33,16 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from numba.core import types as numba_types
 
 from bayes_impedance.display import joined, lines, short, table
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.operations import N_PARAMETERS, Operation
 from bayes_impedance.network.parameters import Parameter
 from bayes_impedance.network.program import Program, compile_network, parameter_names
-from bayes_impedance.network.rows import slopes_row, transform_row
+from bayes_impedance.network.rows import slopes_row_apart, transform_row_apart
 from bayes_impedance.network.tree import Network
-from bayes_impedance.runtime.compiled_functions import kept_njit
+from bayes_impedance.runtime.compiled_functions import by_address, kept_njit
 
 compiled: Any = kept_njit(nogil=True, error_model="numpy")
 """Decorator of every compiled function: cached on disk, releases the GIL, divides as numpy does (inf, nan)."""
@@ -111,7 +112,7 @@ def forward(program: Program, theta: np.ndarray, omega: np.ndarray, sums: np.nda
                     sums[node, 1, f] += outputs[child, 1, f]
         if program.node_code[node] > 0:
             u, c = _parameters(program, node, theta), program.node_constant[node]
-            transform_row(program.node_code[node], u, c, omega, sums, outputs, node)
+            transform_row_apart(program.node_code[node], u, c, omega, sums, outputs, node)
             if program.node_invert[node] == 1:
                 for f in range(n_frequencies):
                     x, y = outputs[node, 0, f], outputs[node, 1, f]
@@ -179,7 +180,7 @@ def backward(
                 adjoints[node, 1, f] = adjoints[parent, 1, f]
         if program.node_code[node] > 0:
             u, c = _parameters(program, node, theta), program.node_constant[node]
-            slopes_row(program.node_code[node], u, c, omega, sums, adjoints, node, slopes)
+            slopes_row_apart(program.node_code[node], u, c, omega, sums, adjoints, node, slopes)
             for k in range(N_PARAMETERS):
                 p = program.node_parameter[node, k]
                 if 0 <= p < theta.size:
@@ -205,13 +206,24 @@ def backward(
                 derivative[element, 1, f] = -c * sums[n_nodes, 0, f] * adjoints[node, 0, f]
 
 
+types: Any = numba_types  # without annotations
+_LINE, _ROWS, _BLOCK = (types.Array(types.float64, n, "C") for n in (1, 2, 3))
+_NUMBERS, _NUMBER_ROWS = (types.Array(types.int64, n, "C") for n in (1, 2))
+PROGRAM = types.NamedTuple((*[_NUMBERS] * 7, _NUMBER_ROWS, _ROWS, _LINE), Program)
+"""numba's type of a :class:`~bayes_impedance.network.program.Program`."""
+
+forward_apart = by_address(forward, (PROGRAM, _LINE, _LINE, _BLOCK, _BLOCK))
+backward_apart = by_address(backward, (PROGRAM, _LINE, _LINE, _BLOCK, _BLOCK, _BLOCK, _BLOCK))
+"""The same for functions that do not take the kernel's code into their own."""
+
+
 @compiled
 def _impedance(program: Program, theta: np.ndarray, omega: np.ndarray) -> np.ndarray:
     n_nodes = program.node_parent.size
     sums, outputs = workspace(program, omega)
     z = np.empty((theta.shape[0], omega.size), dtype=np.complex128)
     for i in range(theta.shape[0]):
-        forward(program, theta[i], omega, sums, outputs)
+        forward_apart(program, theta[i], omega, sums, outputs)
         for f in range(omega.size):
             z[i, f] = complex(outputs[n_nodes - 1, 0, f], outputs[n_nodes - 1, 1, f])
     return z
@@ -228,8 +240,8 @@ def _derivative(program: Program, theta: np.ndarray, omega: np.ndarray) -> tuple
     z = np.empty((n_sets, omega.size), dtype=np.complex128)
     dz = np.empty((n_sets, n_elements, omega.size), dtype=np.complex128)
     for i in range(n_sets):
-        forward(program, theta[i], omega, sums, outputs)
-        backward(program, theta[i], omega, sums, outputs, adjoints, one)
+        forward_apart(program, theta[i], omega, sums, outputs)
+        backward_apart(program, theta[i], omega, sums, outputs, adjoints, one)
         for f in range(omega.size):
             z[i, f] = complex(outputs[n_nodes - 1, 0, f], outputs[n_nodes - 1, 1, f])
         for p in range(n_elements):

@@ -17,9 +17,10 @@ import cmath
 from typing import Any
 
 import numpy as np
+from numba.core import types as numba_types
 
 from bayes_impedance.network.transform import inverse, root, root_coth, root_tanh, transform
-from bayes_impedance.runtime.compiled_functions import kept_njit
+from bayes_impedance.runtime.compiled_functions import by_address, kept_njit
 
 compiled: Any = kept_njit(nogil=True, error_model="numpy")
 
@@ -180,3 +181,11 @@ def slopes_row(
         slopes[1, 0, f], slopes[1, 1, f] = second.real, second.imag
         slopes[2, 0, f], slopes[2, 1, f] = third.real, third.imag
         adjoints[node, 0, f], adjoints[node, 1, f] = bar.real, bar.imag
+
+
+types: Any = numba_types  # without annotations
+_LINE, _BLOCK = (types.Array(types.float64, n, "C") for n in (1, 3))
+_OF_NODE = (types.int64, types.UniTuple(types.float64, 3), _LINE, _LINE, _BLOCK, _BLOCK, types.int64)
+transform_row_apart = by_address(transform_row, _OF_NODE)
+slopes_row_apart = by_address(slopes_row, (*_OF_NODE, _BLOCK))
+"""The same for the kernel, which does not take their code into its own: most networks have no operation."""

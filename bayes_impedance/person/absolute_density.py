@@ -61,6 +61,7 @@ from bayes_impedance.network.kernel import Kernel, compiled
 from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood, repetition_equations
 from bayes_impedance.person.marginal_likelihood import Ridge
 from bayes_impedance.person.noise import contrasts
+from bayes_impedance.person.small_matrices import inverted, solved
 
 _REACH, _STEP = 30.0, 0.05
 """How far the grid over ln s^2 goes below the scale of the least chi-square and above that without deviations, and its
@@ -168,13 +169,13 @@ def _laplace(curvature: np.ndarray, slope: np.ndarray, at_zero: float, exponent:
         scaled = curvature * sd[k] * sd[k].reshape(size, 1)
         pull = slope * sd[k]
         for _ in range(_ROUNDS):  # the weight of the dispersions before is a good start
-            factor = np.linalg.cholesky(np.eye(size) + w * scaled)
-            at = np.linalg.solve(factor.T, np.linalg.solve(factor, w * pull))
+            curved = np.eye(size) + w * scaled
+            at = solved(curved, w * pull)
             chi = at_zero - 2.0 * np.dot(pull, at) + np.dot(at, scaled @ at)
             before = w
             w = exponent / (SCALE_SHAPE + 0.5 * max(chi, 0.0))
             if np.abs(w - before) < _SAME * w:
                 break
         result[k] = -exponent * np.log(SCALE_SHAPE + 0.5 * max(chi, 0.0)) - 0.5 * np.dot(at, at)
-        result[k] -= np.log(np.diag(factor)).sum()
+        result[k] -= 0.5 * inverted(curved)
     return result

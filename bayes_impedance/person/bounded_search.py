@@ -21,10 +21,11 @@ import math
 
 import numpy as np
 
-from bayes_impedance.network.kernel import Kernel, backward, compiled, forward, workspace
+from bayes_impedance.network.kernel import Kernel, backward_apart, compiled, forward_apart, workspace
 from bayes_impedance.network.program import Program
 from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood
 from bayes_impedance.person.mode import MAX_ITERATIONS, all_modes
+from bayes_impedance.person.small_matrices import solved
 
 GROSS = 1.5
 """Noise scale above which an optimum is not taken for the global one. By choice: persons of one
@@ -112,7 +113,7 @@ def _search(
     ends = starts.copy()
     for i in range(starts.shape[0]):
         u, damping = starts[i].copy(), 1e-2
-        forward(program, u, omega, sums, outputs)
+        forward_apart(program, u, omega, sums, outputs)
         chi = _error(outputs, z0, measured, root, error)
         offset = u - prior_mean
         best = exponent * math.log(SCALE_SHAPE + 0.5 * chi) + 0.5 * offset @ (prior_precision @ offset)
@@ -121,10 +122,10 @@ def _search(
             if not math.isfinite(best):
                 break
             if moved:
-                forward(program, u, omega, sums, outputs)
+                forward_apart(program, u, omega, sums, outputs)
                 chi = _error(outputs, z0, measured, root, error)
                 _slopes_of_error(outputs, z0, root, adjoints[n_nodes])
-                backward(program, u, omega, sums, outputs, adjoints, rows)
+                backward_apart(program, u, omega, sums, outputs, adjoints, rows)
                 flat = rows.reshape(n_elements, 2 * omega.size)
                 for p in range(n_elements):
                     for f in range(flat.shape[1]):
@@ -138,10 +139,10 @@ def _search(
                 damped = curvature.copy()
                 for p in range(n_elements):
                     damped[p, p] += damping * curvature[p, p]
-                step = -np.linalg.solve(damped, gradient)
+                step = -solved(damped, gradient)
                 step *= min(1.0, _LONGEST / max(np.abs(step).max(), 1e-12))
                 trial = u + step
-                forward(program, trial, omega, sums, outputs)
+                forward_apart(program, trial, omega, sums, outputs)
                 chi = _error(outputs, z0, measured, root, error)
                 offset = trial - prior_mean
                 value = exponent * math.log(SCALE_SHAPE + 0.5 * chi) + 0.5 * offset @ (prior_precision @ offset)
@@ -150,7 +151,8 @@ def _search(
                     damping = max(damping / 5.0, 1e-9)
                     break
                 damping = min(5.0 * damping, 1e8)
-        ends[i] = u
+        for p in range(n_elements):
+            ends[i, p] = u[p]
     return ends
 
 
@@ -252,7 +254,7 @@ def bounded_search(
     deviation = likelihood.deviations[0]
     ends = _search(
         kernel.program,
-        starts + deviation,
+        np.ascontiguousarray(starts + deviation),
         likelihood.omega,
         z0,
         np.array([measured.real, measured.imag]),

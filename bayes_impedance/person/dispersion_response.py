@@ -27,7 +27,7 @@ import numpy as np
 
 from bayes_impedance.network.kernel import Kernel, compiled
 from bayes_impedance.network.program import Program
-from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood, normal_equations
+from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood, equations_apart
 from bayes_impedance.person.marginal_likelihood import Ridge
 from bayes_impedance.person.noise import contrasts
 from bayes_impedance.person.small_matrices import inverted
@@ -76,11 +76,15 @@ def responses(kernel: Kernel, likelihood: Likelihood, ridge: Ridge, theta: np.nd
 def response_of(information: np.ndarray, gradient: np.ndarray, rho: np.ndarray, nodes: np.ndarray) -> np.ndarray:
     """The same, (P, M), from the curvature (C P, C P) and slope (C P,) of the contrasts' log likelihood at zero."""
     own, slope = np.ascontiguousarray(information), np.ascontiguousarray(gradient)
-    return np.asarray(_one_at_a_time(own, slope, rho, np.ascontiguousarray(nodes)))
+    result = np.empty(nodes.shape)
+    _one_at_a_time(own, slope, rho, np.ascontiguousarray(nodes), result)
+    return result
 
 
 @compiled
-def _one_at_a_time(information: np.ndarray, gradient: np.ndarray, rho: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+def _one_at_a_time(
+    information: np.ndarray, gradient: np.ndarray, rho: np.ndarray, nodes: np.ndarray, result: np.ndarray
+) -> None:
     size, n_elements = gradient.size, rho.size
     n_contrasts = size // n_elements
     inverse = information.copy()
@@ -88,7 +92,6 @@ def _one_at_a_time(information: np.ndarray, gradient: np.ndarray, rho: np.ndarra
         inverse[a, a] += rho[a % n_elements] ** -2.0
     inverted(inverse)
     at = inverse @ gradient
-    result = np.empty(nodes.shape)
     factor, solved = np.empty((n_contrasts, n_contrasts)), np.empty(n_contrasts)
     for p in range(n_elements):
         for m in range(nodes.shape[1]):
@@ -108,7 +111,6 @@ def _one_at_a_time(information: np.ndarray, gradient: np.ndarray, rho: np.ndarra
                 solved[c] /= factor[c, c]
                 total -= np.log(factor[c, c]) + 0.5 * change * solved[c] * solved[c]
             result[p, m] = total
-    return result
 
 
 @compiled
@@ -137,18 +139,17 @@ def _responses(
         step, chi = theta[i] - centre, 0.0
         for j in range(n_repetitions):
             own = deviations[j] + slope[j] @ step
-            c, g, h = normal_equations(program, theta[i] + own, omega, z[j], weight[j])
+            c, g, h = equations_apart(program, theta[i] + own, omega, z[j], weight[j])
             pull = h @ own - g
             chi += c
-            for a in range(n_contrasts):
-                gradient[a * n_elements : (a + 1) * n_elements] += rows[a, j] * pull
-                for b in range(n_contrasts):
-                    information[a * n_elements : (a + 1) * n_elements, b * n_elements : (b + 1) * n_elements] += (
-                        rows[a, j] * rows[b, j]
-                    ) * h
+            for a in range(n_contrasts * n_elements):
+                p, row = a % n_elements, rows[a // n_elements, j]
+                gradient[a] += row * pull[p]
+                for b in range(n_contrasts * n_elements):
+                    information[a, b] += row * rows[b // n_elements, j] * h[p, b % n_elements]
         w = exponent / (beta + 0.5 * chi)
         if np.isfinite(w):
-            result[i] = _one_at_a_time(w * information, w * gradient, rho, nodes)
+            _one_at_a_time(w * information, w * gradient, rho, nodes, result[i])
         else:
             result[i] = np.nan
     return result

@@ -26,10 +26,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numba.core import types
 
-from bayes_impedance.network.kernel import Kernel, backward, compiled, forward, workspace
+from bayes_impedance.network.kernel import PROGRAM, Kernel, backward, compiled, forward, forward_apart, workspace
 from bayes_impedance.network.program import Program
-from bayes_impedance.runtime.compiled_functions import kept_njit
+from bayes_impedance.runtime.compiled_functions import by_address, kept_njit
 
 SCALE_SHAPE = 2.0
 """alpha = beta of the inverse gamma prior of the squared noise scale. By choice: centred near one, and wide enough for
@@ -143,7 +144,7 @@ def chi_square(
     """Chi-square of all repetitions; `sums` and `outputs` are a workspace."""
     total = 0.0
     for j in range(z.shape[0]):
-        forward(program, theta + deviations[j], omega, sums, outputs)
+        forward_apart(program, theta + deviations[j], omega, sums, outputs)
         total += _weighted_square(outputs, program.node_parent.size - 1, z, weight, j)
     return total
 
@@ -224,6 +225,11 @@ def normal_equations(
     return products[-1, -1], products[-1, :-1].copy(), products[:-1, :-1].copy()
 
 
+_LINE, _ROWS = (types.Array(types.float64, n, "C") for n in (1, 2))
+equations_apart = by_address(normal_equations, (PROGRAM, _LINE, _LINE, _ROWS, _LINE))
+""":func:`normal_equations` for functions that do not take its code into their own."""
+
+
 @compiled
 def all_repetitions(
     program: Program,
@@ -234,9 +240,9 @@ def all_repetitions(
     weight: np.ndarray,
 ) -> tuple[float, np.ndarray, np.ndarray]:
     """Chi-square, gradient and information of all repetitions together."""
-    chi, gradient, information = normal_equations(program, theta + deviations[0], omega, z[0], weight[0])
+    chi, gradient, information = equations_apart(program, theta + deviations[0], omega, z[0], weight[0])
     for j in range(1, z.shape[0]):
-        c, g, h = normal_equations(program, theta + deviations[j], omega, z[j], weight[j])
+        c, g, h = equations_apart(program, theta + deviations[j], omega, z[j], weight[j])
         chi += c
         gradient += g
         information += h

@@ -25,8 +25,8 @@ from bayes_impedance.person.likelihood import (
     SCALE_SHAPE,
     Likelihood,
     chi_square,
+    equations_apart,
     log_likelihood,
-    normal_equations,
     repetition_equations,
 )
 from bayes_impedance.person.small_matrices import inverted
@@ -147,8 +147,12 @@ def _marginal_log_likelihoods(
                     moved[j, p] += slope[j, p, q] * (theta[i, q] - centre[q])
         chi = 0.0
         for j in range(n_repetitions):
-            c, gradients[j], inverses[j] = normal_equations(program, theta[i] + moved[j], omega, z[j], weight[j])
+            c, gradient, information = equations_apart(program, theta[i] + moved[j], omega, z[j], weight[j])
             chi += c
+            for p in range(n_elements):
+                gradients[j, p] = gradient[p]
+                for q in range(p + 1):  # of an inverse only this triangle is read
+                    inverses[j, p, q] = information[p, q]
         w = exponent / (beta + 0.5 * chi)
         if not np.isfinite(w):
             result[i] = -np.inf

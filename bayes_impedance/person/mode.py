@@ -20,6 +20,7 @@ import numpy as np
 from bayes_impedance.network.kernel import Kernel, compiled, workspace
 from bayes_impedance.network.program import Program
 from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood, all_repetitions, chi_square, log_likelihood
+from bayes_impedance.person.small_matrices import solved
 
 __all__ = ["DECREMENT_LIMIT", "Likelihood", "Mode", "all_modes", "find_mode", "log_likelihood", "mode_at"]
 
@@ -112,7 +113,8 @@ def _hessian(
         args = (deviations, omega, z, weight, exponent, beta, prior_mean, prior_precision)
         ahead = _gradient(program, theta + shift, *args)
         behind = _gradient(program, theta - shift, *args)
-        result[p] = (ahead - behind) / 2e-4
+        for q in range(n):
+            result[p, q] = (ahead[q] - behind[q]) / 2e-4
     return 0.5 * (result + result.T)
 
 
@@ -161,7 +163,7 @@ def _minimise(
             solvable = curvature.copy()
             for p in range(n_elements):
                 solvable[p, p] += ROUNDING * diagonal[p]
-            decrements[i] = g @ np.linalg.solve(solvable, g)
+            decrements[i] = g @ solved(solvable, g)
             if decrements[i] < 1e-9:
                 break
             accepted = False
@@ -169,7 +171,7 @@ def _minimise(
                 damped = curvature.copy()
                 for p in range(n_elements):
                     damped[p, p] += damping * diagonal[p]
-                step = -np.linalg.solve(damped, g)
+                step = -solved(damped, g)
                 longest = np.abs(step).max()
                 if longest > 2.0:  # more than a factor of e^2 at once leaves the region where the tangent means much
                     step *= 2.0 / longest
@@ -187,7 +189,8 @@ def _minimise(
             theta = trial
             objective = value
             chi, gradient, information = all_repetitions(program, theta, deviations, omega, z, weight)
-        ends[i] = theta
+        for p in range(n_elements):
+            ends[i, p] = theta[p]
         objectives[i] = objective
     return ends, objectives, decrements
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-import warnings
+import sys
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from functools import cache
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -130,14 +132,22 @@ def _of_decimal_logarithm(of_logarithm: Density) -> Density:
     return lambda x: of_logarithm(x * math.log(10)) * math.log(10)
 
 
+@cache
+def _corner_package() -> Any:
+    """The package corner without ArviZ, which it imports if it can, in seconds, to plot ArviZ's own containers."""
+    if "arviz" in sys.modules:
+        return import_module("corner")
+    sys.modules["arviz"] = None  # type: ignore[assignment]  # Python's way to say that there is none
+    try:
+        return import_module("corner")
+    finally:
+        del sys.modules["arviz"]
+
+
 def _corner(
     figure: Figure, columns: np.ndarray, labels: Sequence[str], titles: Sequence[str], priors: Sequence[Density]
 ) -> Figure:
     """Draw columns (S, K) against each other; contours hold 50 % and 90 %."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # ArviZ, imported by corner, warns of its next version at import
-        import corner
-
     number = columns.shape[1]
     spread = np.ptp(columns, axis=0)
     # A constant column has no range.
@@ -145,7 +155,7 @@ def _corner(
         tuple(np.quantile(x, (0.002, 0.998))) if s > 0 else (x[0] - 0.5, x[0] + 0.5)
         for x, s in zip(columns.T, spread, strict=True)
     ]
-    corner.corner(
+    _corner_package().corner(
         columns,
         fig=figure,
         bins=28,

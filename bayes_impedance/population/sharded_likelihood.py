@@ -354,7 +354,7 @@ def _influences(part: Part, parameters: PopulationParameters, influence: np.ndar
 
 
 def _pareto_k(part: Part, parameters: PopulationParameters) -> np.ndarray:
-    from bayes_impedance.mcmc.arviz_file import pareto_k
+    from bayes_impedance.mcmc.convergence import pareto_k
 
     return np.asarray(pareto_k(part.marginal.log_weights(parameters)[0]))
 

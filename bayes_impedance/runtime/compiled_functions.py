@@ -11,29 +11,41 @@ a file with a wrong digest is ignored: the function is compiled again.
 numba compiles a function again if its own source file has changed, but not if a function or a constant of another file
 that is compiled into it has. Here the stamp of a function therefore holds theirs as well. It is made of the sources'
 content, not of their time, which is another one after each installation.
+
+**Calls by address.** numba puts the code of every function that is called into that of its caller, optimises it there
+once more and writes it out once more. The kernel is called by a dozen functions, some of which call each other: most of
+the compiled code, of the time to compile it and of the memory for it was copies of the kernel. A function named by
+:func:`by_address` is compiled once; its callers hold a symbol in its place. A symbol must be known before code that
+holds it is loaded: a function's file is loaded after the functions that it calls by address.
 """
 
 from __future__ import annotations
 
 import atexit
 import hashlib
+import inspect
 import io
 import logging
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
+import llvmlite.binding
 import numba
 import numpy as np
-from numba.core import caching, config
+from numba.core import caching, cgutils, config, imputils, types
+from numba.extending import intrinsic
 from numba.misc.appdirs import user_cache_dir
 
 _DIGEST_BYTES = hashlib.sha256().digest_size
 _CacheFile: Any = caching.IndexDataCacheFile  # numba's types are not annotated
+_codegen: Any = cgutils
+_results: Any = imputils
 _FOLDER = "NUMBA_CACHE_DIR"
 _NAME_DIGITS = 16
 """Digits of the digest in a file's name: 64 bits, by which no two sources are confused by chance."""
@@ -47,6 +59,7 @@ def kept_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     **options
         Options of ``numba.njit``.
     """
+    options = {"no_cfunc_wrapper": True} | options  # C does not call them
 
     def decorate(function: Callable[..., Any]) -> Any:
         try:
@@ -59,12 +72,103 @@ def kept_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         if isinstance(files, _CacheFile):
             files.__class__ = _Sealed
             files._source_stamp = (_content(function.__code__.co_filename), _compiled_in(function))
+            files._elsewhere = _elsewhere(function)
             folder = None if os.environ.get(_FOLDER) else _user_cache()
             if folder is not None:
                 files.move(folder)
         return dispatcher
 
     return decorate
+
+
+@dataclass(eq=False)
+class _Elsewhere:
+    """A function that is called by address: its dispatcher, the types of its arguments, and the symbol of its code."""
+
+    dispatcher: Any
+    arguments: tuple[Any, ...]
+    symbol: str
+    result: Any = field(default=None)
+
+    def ready(self) -> Any:
+        """What numba has compiled or loaded, of which the symbol is known from now on."""
+        if self.result is None:
+            self.dispatcher.compile(self.arguments)
+            result = self.dispatcher.overloads[self.arguments]
+            address = result.library.get_pointer_to_function(result.fndesc.llvm_func_name)
+            llvmlite.binding.add_symbol(self.symbol, address)
+            self.result = result
+        return self.result
+
+
+_BY_ADDRESS: dict[Any, _Elsewhere] = {}
+"""What stands in for a function in its callers' code, and the function."""
+
+
+def by_address(dispatcher: Any, arguments: Sequence[Any]) -> Any:
+    """A compiled function under another name, by which compiled functions call it without taking its code.
+
+    Parameters
+    ----------
+    dispatcher : numba dispatcher
+        Made by :func:`kept_njit`.
+    arguments : sequence of numba types
+        Arguments of other types are accepted as well: with them it is called as any other function.
+    """
+    wanted = tuple(arguments)
+    python = dispatcher.py_func
+    named = (python.__module__, python.__qualname__, _stamp(dispatcher), wanted)
+    digest = hashlib.sha256(repr(named).encode()).hexdigest()[:_NAME_DIGITS]
+    one = _Elsewhere(dispatcher, wanted, f"bayes_impedance.{python.__name__}.{digest}")
+
+    def definition(typing: Any, *given: Any) -> Any:
+        if given != wanted:
+            kind = types.Dispatcher(dispatcher)
+            signature = kind.get_call_type(typing, given, {})
+
+            def as_any_other(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+                return context.get_function(kind, signature)(builder, values)
+
+            return signature, as_any_other
+
+        def apart(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+            convention, types_of = context.call_conv, (signature.return_type, signature.args)
+            function = _codegen.get_or_insert_function(
+                builder.module, convention.get_function_type(*types_of), one.symbol
+            )
+            status, value = convention.call_function(builder, function, *types_of, values)
+            with _codegen.if_unlikely(builder, status.is_error):
+                convention.return_status_propagate(builder, status)
+            return _results.impl_ret_new_ref(context, builder, signature.return_type, value)
+
+        return one.ready().signature, apart
+
+    own = inspect.signature(python)
+    names = [inspect.Parameter("typing", inspect.Parameter.POSITIONAL_OR_KEYWORD), *own.parameters.values()]
+    definition.__signature__ = own.replace(parameters=names)  # type: ignore[attr-defined]  # numba reads it
+    call = intrinsic(definition)
+    _BY_ADDRESS[call] = one
+    return call
+
+
+def _elsewhere(function: Callable[..., Any]) -> tuple[_Elsewhere, ...]:
+    """Functions that a function, or one whose code is put into its own, calls by address."""
+    found: dict[_Elsewhere, None] = {}
+    for name in function.__code__.co_names:
+        value: Any = function.__globals__.get(name)
+        if _is_stand_in(value):
+            found[_BY_ADDRESS[value]] = None
+        elif hasattr(value, "py_func"):
+            found.update(dict.fromkeys(_elsewhere(value.py_func)))
+    return tuple(found)
+
+
+def _is_stand_in(value: Any) -> bool:
+    return any(value is known for known in _BY_ADDRESS)
+
+
+def _stamp(dispatcher: Any) -> Any:
+    return getattr(getattr(getattr(dispatcher, "_cache", None), "_cache_file", None), "_source_stamp", None)
 
 
 def _compiled_in(function: Callable[..., Any]) -> tuple[Any, ...]:
@@ -74,9 +178,10 @@ def _compiled_in(function: Callable[..., Any]) -> tuple[Any, ...]:
         value = function.__globals__.get(name)
         if isinstance(value, bool | int | float | str | tuple | np.generic):
             stamps.append((name, value))
+        elif _is_stand_in(value):
+            stamps.append((name, _BY_ADDRESS[value].symbol))
         elif hasattr(value, "py_func"):
-            file = getattr(getattr(value, "_cache", None), "_cache_file", None)
-            stamps.append((name, getattr(file, "_source_stamp", None)))
+            stamps.append((name, _stamp(value)))
     return tuple(stamps)
 
 
@@ -143,6 +248,8 @@ class _Sealed(_CacheFile):  # type: ignore[misc]
 
     def load(self, key: Any) -> Any:
         """Load compiled code; None if it is missing or damaged."""
+        for one in self._elsewhere:
+            one.ready()
         try:
             return super().load(key)
         except Exception:  # pickled by another version of its classes

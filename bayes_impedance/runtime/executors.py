@@ -17,6 +17,7 @@ from contextlib import contextmanager, suppress
 from functools import partial
 from threading import Event, Thread
 from typing import Any, TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -230,6 +231,8 @@ class Cluster(Executor):
     def __init__(self, client: Any) -> None:
         self.client = client
         self._tasks = client.get_executor(pure=False, retries=_RETRIES)
+        self._worker_of: WeakKeyDictionary[Any, str] = WeakKeyDictionary()
+        self._threads: dict[str, int] = {}
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Any:
         """Submit a task to any worker."""
@@ -246,8 +249,46 @@ class Cluster(Executor):
         return list(self.client.map(task, *columns, key=_name(function), pure=False, retries=_RETRIES))
 
     def ask(self, function: Callable[..., Result], rows: Sequence[Sequence[Any]], *shared: Any) -> list[Result]:
-        """Results of ``function(*row, *shared)`` for every row of kept data, computed where the data are."""
-        return list(self.client.gather(self.keep_each(function, rows, *shared)))
+        """Results of ``function(*row, *shared)`` for every row of kept data, computed where the data are.
+
+        A task costs milliseconds, so rows that are with one worker are given to it together, as many tasks as it has
+        threads. Each has a result of its own: what is made of them does not depend on who has which.
+        """
+        groups = self._together(rows)
+        answers = self.client.gather(
+            self.keep_each(partial(_over_lists, function, shared), [([rows[i] for i in own],) for own in groups])
+        )
+        results: list[Any] = [None] * len(rows)
+        for own, answer in zip(groups, answers, strict=True):
+            for i, result in zip(own, answer, strict=True):
+                results[i] = result
+        return results
+
+    def _together(self, rows: Sequence[Sequence[Any]]) -> list[list[int]]:
+        """Groups of rows whose first entries are with the same worker; a row whose worker is not known is alone.
+
+        Where data were is remembered: if they have moved, after the loss of a worker, Dask brings them together.
+        """
+        firsts = [row[0] for row in rows]
+        unknown = [first for first in firsts if hasattr(first, "key") and first not in self._worker_of]
+        if unknown:
+            places = self.client.who_has(unknown)
+            for first in unknown:
+                if place := tuple(places.get(first.key, ())):
+                    self._worker_of[first] = place[0]
+            self._threads = self.client.nthreads()
+        with_worker: dict[str, list[int]] = {}
+        groups: list[list[int]] = []
+        for i, first in enumerate(firsts):
+            worker = self._worker_of.get(first) if hasattr(first, "key") else None
+            if worker is None:
+                groups.append([i])
+            else:
+                with_worker.setdefault(worker, []).append(i)
+        for worker, own in with_worker.items():
+            pieces = min(max(self._threads.get(worker, 1), 1), len(own))
+            groups += [own[k::pieces] for k in range(pieces)]
+        return groups
 
     def ask_in_turn(self, function: Callable[..., Result], rows: Sequence[Sequence[Any]]) -> Iterator[Result]:
         """The same one by one, for results of which memory holds only one copy."""
@@ -298,6 +339,10 @@ class _OneThread:
         return self.function(*arguments, **named)
 
 
+def _over_lists(function: Callable[..., Result], shared: Sequence[Any], rows: Sequence[Sequence[Any]]) -> list[Result]:
+    return [function(*row, *shared) for row in rows]
+
+
 def _called(*row: Any, function: Callable[..., Result], shared: Sequence[Any]) -> Result:
     return function(*row, *shared)
 
@@ -305,7 +350,7 @@ def _called(*row: Any, function: Callable[..., Result], shared: Sequence[Any]) -
 def _name(function: Callable[..., Any]) -> str:
     """Name of a cluster's tasks of this kind, by which it records their durations."""
     while isinstance(function, partial):
-        function = function.args[0] if function.func is over_rows else function.func
+        function = function.args[0] if function.func in (over_rows, _over_lists) else function.func
     return getattr(function, "__name__", type(function).__name__)
 
 

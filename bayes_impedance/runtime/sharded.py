@@ -16,9 +16,11 @@ import numpy as np
 
 from bayes_impedance.runtime.executors import Cluster, Result, map_persons, over_rows, unchanged
 
-_MOST_PARTS, _SMALLEST_PART, _LARGEST_PART = 8, 128, 512
+_MOST_PARTS, _SMALLEST_PART, _LARGEST_PART, _MOST_LARGE_PARTS = 8, 128, 512, 256
 """Number of parts, and fewest and most persons in one. By choice: with fewer than 128 the milliseconds of overhead per
-task matter; with more than 512, workers are idle at the end, and a lost worker costs much."""
+task matter; with more than 512, workers are idle at the end, and a lost worker costs much. More than 256 parts are not
+made: beyond 131 072 persons parts grow instead, since each part costs every likelihood a tenth of a millisecond and
+more."""
 
 
 class Kept:
@@ -93,5 +95,5 @@ class Kept:
 
 def parts_of(n: int) -> list[slice]:
     """Slices of persons that form the parts; they depend on the number of persons alone."""
-    size = int(np.clip(-(-n // _MOST_PARTS), _SMALLEST_PART, _LARGEST_PART))
+    size = int(np.clip(-(-n // _MOST_PARTS), _SMALLEST_PART, max(_LARGEST_PART, -(-n // _MOST_LARGE_PARTS))))
     return [slice(start, min(start + size, n)) for start in range(0, n, size)]

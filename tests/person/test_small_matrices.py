@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayes_impedance.person.small_matrices import inverted
+from bayes_impedance.person.small_matrices import inverted, solved
 
 
 @pytest.mark.parametrize("n", [1, 2, 8, 19])
@@ -26,3 +26,19 @@ def test_inverse_and_determinant(n, condition):
 def test_what_is_not_positive_definite_gives_nan():
     assert np.isnan(inverted(np.array([[1.0, 2.0], [2.0, 1.0]])))
     assert np.isnan(inverted(np.array([[np.nan]])))
+
+
+@pytest.mark.parametrize("size", [1, 2, 8, 24])
+def test_solution_is_that_of_lapack_also_where_pivots_must_be_exchanged(size: int) -> None:
+    rng = np.random.default_rng(size)
+    a, b = rng.normal(size=(size, size)), rng.normal(size=size)
+    a[0, 0] = 0.0 if size > 1 else 1.0
+    before = a.copy(), b.copy()
+    assert solved(a, b) == pytest.approx(np.linalg.solve(a, b), rel=1e-9)
+    assert np.array_equal(a, before[0])
+    assert np.array_equal(b, before[1])
+
+
+def test_singular_matrix_has_no_solution() -> None:
+    with pytest.raises(np.linalg.LinAlgError, match="singular"):
+        solved(np.zeros((2, 2)), np.ones(2))

@@ -161,6 +161,36 @@ def test_a_cluster_that_loses_a_worker_gives_the_same(alone: PopulationFit, kept
     _require_same(alone, fit)
 
 
+def doubled(part: list[int], factor: int) -> int:
+    return factor * sum(part)
+
+
+def test_parts_that_are_with_one_worker_are_asked_together() -> None:
+    distributed = pytest.importorskip("distributed", reason="distributed is not installed (extra: dask)")
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50, processes=False
+        ) as cluster,
+        distributed.Client(cluster, set_as_default=False) as client,
+    ):
+        executor = Cluster(client)
+        parts = [executor.keep(list, range(k + 1)) for k in range(12)]
+        client.gather(parts)
+        kept, expected = Kept(executor, parts), [3 * sum(range(k + 1)) for k in range(12)]
+        workers = {w for who in client.who_has(parts).values() for w in who}
+        assert kept.ask(doubled, 3) == expected
+        assert len(executor._together([(part,) for part in parts])) == len(workers)
+        unborn = executor.keep(list, range(5))
+        assert executor.ask(doubled, [([1, 2],), (unborn,), (parts[1],)], 3) == [9, 30, 3]
+
+
+@pytest.mark.parametrize(("people", "parts"), [(1, 1), (1000, 8), (10_000, 20), (100_000, 196), (1_000_000, 256)])
+def test_many_people_have_few_parts(people: int, parts: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sharded, "_SMALLEST_PART", 128)
+    assert len(parts_of(people)) == parts
+    assert parts_of(people)[-1].stop == people
+
+
 def test_heavier_tails_on_a_cluster_are_the_same() -> None:
     """The weights of persons go to where their fits are, and the factors of their draws too."""
     distributed = pytest.importorskip("distributed", reason="distributed is not installed (extra: dask)")

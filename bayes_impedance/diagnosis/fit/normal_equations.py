@@ -21,7 +21,7 @@ import numpy as np
 from bayes_impedance.diagnosis.fit.model import Model
 from bayes_impedance.network.kernel import compiled
 from bayes_impedance.network.program import Program
-from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood, normal_equations
+from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood, equations_apart
 from bayes_impedance.person.mode import ROUNDING
 from bayes_impedance.runtime.broadcast import Lent
 
@@ -153,7 +153,11 @@ def _recordings(
     chi, gradient, information = np.empty(n), np.empty((n, p)), np.empty((n, p, p))
     for k in range(n):
         j = chosen[k]
-        chi[k], gradient[k], information[k] = normal_equations(program, u[k], omega, z[j], weight[j])
+        chi[k], own, curvature = equations_apart(program, u[k], omega, z[j], weight[j])
+        for a in range(p):
+            gradient[k, a] = own[a]
+            for b in range(p):
+                information[k, a, b] = curvature[a, b]
     return chi, gradient, information
 
 

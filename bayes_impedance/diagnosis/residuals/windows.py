@@ -43,6 +43,9 @@ _CALIBRATED_AT = 0.05
 """Upper tail probability of the null draws beyond which p-values follow the tail of a normal field. By choice: of 500
 draws the tail is then calibrated on 25."""
 
+_TEMPLATES_AT_ONCE = 256
+"""Templates whose draws are in memory at once. By choice: with 500 draws an array of them takes a megabyte."""
+
 _INDISTINCT, _ALIKE = 2.0, 6.0
 """Chi-square by which a narrower window may be worse, with the same shape and with another. By choice; the second is
 larger because elements absorb much of what distinguishes a constant from a slope over a wider window."""
@@ -271,35 +274,42 @@ def null_distributions(
     expected = np.diag(covariance)
     t = 2 * windows.window.size
     templates = windows.templates()[:, usable[:t]]
-    score = noise @ templates
-    score /= np.sqrt(np.maximum(np.sum(templates * (covariance @ templates), axis=0), 1e-300))
-    if pooled.persons == 1:
-        return Null(np.sort(np.abs(score).max(axis=1)), 2, score.shape[1]), Null(np.zeros(draws), 1, 1)
+    number, persons = templates.shape[1], pooled.persons
     area = _in_windows(expected, windows.inside)[usable[t:]]
-    energy = ((noise**2).reshape(draws, 2, -1) @ windows.inside).reshape(draws, -1)[:, usable[t:]]
-    square = np.concatenate([score**2, energy / area], axis=1)
-    between = _random_means(square, pooled.persons - 1, rng)
-    coherent = np.abs(score) / np.sqrt(np.maximum(between[:, : score.shape[1]], 1.0))
-    unit = np.concatenate([np.ones(score.shape[1]), area])
-    within, within_freedom = np.ones(1), np.full(unit.size, np.inf)
-    if noise_freedom:
-        within, within_freedom = _random_means(square, noise_freedom, rng), unit * noise_freedom
-        place = np.cumsum(usable[t:]) - 1  # of each window among the usable ones
-        home = score.shape[1] + place[windows.home()[usable[:t]]]
-        within[:, : home.size] = np.maximum(within[:, : home.size], within[:, home])
-        within_freedom[: home.size] = within_freedom[home]
-    ratio = normal_score(between / within, unit * (pooled.persons - 1), within_freedom)
-    return (
-        Null(np.sort(coherent.max(axis=1)), 2, score.shape[1]),
-        Null(np.sort(ratio.max(axis=1)), 1, ratio.shape[1]),
-    )
+    energy = ((noise**2).reshape(draws, 2, -1) @ windows.inside).reshape(draws, -1)[:, usable[t:]] / area
+    among_persons = _resampling(draws, persons - 1, rng) if persons > 1 else None
+    among_contrasts = _resampling(draws, noise_freedom, rng) if persons > 1 and noise_freedom else None
+    level, level_freedom = np.ones((1, area.size)), np.full(area.size, np.inf)
+    if among_contrasts is not None:
+        level, level_freedom = among_contrasts @ energy, area * noise_freedom
+    home = (np.cumsum(usable[t:]) - 1)[windows.home()[usable[:t]]]  # of each template, among the usable windows
+    largest, ratio = np.zeros(draws), np.full(draws, -np.inf)
+    for begin in range(0, number, _TEMPLATES_AT_ONCE):
+        some = slice(begin, begin + _TEMPLATES_AT_ONCE)
+        own = templates[:, some]
+        score = noise @ own
+        score /= np.sqrt(np.maximum(np.sum(own * (covariance @ own), axis=0), 1e-300))
+        if among_persons is None:
+            largest = np.maximum(largest, np.abs(score).max(axis=1))
+            continue
+        between, within = among_persons @ score**2, np.ones(1)
+        coherent = np.abs(score) / np.sqrt(np.maximum(between, 1.0))
+        largest = np.maximum(largest, coherent.max(axis=1))
+        if among_contrasts is not None:
+            within = np.maximum(among_contrasts @ score**2, level[:, home[some]])
+        normal = normal_score(between / within, np.full(own.shape[1], persons - 1.0), level_freedom[home[some]])
+        ratio = np.maximum(ratio, normal.max(axis=1))
+    if among_persons is None:
+        return Null(np.sort(largest), 2, number), Null(np.zeros(draws), 1, 1)
+    normal = normal_score(among_persons @ energy / level, area * (persons - 1), level_freedom)
+    ratio = np.maximum(ratio, normal.max(axis=1, initial=-np.inf))
+    return Null(np.sort(largest), 2, number), Null(np.sort(ratio), 1, number + area.size)
 
 
-def _random_means(rows: np.ndarray, size: int, rng: np.random.Generator) -> np.ndarray:
-    """Means over `size` random rows, as many as there are rows."""
-    n = rows.shape[0]
+def _resampling(n: int, size: int, rng: np.random.Generator) -> np.ndarray:
+    """Matrix (n, n) that takes n rows to n means over `size` random ones of them."""
     chosen = rng.integers(n, size=(n, size)) + n * np.arange(n)[:, None]
-    return np.asarray(np.bincount(chosen.ravel(), minlength=n * n).reshape(n, n) / size @ rows)
+    return np.bincount(chosen.ravel(), minlength=n * n).reshape(n, n) / size
 
 
 def visible(pooled: Pooled, windows: Windows, covariance: np.ndarray) -> np.ndarray:
