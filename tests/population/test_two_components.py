@@ -135,8 +135,9 @@ def test_both_ways_to_sum_over_groups_agree(monkeypatch):
     weights = marginal.log_weights(sets).astype(float)
     np.testing.assert_allclose(np.log(np.mean(np.exp(weights), axis=2)), terms, atol=1e-4)
     monkeypatch.setattr("bayes_impedance.population.importance_likelihood._CHUNK", 3 * 2 * 4 * 512)
-    np.testing.assert_array_equal(marginal.terms(sets)[0], terms)
-    np.testing.assert_array_equal(marginal.log_weights(sets), weights)
+    # Some processors sum products of single precision in another order where there are more of them.
+    np.testing.assert_allclose(marginal.terms(sets)[0], terms, atol=1e-6)
+    np.testing.assert_allclose(marginal.log_weights(sets), weights, atol=1e-4)
 
 
 @pytest.mark.parametrize("free", [(0, 1, 2), (0, 2)])
