@@ -1,0 +1,68 @@
+"""The network is searched anew beside what was added, where its elements were driven away."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from experiments import Experiment, entry, toy
+
+from bayes_impedance.diagnosis.catalogue.effect import Candidate, registered
+from bayes_impedance.diagnosis.fit.cold_start import driven_away
+from bayes_impedance.diagnosis.fit.extend import extended, extended_start
+from bayes_impedance.diagnosis.fit.refit import Refit
+from bayes_impedance.diagnosis.selection import far_starts
+from bayes_impedance.diagnosis.selection.far_starts import network_from_afar, of_the_chain
+
+NETWORK = "((r1|n1)-n2-r2)|((m1|r3)-r4)"
+CENTRES = {"r1": 27.7, "n1": 3.7e-4, "n2": 1.1e-4, "r2": 36.7, "m1": 0.045, "r3": 45.4, "r4": 13.5}
+MASS = -1.1e-4
+
+
+@pytest.fixture(scope="module")
+def world() -> Experiment:
+    return toy(
+        NETWORK, CENTRES, seed=4, n=10, noise=0.005, frequency_hz=np.geomspace(3.5, 1500, 80),
+        hidden=lambda s, z, _: (z + MASS * s, np.zeros(10)),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def right(world: Experiment) -> Refit:
+    """The mass beside the elements of the recordings without it."""
+    fit = world.fit()
+    model = extended(fit.model, Candidate(entry("rig.mass"), "port", {}), "shared", 0.0)
+    u, population = extended_start(fit, model)
+    names = model.network.elements
+    u[:, : len(names)] = np.log([CENTRES[name] for name in names])
+    u[:, len(names)] = MASS / entry("rig.mass").coefficients[0].scale(model.scales)
+    population.mu[:] = u[0, : len(names)]
+    return world.refitter.fit(model, u, population, 100)
+
+
+def test_elements_that_were_driven_away_come_back_beside_the_mass(world: Experiment, right: Refit) -> None:
+    rng = np.random.default_rng(1)
+    u, people = right.u.copy(), right.owner
+    for name in ("n2", "r2", "m1"):
+        u[:, right.model.network.elements.index(name)] += (-5 + 2 * rng.normal(size=people.max() + 1))[people]
+    lost = world.refitter.fit(right.model, u, right.population, 30)
+    assert driven_away(lost).any()
+    missing = right.evidence.sum() - lost.evidence.sum()
+    assert missing > 1000
+    again = network_from_afar(world.refitter, lost, 1, 60)
+    assert right.evidence.sum() - again.evidence.sum() < 0.02 * missing  # single people are searched afterwards
+    np.testing.assert_allclose(again.population.mu, right.population.mu, atol=0.3)
+
+
+def test_nothing_is_searched_where_everybody_has_the_elements(world: Experiment, right: Refit) -> None:
+    assert not driven_away(right).any()
+    assert network_from_afar(world.refitter, right, 1, 60) is right
+
+
+@pytest.mark.parametrize("off", [False, True])
+def test_masses_are_searched_from_afar_unless_the_network_describes_nothing(
+    world: Experiment, off: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(far_starts, "wholly_off", lambda _: off)
+    names = {candidate.effect.id for candidate in of_the_chain(world.fit(), registered())}
+    assert {"rig.delay", "rig.highpass", "rig.lowpass"} <= names
+    assert ({"rig.mass", "rig.stiffness", "rig.damping"} <= names) is not off
