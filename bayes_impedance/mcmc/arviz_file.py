@@ -153,6 +153,8 @@ def _as_netcdf(content: Mapping[str, Mapping[str, _Variable]], attributes: Mappi
                 if values.dtype.kind in "OSU":
                     group.create_variable(key, axes, h5py.string_dtype(), data=values.astype(object))
                     continue
+                if values.dtype.kind == "b":  # netCDF has none; this is how xarray writes them, and reads them again
+                    values, said = values.astype(np.int8), {**said, "dtype": "bool"}
                 packed = {"compression": "gzip", "compression_opts": 4, "shuffle": True} if axes else {}
                 missing = {"fillvalue": np.nan} if values.dtype.kind == "f" else {}
                 group.create_variable(key, axes, values.dtype, data=values, **packed, **missing).attrs.update(said)

@@ -30,3 +30,15 @@ def test_what_is_saved_comes_back(tmp_path: Path) -> None:
     assert attributes["seed"] == 3
     assert attributes["network"] == "m1|n1|r1"
     assert not list(tmp_path.glob("*.tmp"))
+
+
+def test_what_is_true_or_false_is_read_as_such(tmp_path: Path) -> None:
+    """netCDF has no such type."""
+    xarray = pytest.importorskip("xarray")
+    known = np.array([True, False, True])
+    save(tmp_path / "a.nc", {"posterior": {"mu": np.zeros((1, 2, 3))}, "constant_data": {"known": known}},
+         {"mu": ["element"], "known": ["element"]}, {"element": ["m1", "n1", "r1"]}, {})  # fmt: skip
+    groups, _, _ = load_groups(tmp_path / "a.nc")
+    np.testing.assert_array_equal(groups["constant_data"]["known"], known)
+    with xarray.open_dataset(tmp_path / "a.nc", group="constant_data", engine="h5netcdf") as data:
+        assert data["known"].dtype == bool
