@@ -103,11 +103,12 @@ def searched_alone(
     held, own = np.diag(np.where(free, np.maximum(rho, _REACH), HELD) ** -2.0), places.copy()
     searched = False
     for j in range(len(places)):
-        if not (everyone or worse[j] or sharp):
+        needed = everyone or bool(worse[j])
+        if not (needed or sharp):
             continue
         alone, around = likelihood.recording(j, rho.size), np.roll(places, -j, axis=0)
         across = other_gaps(kernel, alone, around, free)
-        if not (everyone or worse[j] or len(across)):
+        if not (needed or len(across)):
             continue
         searched = True
         starts = np.concatenate([around, centre[None], across])

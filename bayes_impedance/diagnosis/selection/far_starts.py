@@ -10,7 +10,12 @@ random starts, as a network is (:mod:`bayes_impedance.population.starting_fits`)
 together with x, at sizes of either sign from the smallest that the band shows to the largest. Everybody begins at the
 best of these. The same is done where the network has driven elements away from everybody's values
 (:func:`~bayes_impedance.diagnosis.fit.cold_start.driven_away`): there the derivative had the wrong sign for a
-high-pass, and refits from the network ended 900 nats behind the truth.
+high-pass, and refits from the network ended 900 nats behind the truth. There masses, springs and dampers of the rig are
+searched as well: a residual mass was not even among the candidates of the scan.
+
+Elements that were driven away do not return when the right effect is there. So beside an explanation that is about to
+be compared, and where one of several is left out, the network is searched in the same way, with the effects near their
+values (:func:`network_from_afar`).
 """
 
 from __future__ import annotations
@@ -39,7 +44,8 @@ _SMALLEST, _LARGEST = 0.1, 3.0
 and the largest, in units of what changes the other end. By choice: a smaller effect is seen by the scan."""
 
 _WHOLE_LOAD = 1.0
-"""Largest size of a mass, spring or damper of the rig: it is no larger than the whole load is."""
+"""Largest size of a mass, spring or damper of the rig, in units of the coefficient's scale. By choice: it is no larger
+than the whole load, beyond which it fits anything."""
 
 _STARTS = 48
 """Random starts of the elements for each size: with two signs 768 in all, as many as for the network."""

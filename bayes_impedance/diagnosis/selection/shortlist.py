@@ -308,7 +308,7 @@ def lookalike_trials(refitter: Refitter, fit: Refit, screening: Screening, leade
 
 
 def from_afar(refitter: Refitter, fit: Refit, effects: Sequence[Effect], seed: int) -> list[Trial]:
-    """Trials of delays and filters that do not begin at the network (:mod:`.far_starts`).
+    """Trials of effects of the rig that do not begin at the network (:mod:`.far_starts`).
 
     They are made if it does not describe the recordings at all, or has driven elements away from everybody's values.
     """

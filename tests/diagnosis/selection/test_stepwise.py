@@ -16,8 +16,9 @@ from experiments import MASS, TOY, Experiment, entry, toy
 
 from bayes_impedance.diagnosis.catalogue.effect import Candidate, Coefficient, Effect, register, unregister
 from bayes_impedance.diagnosis.fit.model import Addition
+from bayes_impedance.diagnosis.selection import stepwise
 from bayes_impedance.diagnosis.selection.score_scan import Screening
-from bayes_impedance.diagnosis.selection.shortlist import ALPHA
+from bayes_impedance.diagnosis.selection.shortlist import ALPHA, Trial
 from bayes_impedance.diagnosis.selection.step import SPREAD_PENALTY, Step
 from bayes_impedance.diagnosis.selection.stepwise import (
     MOST_ADDITIONS,
@@ -335,3 +336,29 @@ def test_as_many_as_may_be_found_with_structure_beside_them_are_no_list() -> Non
     assert is_no_list(way_of(MOST_ADDITIONS, -50.0))
     assert not is_no_list(way_of(MOST_ADDITIONS, np.log(0.5)))
     assert not is_no_list(way_of(MOST_ADDITIONS - 1, -50.0))
+
+
+def test_explanations_stay_where_only_the_fit_without_them_is_a_better_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What they gain counts from the better fit, and only what was not tried is refitted."""
+    delay, mass = entry("rig.delay"), entry("rig.mass")
+
+    def trial(effect: Effect, evidence: float, gain: float) -> Trial:
+        addition = SimpleNamespace(key=(effect.id, effect.form, "port"))
+        fit: Any = SimpleNamespace(evidence=evidence, model=SimpleNamespace(additions=(addition,)))
+        return Trial(Candidate(effect, "port", {}), "shared", fit, gain, True)
+
+    asked: list[Any] = []
+
+    def shortlisted(*arguments: Any) -> list[Trial]:
+        asked.append(arguments[-1])
+        return []
+
+    monkeypatch.setattr(stepwise, "log_evidence", lambda fit: fit.evidence)
+    monkeypatch.setattr(stepwise, "try_shortlist", shortlisted)
+    nothing: Any = None
+    better: Any = SimpleNamespace(evidence=-100.0)
+    known = (trial(delay, -50.0, 500.0), trial(mass, -120.0, 430.0))
+    trials, ranked = stepwise._explanations(nothing, better, nothing, [delay, mass], 1, None, known)
+    assert asked == [{(delay, "port"), (mass, "port")}]
+    assert [t.gain for t in trials] == [50.0, -20.0]
+    assert [t.effect for t in ranked] == [delay]  # the mass is no explanation any more
