@@ -21,7 +21,7 @@ EXTENDED_FOLDER = "extended"
 DIAGNOSIS_CHECKPOINT_FOLDER = "diagnosis_checkpoint"
 REPORT_FILE, DIAGNOSIS_FILE, VERDICT_FILE = "report.html", "diagnosis.html", "verdict.json"
 PICTURE_KINDS = ("svg", "png")
-FIT_FILES = ("result.nc", "summary.json", "seconds.json")
+FIT_FILES = ("result.nc", "summary.json", "seconds.json", "persons.parquet")
 
 
 @contextmanager

@@ -322,8 +322,12 @@ def _versions() -> dict[str, str]:
 
 
 def save_result(result: Result, folder: str | os.PathLike[str]) -> None:
-    """Write ``result.nc``, ``summary.json`` and ``seconds.json`` into a folder, each complete or not at all."""
+    """Write ``result.nc``, ``summary.json`` and ``seconds.json`` into a folder, each complete or not at all.
+
+    Of many people ``persons.parquet`` too (:mod:`bayes_impedance.results.persons_file`).
+    """
     from bayes_impedance.mcmc.arviz_file import save
+    from bayes_impedance.results.persons_file import write_persons
 
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -339,6 +343,7 @@ def save_result(result: Result, folder: str | os.PathLike[str]) -> None:
     )
     write_json(folder / SECONDS_FILE, result.summary.get("seconds", {}))
     write_json(folder / SUMMARY_FILE, {name: value for name, value in result.summary.items() if name != "seconds"})
+    write_persons(result, folder)
 
 
 def load_result(folder: str | os.PathLike[str]) -> Result:

@@ -71,7 +71,7 @@ def elements_table(result: Result) -> pd.DataFrame:
     return frame
 
 
-def persons_table(result: Result, intervals: bool = False) -> pd.DataFrame:
+def persons_table(result: Result, intervals: bool = False, rows: slice = slice(None)) -> pd.DataFrame:
     """Each person's elements and how well the network describes the person.
 
     Parameters
@@ -79,6 +79,8 @@ def persons_table(result: Result, intervals: bool = False) -> pd.DataFrame:
     result : Result
     intervals : bool
         Whether each element is followed by the ends of its 90 % interval (``_q05``, ``_q95``).
+    rows : slice
+        Of which subjects; all if not given.
 
     Returns
     -------
@@ -89,7 +91,7 @@ def persons_table(result: Result, intervals: bool = False) -> pd.DataFrame:
     """
     import pandas as pd
 
-    own = np.asarray(result.groups["posterior"]["person_log_elements"], dtype=float)
+    own = np.asarray(result.groups["posterior"]["person_log_elements"][:, :, rows], dtype=float)
     draws = own.reshape(-1, *own.shape[2:])
     low, middle, high = (values_of(result.parameters, np.quantile(draws, q, axis=0)) for q in INTERVAL)
     endings = {"": middle} | ({"_q05": low, "_q95": high} if intervals else {})
@@ -99,12 +101,12 @@ def persons_table(result: Result, intervals: bool = False) -> pd.DataFrame:
         for ending, values in endings.items()
     }
     frame = pd.DataFrame(
-        columns, index=pd.Index([str(s) for s in result.coords["subject"]], name="subject", dtype=object)
+        columns, index=pd.Index([str(s) for s in result.coords["subject"][rows]], name="subject", dtype=object)
     )
     units = {e + ending: result.element_unit(e) for e in result.elements for ending in endings}
     for name, unit in PERSON_UNITS.items():
         values = result.groups["constant_data"].get(name)
         if values is not None:
-            frame[name], units[name] = values, unit or result.attributes["unit"]
+            frame[name], units[name] = values[rows], unit or result.attributes["unit"]
     frame.attrs["units"] = units
     return frame

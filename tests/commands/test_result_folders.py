@@ -25,6 +25,7 @@ from bayes_impedance.errors import BusyError, InputError
 from bayes_impedance.plots import PICTURES
 from bayes_impedance.population.simulate import simulate_recordings
 from bayes_impedance.recordings.files import Recordings
+from bayes_impedance.results.persons_file import PERSONS_FILE
 from bayes_impedance.results.result import RESULT_FILE, SECONDS_FILE, SUMMARY_FILE
 from bayes_impedance.runtime.checkpoint import claim, save_arrays
 
@@ -44,7 +45,7 @@ def checkpoint_in(folder: Path) -> Path:
 
 def test_the_names_are_those_of_the_files_that_a_result_has() -> None:
     """They are written again in the module, so that the command line starts without the result's own module."""
-    assert FIT_FILES == (RESULT_FILE, SUMMARY_FILE, SECONDS_FILE)
+    assert FIT_FILES == (RESULT_FILE, SUMMARY_FILE, SECONDS_FILE, PERSONS_FILE)
     names = page_files()
     assert names[0] == REPORT_FILE
     assert len(names) == len(set(names)) == 1 + 2 * len(PICTURES)
