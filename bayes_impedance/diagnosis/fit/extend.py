@@ -157,7 +157,7 @@ def columns_kept(model: Model, kept: Sequence[int]) -> list[int]:
     return [*range(model.n_elements), *sorted(c for k in kept for c in model.columns(k))]
 
 
-def shrunk(refitter: Refitter, fit: Refit, model: Model, kept: Sequence[int]) -> Refit:
+def shrunk(refitter: Refitter, fit: Refit, model: Model, kept: Sequence[int], rounds: int = 40) -> Refit:
     """Refit of a model with fewer additions (their numbers in the parameters' names may differ), from `fit`."""
     columns = columns_kept(fit.model, kept)
     u = fit.u[:, columns]
@@ -170,7 +170,7 @@ def shrunk(refitter: Refitter, fit: Refit, model: Model, kept: Sequence[int]) ->
         covariance=population.covariance[np.ix_(positions, positions)],
         rho=population.rho[positions],
     )
-    return refitter.fit(model, u, smaller)
+    return refitter.fit(model, u, smaller, rounds)
 
 
 def dispersion_of_shared(fit: Refit, addition: int, seed: int) -> np.ndarray:

@@ -9,6 +9,10 @@ that was not chosen beside the others that are there now is left out, and one st
 them; if that describes more than what was found, the search goes on from there. A choice that was far ahead of
 everything else in comparison with what was found later is not made anew: such a step costs as much as the first.
 
+That step begins at the elements that people have beside the addition. In the fit without it they stand in for it, and
+refits from there do not arrive: where a law of the amplitude that explained 44 000 was left out, a hysteresis that
+explains more was not found.
+
 An addition that stood for an error of the wrong choice has no sense beside the right one: its coefficient may then have
 the wrong sign, with which nothing is chosen. Where a hysteresis had been taken for a damping that follows the
 amplitude, a resonator that mended that law had a negative mass beside the hysteresis, which could not be chosen though
@@ -17,8 +21,8 @@ it was 700 ahead. Such additions are removed, and the choice is made without the
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -26,6 +30,7 @@ from bayes_impedance.diagnosis.fit.coefficient_posterior import CoefficientPoste
 from bayes_impedance.diagnosis.fit.extend import columns_kept, rebuilt, shrunk, unphysical
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.lost_elements import lost_elements, with_lost_elements
+from bayes_impedance.diagnosis.fit.model import Model
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN, log_evidence
 from bayes_impedance.diagnosis.selection.far_starts import network_from_afar
@@ -50,6 +55,14 @@ class Way:
     posterior: CoefficientPosterior | None
 
 
+class StepFrom(Protocol):
+    """Makes one more step from a way."""
+
+    def __call__(self, way: Way, begin: Refit | None = None) -> Way:
+        """The longer way; explanations are screened and begin at `begin`, a fit of the way's model, if given."""
+        ...
+
+
 def without(refitter: Refitter, fit: Refit, addition: int, seed: int) -> Refit:
     """The fit of the model without one of its additions, from the fit with it.
 
@@ -57,11 +70,23 @@ def without(refitter: Refitter, fit: Refit, addition: int, seed: int) -> Refit:
     addition has driven elements away, all of the network's. A residual mass beside which a law of the amplitude had
     stood was 6300 behind, with the elements that it was left with, what it was with those of the network's search.
     """
-    kept = [k for k in range(len(fit.model.additions)) if k != addition]
-    smaller = shrunk(refitter, fit, rebuilt(fit.model, [fit.model.additions[k] for k in kept], kept), kept)
+    kept, model = _left(fit, addition)
+    smaller = shrunk(refitter, fit, model, kept)
     begin = fit.u[:, columns_kept(fit.model, kept)]
     smaller = with_lost_elements(refitter, smaller, begin, lost_elements(fit), _ROUNDS)
     return network_from_afar(refitter, smaller, seed, _ROUNDS)
+
+
+def _left(fit: Refit, addition: int) -> tuple[list[int], Model]:
+    """The other additions, and the model with them."""
+    kept = [k for k in range(len(fit.model.additions)) if k != addition]
+    return kept, rebuilt(fit.model, [fit.model.additions[k] for k in kept], kept)
+
+
+def _elements_kept(refitter: Refitter, fit: Refit, addition: int) -> Refit:
+    """The model without an addition, where everything else is as it is with it."""
+    kept, model = _left(fit, addition)
+    return shrunk(refitter, fit, model, kept, rounds=0)
 
 
 def pruned(way: Way, fit: Refit) -> Way:
@@ -73,7 +98,7 @@ def pruned(way: Way, fit: Refit) -> Way:
     return Way(way.base, fit, steps, None)
 
 
-def exchanged(refitter: Refitter, way: Way, step_from: Callable[[Way], Way], seed: int) -> tuple[Way, bool]:
+def exchanged(refitter: Refitter, way: Way, step_from: StepFrom, seed: int) -> tuple[Way, bool]:
     """Choose one addition anew beside the others, if that is better.
 
     Parameters
@@ -82,7 +107,7 @@ def exchanged(refitter: Refitter, way: Way, step_from: Callable[[Way], Way], see
     way : Way
         Of a search.
     step_from : callable
-        Makes one more step from a way.
+        Makes one more step from a way, beginning at a fit of its model if one is given.
     seed : int
 
     Returns
@@ -103,14 +128,16 @@ def exchanged(refitter: Refitter, way: Way, step_from: Callable[[Way], Way], see
         if _keys(step.before) < beside and _lead(step) > _FAR * max(later, LEAST_GAIN):
             continue
         others = (*made[:k], *made[k + 1 :])
-        begin = without(refitter, way.fit, _index(way.fit, _key(step)), seed)
-        anew = step_from(Way(way.base, begin, others, None))
+        left_out = _index(way.fit, _key(step))
+        smaller, begin = without(refitter, way.fit, left_out, seed), _elements_kept(refitter, way.fit, left_out)
+        anew = step_from(Way(way.base, smaller, others, None), begin=begin)
         new = anew.steps[len(others)]
         if senseless := _senseless_beside(new) & {_key(other) for other in others}:
             for key in senseless:
-                begin = without(refitter, begin, _index(begin, key), seed)
+                smaller = without(refitter, smaller, _index(smaller, key), seed)
+                begin = _elements_kept(refitter, begin, _index(begin, key))
             others = tuple(other for other in others if _key(other) not in senseless)
-            anew = step_from(Way(way.base, begin, others, None))
+            anew = step_from(Way(way.base, smaller, others, None), begin=begin)
             new = anew.steps[len(others)]
         if new.chosen is None:
             continue

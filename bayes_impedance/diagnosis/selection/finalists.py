@@ -23,7 +23,7 @@ from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import FEWEST_TO_VARY, LEAST_GAIN, log_evidence
 from bayes_impedance.diagnosis.selection.far_starts import network_from_afar
 from bayes_impedance.diagnosis.selection.score_scan import Screening
-from bayes_impedance.diagnosis.selection.shortlist import Trial, lookalike_trials
+from bayes_impedance.diagnosis.selection.shortlist import Trial, lookalike_trials, within_reach
 
 MOST = 4
 """Explanations that are refitted to convergence: each costs as much as all first refits together. In 31 steps with
@@ -83,6 +83,8 @@ def with_lookalikes(
         return []
     own = [
         _better_of(trial, _again(trial, _searched(refitter, trial.fit, seed), fit))  # as the leader is
+        if within_reach(trial, ranked[0].gain)
+        else trial
         for trial in lookalike_trials(refitter, fit, screening, ranked[0])
     ]
     return in_order([*ranked, *(t for t in own if t.physical and np.isfinite(t.gain))], effects)

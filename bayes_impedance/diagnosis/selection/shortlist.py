@@ -54,8 +54,8 @@ _FAR_BEHIND = 40.0
 
 _OUT_OF_REACH = 0.4
 """Share of the best gain that may be missing, if everybody were described as well as the median person, where an effect
-with poles of its own is still searched further: what has less than 0.6 of the best gain is no finalist
-(:mod:`.finalists`)."""
+with poles of its own, or one that looks like the leader, is still searched further: what has less than 0.6 of the best
+gain is no finalist (:mod:`.finalists`)."""
 
 
 @dataclass(frozen=True)
@@ -281,12 +281,17 @@ def _from_levels(refitter: Refitter, fit: Refit, screening: Screening, seed: int
     for candidate, size in best_levels(fit, screening.candidates):
         grown = from_level(refitter, fit, candidate, size, _FIRST_ROUNDS + _MORE_ROUNDS)
         trial = _from_cold(refitter, fit, _trial(candidate, "varying", grown, fit), _FIRST_ROUNDS + _MORE_ROUNDS)
-        if _hoped_for(trial) > best_gain - max(_FAR_BEHIND, _OUT_OF_REACH * best_gain):
+        if within_reach(trial, best_gain):
             # Whoever has a pole in the band begins on the wrong side of it.
             rested = _trial(candidate, "varying", refitter.settle(trial.fit, seed), fit)
             trial = max(trial, rested, key=lambda t: t.gain)
         found.append(trial)
     return found
+
+
+def within_reach(trial: Trial, best_gain: float) -> bool:
+    """Whether searching for better optima could bring a trial near the best gain."""
+    return _hoped_for(trial) > best_gain - max(_FAR_BEHIND, _OUT_OF_REACH * best_gain)
 
 
 def _hoped_for(trial: Trial) -> float:

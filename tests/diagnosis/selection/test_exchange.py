@@ -55,6 +55,11 @@ def without(monkeypatch: pytest.MonkeyPatch) -> None:
         del names[addition]
         return fit_of(*names)
 
+    def kept(_: Any, fit: Any, addition: int) -> Any:
+        fit = left(_, fit, addition, 0)
+        fit.kept = True
+        return fit
+
     evidence = {
         "rig.highpass+rig.resonance": 56.0,
         "rig.highpass+rig.delay": 2.0,
@@ -66,6 +71,7 @@ def without(monkeypatch: pytest.MonkeyPatch) -> None:
         f"{RESONATOR.id}+{HIGHPASS.id}": 0.0,
     }
     monkeypatch.setattr(exchange, "without", left)
+    monkeypatch.setattr(exchange, "_elements_kept", kept)
     monkeypatch.setattr(exchange, "log_evidence", lambda fit: evidence[fit.name])
     monkeypatch.setattr(exchange, "unphysical", lambda fit: [])
 
@@ -76,9 +82,11 @@ class OneStep:
     def __init__(self, effect: Effect | None) -> None:
         self.effect = effect
         self.asked: list[Any] = []
+        self.begun: list[Any] = []
 
-    def __call__(self, way: Any) -> Way:
+    def __call__(self, way: Any, begin: Any = None) -> Way:
         self.asked.append(way)
+        self.begun.append(begin)
         if self.effect is None:
             return Way(way.base, way.fit, (*way.steps, LAST), NOTHING)
         before = names_of(way.fit)
@@ -92,6 +100,7 @@ def test_what_is_better_beside_the_later_ones_takes_the_place_of_the_earlier_cho
     way, better = exchanged(NOTHING, WAY, step_from, 1)
     assert better
     assert [(names_of(w.fit), w.steps) for w in step_from.asked] == [((HIGHPASS.id,), (SECOND,))]
+    assert [(names_of(begin), begin.kept) for begin in step_from.begun] == [((HIGHPASS.id,), True)]
     assert names_of(way.fit) == (HIGHPASS.id, RESONANCE.id)
     assert way.posterior == cast(Any, "its own")
     first, second = way.steps
@@ -135,8 +144,9 @@ def test_what_has_the_wrong_sign_beside_the_best_is_removed_and_the_choice_made_
     best = replace(trial_of(RESONANCE, 90.0), fit=senseless, physical=False)
     asked = []
 
-    def step_from(way: Any) -> Way:
+    def step_from(way: Any, begin: Any = None) -> Way:
         asked.append(names_of(way.fit))
+        assert names_of(begin) == names_of(way.fit)
         if way.fit.name == HIGHPASS.id:
             found = step_of(trial_of(DELAY, 20.0, HIGHPASS.id), best, before=way.fit)
             return Way(way.base, fit_of(HIGHPASS.id, DELAY.id), (*way.steps, found), NOTHING)
