@@ -24,6 +24,7 @@ Each person's likelihood is expanded around an anchor, the mode under the first 
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -339,9 +340,10 @@ def fit_normal_population(likelihoods: PersonLikelihoods, design: np.ndarray, st
             clipped = step * (_LONGEST_STEP / float(np.abs(step).max()))
         step = clipped
         for _ in range(_MAX_HALVINGS):
-            trial = problem.fit(fit.structure.moved(step))
-            if trial.objective > fit.objective:
-                break
+            with suppress(np.linalg.LinAlgError):  # singular by rounding, where elements vary nearly together
+                trial = problem.fit(fit.structure.moved(step))
+                if trial.objective > fit.objective:
+                    break
             step = step / 2
         else:
             break

@@ -68,6 +68,24 @@ def test_the_fit_is_a_maximum_wherever_it_starts():
         np.testing.assert_allclose(fit.covariance, fits[0].covariance, atol=2e-3 * 0.09)
 
 
+def test_a_step_to_a_singular_covariance_is_shortened(monkeypatch):
+    rng = np.random.default_rng(5)
+    people = observed(rng, population(rng, 40, covariance(4), 0.0), informations(rng, 40, 4, unseen=1))
+    design, start = np.broadcast_to(np.eye(4), (40, 4, 4)), FullCovariance(0.9 * np.eye(4))
+    plain, moved, refused = fit_normal_population(people, design, start), FullCovariance.moved, []
+
+    def singular(self, step):
+        if np.abs(step).max() > 0.5:
+            refused.append(step)
+            return FullCovariance(-np.eye(4))
+        return moved(self, step)
+
+    monkeypatch.setattr(FullCovariance, "moved", singular)
+    fit = fit_normal_population(people, design, start)
+    assert refused
+    np.testing.assert_allclose(fit.covariance, plain.covariance, atol=2e-3 * 0.09)
+
+
 def test_huge_information_is_no_trouble():
     # 1e9 of information at log elements near -12: differences of 1e11 decide about numbers of order one.
     rng = np.random.default_rng(6)
