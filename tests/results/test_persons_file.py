@@ -34,6 +34,7 @@ def test_the_file_has_the_numbers_of_the_table(tmp_path: Path, monkeypatch: pyte
     assert file.read_bytes() == before
 
 
-def test_of_few_people_there_is_no_file(tmp_path: Path) -> None:
+def test_of_few_people_there_is_no_file_and_none_of_another_fit(tmp_path: Path) -> None:
+    (tmp_path / PERSONS_FILE).write_bytes(b"of a thousand people")
     assert write_persons(make_result(subjects=6), tmp_path) is None
     assert not list(tmp_path.iterdir())

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from experiments import entry, recovered, screened, toy
 
 from bayes_impedance.diagnosis.catalogue.effect import Candidate
 from bayes_impedance.diagnosis.fit.extend import extended, extended_start
+from bayes_impedance.diagnosis.selection import finalists
 from bayes_impedance.diagnosis.selection.compare import log_evidence
 from bayes_impedance.diagnosis.selection.lookalikes import MOST, from_the_leader, lookalikes
+from bayes_impedance.diagnosis.selection.shortlist import Trial
 
 R, TIME = 1.5, 3e-3
 
@@ -70,3 +75,24 @@ def test_a_lookalike_of_a_later_addition_keeps_the_earlier_ones(experiment) -> N
     )
     assert [a.effect.id for a in grown.model.additions] == ["rig.delay", "body.squeeze_film"]
     assert log_evidence(grown) - log_evidence(damped) > 0.8 * (log_evidence(leader) - log_evidence(damped))
+
+
+def test_only_what_could_come_near_the_leader_is_searched(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A lookalike with a tenth of the leader's gain is searched where one person is described a hundred times worse."""
+
+    def trial_of(gain: float, scales: list[float]) -> Any:
+        fit = SimpleNamespace(weight=np.array(scales) ** -2.0, data=[SimpleNamespace(count=200.0)] * len(scales))
+        candidate: Any = SimpleNamespace(effect=entry("body.mass"), place="port")
+        return Trial(candidate, "varying", fit, gain, True)  # type: ignore[arg-type]
+
+    leader, near, far = (trial_of(gain, [1.0, 1.0, 1.0]) for gain in (1000.0, 700.0, 100.0))
+    behind = trial_of(100.0, [1.0, 1.0, 100.0])
+    searched: list[Any] = []
+    nothing: Any = None
+    monkeypatch.setattr(finalists, "lookalike_trials", lambda *_: [near, far, behind])
+    monkeypatch.setattr(finalists, "_searched", lambda _, fit, __: searched.append(fit))
+    monkeypatch.setattr(finalists, "_again", lambda trial, *_: trial)
+    found = finalists.with_lookalikes(nothing, nothing, nothing, [leader], (), 1)
+    assert len(searched) == 2
+    assert all(a is b.fit for a, b in zip(searched, (near, behind), strict=True))
+    assert [trial.gain for trial in found] == [1000.0, 700.0, 100.0, 100.0]
