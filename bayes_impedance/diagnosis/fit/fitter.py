@@ -5,8 +5,8 @@ coefficients that differ between people), and shared ones. The population is
 
 .. math:: v_{ij} \sim N(v_i, R),\ R = \operatorname{diag}\rho^2, \qquad v_i \sim N(\mu, T).
 
-**People.** With the shared parameters held, one Gauss-Newton step per round solves for all :math:`v_{ij}` and
-:math:`v_i`: with :math:`A_{ij} = w_i H_{ij} + R^{-1}`,
+**People.** With the shared parameters held, one Gauss-Newton step per round (with the curvature of
+:mod:`.second_order`) solves for all :math:`v_{ij}` and :math:`v_i`: with :math:`A_{ij} = w_i H_{ij} + R^{-1}`,
 
 .. math:: K_i = T^{-1} + \sum_j (R^{-1} - R^{-1}A_{ij}^{-1}R^{-1}),
 
@@ -32,6 +32,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from bayes_impedance.diagnosis.fit.additions_step import move_additions
 from bayes_impedance.diagnosis.fit.few_frequencies import few_frequencies, worth_it
 from bayes_impedance.diagnosis.fit.model import Model, with_dispersions
 from bayes_impedance.diagnosis.fit.normal_equations import (
@@ -40,19 +41,25 @@ from bayes_impedance.diagnosis.fit.normal_equations import (
     Stack,
     counts,
     equations_at,
-    marginal,
-    quadratic,
     sums,
 )
 from bayes_impedance.diagnosis.fit.only_person import settled_alone
 from bayes_impedance.diagnosis.fit.outliers_alone import ends_of_outliers
 from bayes_impedance.diagnosis.fit.refit import Refit
-from bayes_impedance.diagnosis.fit.rounds import Layout, Plan, State, blocks_of, largest_of, maximised, means_of, rho_of
-from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood
-
-_LONGEST_STEP, _LONGEST_SHARE = 1.0, 0.3
-"""Largest step of the additions, in prior standard deviations or units of the coefficient, and as a share of it if that
-is more: a filter in the middle of the band has 100 units. By choice."""
+from bayes_impedance.diagnosis.fit.rounds import (
+    Layout,
+    Plan,
+    State,
+    blocks_of,
+    largest_of,
+    log_misfit,
+    maximised,
+    means_of,
+    objective,
+    rho_of,
+)
+from bayes_impedance.diagnosis.fit.second_order import SecondOrder
+from bayes_impedance.person.likelihood import Likelihood
 
 _ALONE_TRIES = 3
 """Starts of a round in which people who are described much worse than most are searched alone, as long as that finds
@@ -144,6 +151,7 @@ class Refitter:
             population=population,
             equations=equations_at(model, self.stack, u, self.executor),
             damping=np.full(len(self.data), _DAMPING),
+            second_order=SecondOrder.unknown(len(u), u.shape[1], len(self.data)),
         )
         state, left = self._with_few_frequencies(plan, state, rounds)
         if not state.settled:
@@ -178,51 +186,44 @@ class Refitter:
 
     def _sums_held(self, before: Equations, summed_up: Equations, after: Equations) -> bool:
         """Whether everybody's gain is what the summed-up recordings say it is."""
-        start, said, end = (self._log_misfit(own.chi) for own in (before, summed_up, after))
+        start, said, end = (log_misfit(self.layout, own.chi) for own in (before, summed_up, after))
         return bool(np.all(np.abs(said - end) <= np.maximum(_GAIN_ERROR, _GAIN_SHARE * np.abs(start - end))))
 
     def _evidence(self, model: Model, state: State) -> np.ndarray:
         """Log evidence of each person, shape (N,)."""
         v, undamped = state.u[:, ~model.shared], np.zeros(len(self.data))
         blocks = blocks_of(self.layout, model, state.equations, state.u, state.persons, state.population, undamped)
-        value = self._objective(model, state.equations.chi, v, state.persons, state.population)
+        value = objective(self.layout, model, state.equations.chi, v, state.persons, state.population)
         return np.asarray(-value - 0.5 * blocks.log_determinants(self.owner, model, state.population))
 
     def _rounds(self, plan: Plan, stack: Stack, state: State, most: int) -> tuple[State, int]:
         """At most so many rounds with the data of a stack, until the fit is at rest there; and how many were made."""
         model, n = plan.model, len(self.data)
         varying = ~model.shared
-        u, persons, population = state.u, state.persons, state.population
-        equations, damping = state.equations, state.damping
-        settled, used = False, 0
+        share, used = 1.0, 0
         moving = np.ones(n, dtype=bool)
         alone = plan.hold_population and not self.one_person and plan.hold_additions
-        while used < most and not settled:
+        state = replace(state, settled=False)
+        while used < most and not state.settled:
             used += 1
-            u, persons, equations, damping, steps = self._move_people(
-                model, stack, u, persons, equations, population, damping, moving
-            )
-            moved = float(steps.max())
+            state, steps = self._move_people(model, stack, state, moving)
+            moved, drift = float(steps.max()), 0.0
             if not plan.hold_additions:
-                u, persons, population, equations, step = self._move_additions(
-                    model, stack, u, persons, population, equations
-                )
+                state, share, step = move_additions(self.data, self.layout, stack, self.executor, model, state, share)
                 moved = max(moved, step)
-            drift = 0.0
             if not plan.hold_population or (self.one_person and self.repeated):
-                blocks = blocks_of(self.layout, model, equations, u, persons, population, np.zeros(n))
-                there, change = maximised(self.layout, model, u[:, varying], persons, blocks, population)
+                u, population = state.u, state.population
+                blocks = blocks_of(self.layout, model, state.equations, u, state.persons, population, np.zeros(n))
+                there, change = maximised(self.layout, model, u[:, varying], state.persons, blocks, population)
                 if plan.hold_population:
-                    population = replace(population, rho=there.rho)
+                    there = replace(population, rho=there.rho)
                 else:
-                    population, drift = there, change
-            settled = moved < plan.tolerance and drift < plan.tolerance
+                    drift = change
+                state = replace(state, population=there)
+            state = replace(state, settled=moved < plan.tolerance and drift < plan.tolerance)
             if alone:  # nothing that a person depends on changes any more; a step may be short because it is damped
-                moving &= ~((steps < plan.tolerance) & (damping <= _DAMPING))
-        reached = State(
-            u=u, persons=persons, population=population, equations=equations, damping=damping, settled=settled
-        )
-        return reached, used
+                moving &= ~((steps < plan.tolerance) & (state.damping <= _DAMPING))
+        return state, used
 
     def settle(self, fit: Refit, seed: int, tries: int = 6, rounds: int = 3, hold: bool = False) -> Refit:
         """Look for better optima of every person, from the median person and from draws, until none is found.
@@ -269,34 +270,16 @@ class Refitter:
             fit = self.fit(fit.model, best_u, fit.population, hold_population=hold, hold_additions=hold)
         return fit
 
-    def _objective(
-        self, model: Model, chi: np.ndarray, v: np.ndarray, persons: np.ndarray, population: Population
-    ) -> np.ndarray:
-        """Negative log posterior of each person, shape (N,)."""
-        value = self._log_misfit(chi)
-        delta = (v - persons[self.owner]) / rho_of(model, population)
-        value = value + 0.5 * np.bincount(self.owner, np.sum(delta**2, axis=1), minlength=len(self.data))
-        offset = persons - population.mu
-        return np.asarray(value + 0.5 * np.sum(offset * np.linalg.solve(population.covariance, offset.T).T, axis=1))
-
-    def _move_people(
-        self,
-        model: Model,
-        stack: Stack,
-        u: np.ndarray,
-        persons: np.ndarray,
-        equations: Equations,
-        population: Population,
-        damping: np.ndarray,
-        people: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray, Equations, np.ndarray, np.ndarray]:
+    def _move_people(self, model: Model, stack: Stack, state: State, people: np.ndarray) -> tuple[State, np.ndarray]:
         """A step of the parameters of some people (bool, (N,)), shortened where it would increase the objective.
 
-        The last value returned is the length of each person's step, in standard deviations; shape (N,).
+        Also returns the length of each person's step, in standard deviations; shape (N,).
         """
         varying, n = ~model.shared, len(self.data)
-        before = self._objective(model, equations.chi, u[:, varying], persons, population)
-        blocks = blocks_of(self.layout, model, equations, u, persons, population, damping)
+        u, persons, population, damping = state.u, state.persons, state.population, state.damping
+        equations, layout = state.equations, self.layout
+        before = objective(layout, model, equations.chi, u[:, varying], persons, population)
+        blocks = blocks_of(layout, model, equations, u, persons, population, damping, state.second_order)
         r = rho_of(model, population) ** -2.0
         free = np.einsum("mpq,mq->mp", blocks.inverse, blocks.pull)
         pulls = sums(r * (u[:, varying] - persons[self.owner]) + r * free, self.owner, n)
@@ -312,7 +295,7 @@ class Refitter:
             trial_u[np.ix_(rows, varying)] = u[np.ix_(rows, varying)] + (part[self.owner, None] * step_u)[rows]
             trial_v[moving] = (persons + part[:, None] * step_v)[moving]
             trial = equations_at(model, stack, trial_u, self.executor, moving, trial)
-            after = self._objective(model, trial.chi, trial_u[:, varying], trial_v, population)
+            after = objective(layout, model, trial.chi, trial_u[:, varying], trial_v, population)
             worse = moving & ~(after <= before + 1e-6)
             damping = np.where(worse, np.minimum(10 * damping, 1e6), damping)
             damping = np.where(moving & ~worse, np.maximum(damping / 3, 1e-9), damping)
@@ -325,64 +308,6 @@ class Refitter:
             trial_u[rows], trial_v[moving] = u[rows], persons[moving]
             trial = trial.with_rows(rows, equations)
         length = np.sqrt(np.maximum(np.einsum("np,npq,nq->n", step_v, blocks.precision, step_v), 0.0))
-        return trial_u, trial_v, trial, damping, np.where(people, length, 0.0)
-
-    def _move_additions(
-        self,
-        model: Model,
-        stack: Stack,
-        u: np.ndarray,
-        persons: np.ndarray,
-        population: Population,
-        equations: Equations,
-    ) -> tuple[np.ndarray, np.ndarray, Population, Equations, float]:
-        """A step of shared parameters and mean coefficients, with each person's response.
-
-        The last value returned is its size, in standard deviations.
-
-        The step descends on the data's part of the objective alone, so only that part is checked.
-        """
-        n_elements = model.n_elements
-        varying = ~model.shared[n_elements:]
-        h, d, response = quadratic(model, self.data, u, equations, population.covariance)
-        now = u[0, n_elements:].copy()
-        now[varying] = population.mu[n_elements:]
-        tau = np.zeros(now.size)
-        tau[varying] = np.sqrt(np.diag(population.covariance)[n_elements:])
-        target = marginal(model, h, d, tau)
-        step = target.mean - now
-        prior = np.array([p.prior_sd for p in model.parameters])
-        linear = np.array([p.is_coefficient for p in model.parameters])
-        longest = np.maximum(_LONGEST_STEP * np.minimum(prior, 1.0), _LONGEST_SHARE * np.abs(now) * linear)
-        step /= max(1.0, float(np.abs(step / longest).max()))
-        before = self._misfit(equations.chi)
-        # A well-determined coefficient does not follow the population's mean: dc_i/dmu = (1 + T D_cc)^-1.
-        follows = np.linalg.inv(np.eye(int(varying.sum())) + np.diag(tau[varying] ** 2) @ d[:, varying][:, :, varying])
-        for _ in range(6):
-            own = np.tile(step, (len(self.data), 1))
-            own[:, varying] = follows @ step[varying]
-            trial_u = u.copy()
-            trial_u[:, n_elements:] += own[self.owner]
-            trial_u[:, :n_elements] += np.clip(np.einsum("mea,ma->me", response, own[self.owner]), -1.0, 1.0)
-            trial = equations_at(model, stack, trial_u, self.executor)
-            if self._misfit(trial.chi) <= before + 0.5:
-                mu = population.mu.copy()
-                mu[n_elements:] += step[varying]
-                moved = persons.copy()
-                moved[:, n_elements:] += own[:, varying]
-                follow = trial_u[:, :n_elements] - u[:, :n_elements]
-                moved[:, :n_elements] += means_of(follow, self.owner, len(self.data))
-                shifted = replace(population, mu=mu, covariance=with_dispersions(model, population.covariance, mu))
-                length = float(np.sqrt(max(step @ target.precision @ step, 0.0)))
-                return trial_u, moved, shifted, trial, length
-            step = 0.3 * step
-        return u, persons, population, equations, 0.0
-
-    def _misfit(self, chi: np.ndarray) -> float:
-        value = float(np.sum(self._log_misfit(chi)))
-        return value if np.isfinite(value) else np.inf
-
-    def _log_misfit(self, chi: np.ndarray) -> np.ndarray:
-        """Negative log likelihood of each person, shape (N,)."""
-        total = np.bincount(self.owner, chi, minlength=len(self.data))
-        return np.asarray((SCALE_SHAPE + self.counts) * np.log(SCALE_SHAPE + 0.5 * total))
+        learned = state.second_order.after(self.owner, trial_u - u, equations, trial)
+        state = replace(state, u=trial_u, persons=trial_v, equations=trial, damping=damping, second_order=learned)
+        return state, np.where(people, length, 0.0)

@@ -12,6 +12,8 @@ import numpy as np
 
 from bayes_impedance.diagnosis.fit.model import Model
 from bayes_impedance.diagnosis.fit.normal_equations import Equations, Population, sums, weights_of
+from bayes_impedance.diagnosis.fit.second_order import SecondOrder
+from bayes_impedance.person.likelihood import SCALE_SHAPE
 from bayes_impedance.person.marginal_likelihood import LEAST_RHO
 from bayes_impedance.person.mode import ROUNDING
 from bayes_impedance.population.em_state import PRIOR_PERSONS, SMALLEST_DISPERSION
@@ -67,13 +69,14 @@ class Plan:
 
 @dataclass(frozen=True, kw_only=True)
 class State:
-    """Where a fit is: parameters, persons, population, equations at the parameters, and each person's damping."""
+    """Where a fit is: parameters, persons, population, equations there, each person's damping, and S of the steps."""
 
     u: np.ndarray
     persons: np.ndarray
     population: Population
     equations: Equations
     damping: np.ndarray
+    second_order: SecondOrder
     settled: bool = False
 
 
@@ -92,8 +95,9 @@ def blocks_of(
     persons: np.ndarray,
     population: Population,
     damping: np.ndarray,
+    second_order: SecondOrder | None = None,
 ) -> Blocks:
-    """From equations at u (M, P), everybody's v (N, V), and the damping of each person's step (N,)."""
+    """From equations at u (M, P), everybody's v (N, V), the damping of each person's step (N,), and their curvature."""
     owner, n = layout.owner, layout.counts.size
     varying = ~model.shared
     w = weights_of(owner, layout.counts, equations.chi)[owner]
@@ -101,6 +105,8 @@ def blocks_of(
     r = rho_of(model, population) ** -2.0
     diagonal = np.einsum("mpp->mp", h).copy()
     h[:, np.arange(r.size), np.arange(r.size)] += (damping[owner, None] + ROUNDING) * diagonal
+    if second_order is not None:
+        h += second_order.beside(h + np.diag(r), owner, w, varying)
     inverse = np.linalg.inv(h + np.diag(r))
     pull = -w[:, None] * equations.gradient[:, varying] - r * (u[:, varying] - persons[owner])
     kept = r[:, None] * inverse @ h  # R - R A^-1 R, without the difference of large numbers
@@ -138,6 +144,23 @@ def maximised(
     shift = np.abs(mu - population.mu) / sd
     stretch = np.abs(np.log(np.diag(covariance) / np.diag(population.covariance))) * 0.5
     return Population(mu, covariance, rho), float(max(shift.max(), stretch.max()))
+
+
+def log_misfit(layout: Layout, chi: np.ndarray) -> np.ndarray:
+    """Negative log likelihood of each person from the recordings' chi-squares, shape (N,)."""
+    total = np.bincount(layout.owner, chi, minlength=layout.counts.size)
+    return np.asarray((SCALE_SHAPE + layout.counts) * np.log(SCALE_SHAPE + 0.5 * total))
+
+
+def objective(
+    layout: Layout, model: Model, chi: np.ndarray, v: np.ndarray, persons: np.ndarray, population: Population
+) -> np.ndarray:
+    """Negative log posterior of each person, shape (N,)."""
+    delta = (v - persons[layout.owner]) / rho_of(model, population)
+    within = 0.5 * np.bincount(layout.owner, np.sum(delta**2, axis=1), minlength=layout.counts.size)
+    offset = persons - population.mu
+    between = 0.5 * np.sum(offset * np.linalg.solve(population.covariance, offset.T).T, axis=1)
+    return np.asarray(log_misfit(layout, chi) + within + between)
 
 
 def means_of(values: np.ndarray, owner: np.ndarray, n: int) -> np.ndarray:

@@ -7,7 +7,9 @@ fold, and the evidence of the people in it is computed under that population, th
 
 .. math:: \ln p(z_\text{block} \mid z_\text{rest}) = \ell_i(\text{all}) - \ell_i(\text{rest})
 
-under that population is each person's predictive density of the block, summed over blocks.
+under that population is each person's predictive density of the block, summed over blocks. With the block, elements
+begin where they are without it and where they were with all parameters free, and the better end counts: in a motor's
+recordings a block was 22 nats less likely with a damper that had stayed where the band without the block had left it.
 
 Both are differences between two models, person by person; the standard error of their sum is
 :math:`\sqrt{N}` times the standard deviation of these differences.
@@ -29,9 +31,9 @@ from bayes_impedance.person.likelihood import Likelihood
 BLOCKS = 8
 """Blocks of the band. By choice: a block of a three-decade sweep is then 0.4 decades, wider than a resonance."""
 
-_ROUNDS = 12
-"""Largest number of rounds of a refit without a fold or a block, which begins at the fit with it, near its end. By
-choice."""
+_ROUNDS = 40
+"""Largest number of rounds of a refit without a fold or a block. By choice: it begins near its end, but one that is
+left before it is at rest says that a block was foretold which was not."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +123,8 @@ def _blocks(refitter: Refitter, fit: Refit) -> np.ndarray:
         kept = [_without(d, edges[k], edges[k + 1]) for d in refitter.data]
         rest = Refitter(kept, refitter.executor, refitter.one_person)
         trained = rest.fit(fit.model, fit.u, fit.population, _ROUNDS)
-        density[:, k] = _under(refitter, fit, trained, trained.u) - trained.evidence
+        with_it = (_under(refitter, fit, trained, u) for u in (trained.u, fit.u))
+        density[:, k] = np.maximum(*with_it) - trained.evidence
     return density
 
 

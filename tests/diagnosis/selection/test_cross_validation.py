@@ -16,11 +16,13 @@ from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.model import build
 from bayes_impedance.diagnosis.fit.normal_equations import Population
 from bayes_impedance.diagnosis.fit.refit import Refit
+from bayes_impedance.diagnosis.selection import cross_validation
 from bayes_impedance.diagnosis.selection.cross_validation import (
     BLOCKS,
     FOLDS,
     _people,
     _without,
+    block_gains,
     held_out,
     people_gain,
 )
@@ -85,6 +87,19 @@ def test_people_alone_are_held_out_on_request_and_gain_the_same() -> None:
     assert alone.blocks is None
     assert alone.blocks_se is None
     assert alone.described == f"{FOLDS} subject folds"
+
+
+@pytest.mark.parametrize("bad", ["where they are without it", "where they were with all"])
+def test_with_a_block_the_better_of_two_starts_counts(monkeypatch: pytest.MonkeyPatch, bad: str) -> None:
+    experiment, before, after = compared("rig.mass", n=FEW)
+    plain, under = block_gains(experiment.refitter, before, after), cross_validation._under
+
+    def in_another_valley(refitter: Refitter, fit: Refit, trained: Refit, u: np.ndarray) -> np.ndarray:
+        lost = fit is after and np.array_equal(u, fit.u) == (bad == "where they were with all")
+        return under(refitter, fit, trained, u) - 20.0 * lost
+
+    monkeypatch.setattr(cross_validation, "_under", in_another_valley)
+    np.testing.assert_allclose(block_gains(experiment.refitter, before, after), plain, atol=0.05)
 
 
 class Noting(Refitter):
