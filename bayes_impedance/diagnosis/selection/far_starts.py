@@ -10,8 +10,9 @@ random starts, as a network is (:mod:`bayes_impedance.population.starting_fits`)
 together with x, at sizes of either sign from the smallest that the band shows to the largest. Everybody begins at the
 best of these. The same is done where the network has driven elements away from everybody's values
 (:func:`~bayes_impedance.diagnosis.fit.cold_start.driven_away`): there the derivative had the wrong sign for a
-high-pass, and refits from the network ended 900 nats behind the truth. There masses, springs and dampers of the rig are
-searched as well: a residual mass was not even among the candidates of the scan.
+high-pass, and refits from the network ended 900 nats behind the truth. There everything else that the rig may add is
+searched as well, with shapes anywhere in their grids: a residual mass was not even among the candidates of the scan,
+and a semi-inductance only after a resonator had been found in its place and the network beside that one was right.
 
 Elements that were driven away do not return when the right effect is there. So beside an explanation that is about to
 be compared, and where one of several is left out, the network is searched in the same way, with the effects near their
@@ -21,6 +22,7 @@ values (:func:`network_from_afar`).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -80,7 +82,7 @@ def wholly_off(fit: Refit) -> bool:
 
 
 def of_the_chain(fit: Refit, effects: Sequence[Effect]) -> list[Candidate]:
-    """Effects of the rig with one coefficient at the port that the model does not contain yet.
+    """Effects of the rig at the port that the model does not contain yet, with shapes in the middle of their grids.
 
     Of a network that does not describe the recordings at all only delays and filters: with more subtracted than the
     whole load, masses, springs and dampers fit recordings of anything, even complex conjugates.
@@ -88,13 +90,17 @@ def of_the_chain(fit: Refit, effects: Sequence[Effect]) -> list[Candidate]:
     any_kind = not wholly_off(fit)
     taken = {addition.key for addition in fit.model.additions}
     return [
-        Candidate(effect, place.name, {})
+        Candidate(effect, place.name, {c.name: _middle(c.values(fit.model.scales)) for c in effect.coefficients[1:]})
         for effect in effects
-        if effect.side == "rig" and effect.operation and len(effect.coefficients) == 1
+        if effect.side == "rig" and effect.operation
         if any_kind or _in_the_channels(effect)
         for place in effect.sites(fit.model.network)
         if (effect.id, effect.form, place.name) not in taken
     ]
+
+
+def _middle(values: Sequence[float]) -> float:
+    return sorted(values)[len(values) // 2]
 
 
 def _in_the_channels(effect: Effect) -> bool:
@@ -119,8 +125,13 @@ def refits_from_afar(refitter: Refitter, fit: Refit, candidate: Candidate, seed:
     model = extended(fit.model, candidate, "shared", 1.0)
     u, population = extended_start(fit, model)
     typical = _typical_person(fit, u.shape[1])
+    shapes = dict(zip(model.columns(len(model.additions) - 1)[1:], candidate.effect.coefficients[1:], strict=True))
     refits = []
     for end in _search(model, u, typical, candidate.effect, seed):
+        found = {c.name: float(c.value(end[column], model.scales)) for column, c in shapes.items()}
+        model = extended(
+            fit.model, replace(candidate, shape=found), "shared", 1.0
+        )  # the prior of shapes is around them
         begin = np.tile(end, (len(u), 1))
         around = population if refitter.one_person else population_around(population, end[: model.n_elements])
         refits.append(refitter.fit(model, begin, around, rounds))
@@ -187,17 +198,22 @@ def _expected(model: Model, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _search(model: Model, u: np.ndarray, typical: Likelihood, effect: Effect, seed: int) -> np.ndarray:
-    """Best end points of searches from random elements and all sizes of the last addition, shape (_ENDS, P)."""
+    """Best end points of searches from random elements, all sizes and shapes of the last addition; shape (_ENDS, P)."""
     scales = model.scales
     centre, sd = _expected(model, u)
-    (coefficient,) = model.columns(len(model.additions) - 1)
+    coefficient, *shapes = model.columns(len(model.additions) - 1)
     largest = _LARGEST * scales.high / scales.low if _in_the_channels(effect) else _WHOLE_LOAD
     sizes = np.geomspace(_SMALLEST, largest, _SIZES)
     if effect.signed:
         sizes = np.concatenate([sizes, -sizes])
     spread = np.where(sd == _ELEMENT_SD, _START_SPREAD, 0.0)
-    starts = centre + spread * np.random.default_rng(seed).normal(size=(sizes.size, _STARTS, centre.size))
+    rng = np.random.default_rng(seed)
+    starts = centre + spread * rng.normal(size=(sizes.size, _STARTS, centre.size))
     starts[..., coefficient] = sizes[:, None]
+    for column, shape in zip(shapes, effect.coefficients[1:], strict=True):
+        grid = np.array([shape.unbounded(value, scales) for value in shape.values(scales)])
+        starts[..., column] = rng.choice(grid, size=starts.shape[:2])
+        centre[column], sd[column] = grid.mean(), shape.prior_sd + np.ptp(grid)  # all of the grid is as likely
     centre[coefficient], sd[coefficient] = 0.0, sizes.max()  # all of these sizes are as likely
     prior = Prior(centre=centre, centre_sd=sd)
     return search_modes(model.kernel, typical, starts.reshape(-1, centre.size), prior, _ENDS)

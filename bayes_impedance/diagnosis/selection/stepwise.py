@@ -24,6 +24,7 @@ from bayes_impedance.diagnosis.fit.model import Addition
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN, compare, log_evidence
+from bayes_impedance.diagnosis.selection.deciding_people import where_few_decide
 from bayes_impedance.diagnosis.selection.exchange import Way, exchanged, pruned, without
 from bayes_impedance.diagnosis.selection.few_people import holds_beside
 from bayes_impedance.diagnosis.selection.finalists import EQUAL, MOST, SHARE, finalists, in_order, with_lookalikes
@@ -214,7 +215,8 @@ def _explanations(
     if not known:
         fresh += from_afar(refitter, fit, effects, seed)
         ranked = finalists(refitter, fit, fresh, effects, seed)
-        return fresh, with_lookalikes(refitter, fit, screening, ranked, effects, seed)
+        ranked = with_lookalikes(refitter, fit, screening, ranked, effects, seed)
+        return fresh, where_few_decide(refitter, fit, ranked, effects, seed)
     possible = [t for t in known if t.physical and np.isfinite(t.gain)]
     hopeful = [t for t in fresh if t.gain > max((k.gain for k in possible), default=-np.inf) * SHARE]
     ranked = finalists(refitter, fit, hopeful, effects, seed) if hopeful else []
@@ -222,7 +224,8 @@ def _explanations(
     for trial in sorted((*possible, *ranked), key=lambda t: -t.gain):
         best.setdefault(trial.fit.model.additions[-1].key, trial)
     enough = [t for t in best.values() if t.gain > LEAST_GAIN]
-    return [*known, *fresh], in_order(enough, effects)[:MOST] if enough else []
+    best_few = in_order(enough, effects)[:MOST] if enough else []
+    return [*known, *fresh], where_few_decide(refitter, fit, best_few, effects, seed)
 
 
 class _Contest:
@@ -239,6 +242,7 @@ class _Contest:
         self.refitter, self.fit, self.effects, self.seed = refitter, fit, effects, seed
         self.trials = list(ranked)
         self.measures: list[tuple[Trial, CoefficientPosterior]] = []
+        self.unmeasured = {trial.fit.model.additions[-1].key: trial.fit for trial in ranked}
 
     def leader(self) -> tuple[Trial | None, CoefficientPosterior | None]:
         """The best explanation, measured, and its posterior; None if there is none."""
@@ -251,9 +255,14 @@ class _Contest:
         return None, None
 
     def measure_rivals_of(self, chosen: Trial) -> None:
-        """Measure what cannot be told from the chosen explanation, before it is said so."""
+        """Measure what cannot be told from the chosen explanation, before it is said so.
+
+        That is decided with the dispersions that both had in the quick refits. Its own make the chosen one a little
+        better in everybody, and that would look like the agreement of all people.
+        """
+        equal = self.unmeasured.get(chosen.fit.model.additions[-1].key, chosen.fit)
         for trial in list(self.trials):
-            if all(known is not trial for known, _ in self.measures) and not compare(chosen.fit, trial.fit).decided:
+            if all(known is not trial for known, _ in self.measures) and not compare(equal, trial.fit).decided:
                 self._measure(trial)
 
     def among(self, trials: Sequence[Trial]) -> tuple[Trial, ...]:
