@@ -22,7 +22,8 @@ A is better than B if the difference exceeds :data:`LEAST_GAIN` and :data:`SCATT
 people: a gain in one person only is a local optimum of that person and not physics. People whose recordings are more
 precise, or who have more of an effect, gain more, and a few of them can be most of the sum and of its standard error: a
 resonator was 1823 ahead of a film of fluid, with an error of 920 over 70 people. So the same sum with everybody's
-difference clipped at :data:`CLIPPED` times the median of its absolute value may exceed its standard errors instead.
+difference clipped at :data:`CLIPPED` times the median of its absolute value may exceed its standard errors instead, if
+it exceeds :data:`LEAST_GAIN` as well: a hundredth in everybody is no agreement about the 33 of one person.
 
 **Which of two** explanations it is, once one of them is certain, is decided by less. If the better one is right, and
 the curves of the two are :math:`s_i` apart in person i, in units of the noise, the difference of log likelihood is
@@ -102,7 +103,7 @@ class Comparison:
     dependence : float
         Number of points that count as one, because structure remains in the residuals.
     typical : float
-        Sum of the clipped differences over its standard error.
+        Sum of the clipped differences over its standard error (:func:`typical_gain`).
     """
 
     difference: float
@@ -148,11 +149,13 @@ def _error_of_sum(own: np.ndarray) -> float:
 
 
 def typical_gain(own: np.ndarray) -> float:
-    """Sum of the clipped differences, in its standard errors."""
+    """Sum of the clipped differences, in its standard errors; at most zero if it does not exceed the least gain."""
     limit = CLIPPED * float(np.median(np.abs(own)))
     clipped = np.clip(own, -limit, limit)
-    error = _error_of_sum(clipped)
-    return float(clipped.sum() / error) if error > 0 else 0.0
+    total, error = float(clipped.sum()), _error_of_sum(clipped)
+    if not error > 0 or 0 < total <= LEAST_GAIN:
+        return 0.0
+    return total / error
 
 
 def log_evidence(fit: Refit) -> float:

@@ -69,7 +69,7 @@ def where_few_decide(
 
 
 def who_decides(difference: np.ndarray) -> np.ndarray:
-    """Numbers of the people without whom one explanation would not be better than another; none if most agree that it is.
+    """Numbers of the people without whom one explanation would not be better; none if most agree that it is.
 
     Parameters
     ----------

@@ -129,6 +129,13 @@ def test_one_persons_gain_is_none_of_all() -> None:
     assert typical_gain(gains) < 0
 
 
+def test_next_to_nothing_in_everybody_is_no_agreement_about_one_persons_gain() -> None:
+    gains = np.full(30, 0.01) + 0.002 * np.random.default_rng(4).normal(size=30)
+    gains[4] = 33.0
+    assert typical_gain(gains) == 0
+    assert typical_gain(100 * gains) > 5
+
+
 def test_clipped_differences_about_zero_exceed_two_standard_errors_by_chance_only() -> None:
     draws = np.random.default_rng(5).standard_cauchy(size=(4000, 25))
     share = np.mean([typical_gain(own) > 2 for own in draws])
