@@ -194,8 +194,8 @@ class Physics:
     frequencies_hz : tuple of float
         Points that are affected by hum.
     network, connection : str
-        Of unknown physics: notation of the network that stands in (empty for a sum of several), and its connection:
-        ``beside`` the place, in ``series`` with it, or ``instead`` of the whole claimed network.
+        Of unknown physics: notation of the network that stands in (empty for a sum of several, and if none does), and
+        its connection: ``beside`` the place, in ``series`` with it, or ``instead`` of the whole claimed network.
     """
 
     kind: Kind

@@ -206,6 +206,26 @@ def unknown_entry(unknown: Realised, named: int) -> Physics:
     )
 
 
+def unpredicted_entry() -> Physics:
+    """Entry for structure in the residuals that neither an effect nor a small network predicts."""
+    return Physics(
+        kind="unknown",
+        id="unknown",
+        name="physics outside the catalogue",
+        place="port",
+        side=None,
+        pooling="varying",
+        parameters={},
+        evidence=EvidenceOfEffect(None, None, None, None),
+        connection="beside",
+        formula="nothing that was tried",
+        story=(
+            "The residuals are not noise, but no effect of the catalogue and no small network that was tried predicts "
+            "recordings that were held out better than the network alone does."
+        ),
+    )
+
+
 def _whole_network(unknown: Realised) -> Physics:
     """Entry for a claimed network that lacks elements: the network that describes the recordings."""
     network = str(unknown.trial.fit.model.network)

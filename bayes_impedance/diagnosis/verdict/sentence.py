@@ -83,6 +83,8 @@ def _clause_of(sentence: str) -> str:
 def _clause(entry: Physics, unit: str) -> str:
     if entry.connection == "instead":
         return f"that the network lacks elements: {entry.network} describes the recordings"
+    if entry.kind == "unknown" and entry.evidence.elpd_gain is None:
+        return "something that no effect of the catalogue and no small network predicts"
     if entry.kind == "unknown":
         return f"an unknown effect at {_place(entry.place)}, represented by {entry.formula}"
     size = ""

@@ -23,10 +23,10 @@ from bayes_impedance.diagnosis.residuals.locate import Location
 from bayes_impedance.diagnosis.selection.cross_validation import HeldOut
 from bayes_impedance.diagnosis.selection.identifiability import felt
 from bayes_impedance.diagnosis.selection.stepwise import Found
-from bayes_impedance.diagnosis.selection.unnamed import Realised
+from bayes_impedance.diagnosis.selection.unnamed import ALPHA, Realised
 from bayes_impedance.diagnosis.types import Snapshot
 from bayes_impedance.diagnosis.verdict.electrical_words import electrical
-from bayes_impedance.diagnosis.verdict.entries import effect_entry, joint_of, unknown_entry
+from bayes_impedance.diagnosis.verdict.entries import effect_entry, joint_of, unknown_entry, unpredicted_entry
 from bayes_impedance.diagnosis.verdict.ranking import detection_limits
 from bayes_impedance.diagnosis.verdict.sentence import sentence
 from bayes_impedance.diagnosis.verdict.structure_entries import hum_entry, structure_entry
@@ -207,11 +207,13 @@ def make_verdict(
     seed : int
     """
     found, before, after = evidence.found, evidence.before, evidence.after
+    gross, partial = _shortcomings(recordings, evidence.final, evidence.unknown is not None)
     network, physics = found.base.model.network, _physics(recordings, evidence)
+    if not physics and not gross and not partial and _same_in_all(evidence.location):
+        physics = (unpredicted_entry(),)
     limits, hidden = detection_limits(found.base.model, found.steps[0].screening)
     effects = [entry for entry in physics if entry.kind == "effect"]
     differences = evidence.differences
-    gross, partial = _shortcomings(recordings, evidence.final, evidence.unknown is not None)
     verdict = Verdict(
         summary="",
         where=_where(evidence, physics),
@@ -248,6 +250,11 @@ def make_verdict(
     )
     verdict = electrical(verdict)
     return replace(verdict, summary=sentence(verdict, len(recordings.subjects)))
+
+
+def _same_in_all(location: Location) -> bool:
+    """Whether structure that people have in common remains: a person in another optimum has some of his own."""
+    return any(band.kind == "coherent" and band.p_value < ALPHA for band in location.bands)
 
 
 def _at_rest(evidence: Evidence) -> bool:

@@ -27,6 +27,7 @@ from bayes_impedance.diagnosis.verdict.model_bands import own_errors, snapshot
 from bayes_impedance.diagnosis.verdict.ranking import critical_z, detection_limits, ranking
 from bayes_impedance.diagnosis.verdict.structure_entries import hum_entry
 from bayes_impedance.diagnosis.verdict.verdict import Evidence, change_of, improvement, make_verdict, reach_of
+from bayes_impedance.diagnosis.verdict_file import from_json, to_json
 from bayes_impedance.diagnosis.verdict_types import BlockGain, ParameterDifference, Verdict
 from bayes_impedance.recordings.files import Recordings, Subject
 
@@ -185,6 +186,25 @@ def test_only_significant_differences_from_a_simulation_are_listed() -> None:
     verdict = verdict_with(differences=(sure, replace(sure, p_value=0.051)))
     assert verdict.parameters_differ == (sure,)
     assert verdict_with(differences=()).parameters_differ == ()
+
+
+def test_structure_that_nothing_predicts_is_not_called_noise() -> None:
+    look = found()
+    nothing = replace(look, final=look.base, steps=look.steps[:1], posterior=None)
+    changes: dict[str, Any] = {"found": nothing, "gains": (), "gain": None, "after": None}
+    verdict = verdict_with((300.0, 500.0), **changes)
+    (entry,) = verdict.physics
+    assert (entry.kind, entry.place, entry.network, entry.evidence.elpd_gain) == ("unknown", "port", "", None)
+    assert verdict.unexplained == entry
+    assert verdict.improvement is None
+    assert verdict.where.bands_hz == ((300.0, 500.0),)
+    assert "something that no effect of the catalogue and no small network predicts" in verdict.summary
+    assert from_json(to_json(verdict)).physics == verdict.physics
+    for other in ({"kind": "incoherent"}, {"p_value": 0.01}):  # people in other optima, chance
+        bands = tuple(replace(band, **other) for band in location().bands)
+        elsewhere = verdict_with(**changes, location=replace(location(), bands=bands))
+        assert not elsewhere.physics
+        assert elsewhere.summary.startswith("Nothing is missing")
 
 
 # ---------------------------------------------------------------- improvement and bands
