@@ -111,7 +111,7 @@ def _examine(fit: PopulationFit, effects: tuple[Effect, ...], executor: Executor
     refitter, base, names_of = _refitted(fit, executor)
     residuals = tuple(person_residuals(base, names_of, executor))
     location = locate(residuals, fit.seed)
-    step = Step(base, residuals, screen(base, residuals, effects, fit.seed, executor), (), None)
+    step = Step(before=base, residuals=residuals, screening=screen(base, residuals, effects, fit.seed, executor))
     misfit, bent, names = list[str](), dict[str, float](), list[str]()
     significant = step.log_p < np.log(ALPHA)
     if significant:

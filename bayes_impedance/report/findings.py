@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from bayes_impedance.diagnosis.selection.unnamed import ALPHA
 from bayes_impedance.diagnosis.verdict.sentence import body_of, gain_in_words
 from bayes_impedance.plots.missing_physics import people
 from bayes_impedance.units import hertz, scale_for, signed, significant, with_interval
@@ -22,6 +23,7 @@ POOLING = {
 }
 KINDS = {
     "nothing": "Nothing is missing",
+    "structure": "No effect was found",
     "found": "Physics is missing",
     "unknown": "Physics is missing that no known effect explains",
     "refused": "Not reliable",
@@ -75,11 +77,11 @@ class EffectCard:
 
 
 def kind_of_verdict(verdict: Verdict) -> str:
-    """Kind of a verdict: ``nothing``, ``found``, ``unknown`` or ``refused`` (not reliable)."""
+    """Kind of a verdict: ``nothing``, ``structure``, ``found``, ``unknown`` or ``refused`` (not reliable)."""
     if not verdict.reliable:
         return "refused"
     if not verdict.mismatch:
-        return "nothing"
+        return "structure" if verdict.located.p_value < ALPHA else "nothing"
     return "found" if any(entry.kind != "unknown" for entry in verdict.physics) else "unknown"
 
 

@@ -55,7 +55,7 @@ def where_few_decide(
         Of the draws.
     """
     trials = list(ranked)
-    if len(refitter.data) < FEWEST_PEOPLE:
+    if len(trials) < 2 or len(refitter.data) < FEWEST_PEOPLE:
         return trials
     for k in range(1, len(trials)):
         one, other = trials[0], trials[k]

@@ -16,7 +16,7 @@ SPREAD_PENALTY = float(np.log(100.0))
 similar. By choice."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Step:
     """One step of the forward selection.
 
@@ -32,13 +32,16 @@ class Step:
         All refits.
     chosen : Trial or None
         The addition of this step.
+    unpredictive : bool
+        Whether nothing was added because what describes these people better does not predict others.
     """
 
     before: Refit
     residuals: tuple[PersonResiduals, ...]
     screening: Screening
-    trials: tuple[Trial, ...]
-    chosen: Trial | None
+    trials: tuple[Trial, ...] = ()
+    chosen: Trial | None = None
+    unpredictive: bool = False
 
     @property
     def after(self) -> Refit:

@@ -23,7 +23,8 @@ from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.model import Addition
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
-from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN, compare, log_evidence
+from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, LEAST_GAIN, SCATTERS, compare, log_evidence
+from bayes_impedance.diagnosis.selection.cross_validation import people_gain
 from bayes_impedance.diagnosis.selection.deciding_people import where_few_decide
 from bayes_impedance.diagnosis.selection.exchange import Way, exchanged, pruned, without
 from bayes_impedance.diagnosis.selection.few_people import holds_beside
@@ -156,11 +157,11 @@ def _forward(
             screening = screen(fit, residuals, possible, seed, executor)
         else:
             screening = screen(begin, person_residuals(begin, names, executor), possible, seed, executor)
-        step = Step(fit, residuals, screening, (), None)
+        step = Step(before=fit, residuals=residuals, screening=screening)
         if number < most and step.log_p < np.log(ALPHA):
             trials, ranked = _explanations(refitter, fit, screening, possible, seed, begin, known)
             contest = _Contest(refitter, fit, ranked, possible, seed)
-            chosen, better = None, None
+            chosen, better, unpredictive = None, None, False
             for _ in range(_SECOND_CHANCES):
                 trial, measure = contest.leader()
                 if trial is None:
@@ -169,12 +170,14 @@ def _forward(
                 if better is not None:
                     break
                 better_than_without = compare(trial.fit, fit)
-                if better_than_without.decided and not (few and not holds_beside(refitter, fit, trial.fit, seed)):
+                decided = better_than_without.decided
+                if decided and (number == 0 or _earns_its_place(refitter, fit, trial.fit, seed, few)):
                     chosen, posterior = replace(trial, gain=better_than_without.difference), measure
                     contest.measure_rivals_of(chosen)
                     if max(other.gain for other in contest.trials) <= trial.gain + EQUAL:
                         break  # none of the rivals is ahead now that they are measured
                 else:
+                    unpredictive |= decided and not few
                     contest.drop(trial)
             if better is not None:  # no physics was missing: the smaller model had not converged
                 repeats += 1
@@ -182,7 +185,8 @@ def _forward(
                 fit = better
                 known = contest.among(trials)
                 continue
-            step = replace(step, trials=contest.among(trials), chosen=chosen)
+            unpredictive &= chosen is None
+            step = replace(step, trials=contest.among(trials), chosen=chosen, unpredictive=unpredictive)
         if begin is not None:
             begin = None
             if step.chosen is None:
@@ -193,6 +197,20 @@ def _forward(
         fit = step.chosen.fit
         number, known = number + 1, ()
     return Way(base, fit, tuple(steps), posterior)
+
+
+def _earns_its_place(refitter: Refitter, fit: Refit, grown: Refit, seed: int, few: bool) -> bool:
+    """Whether a further addition predicts what was held out: people, or frequencies of `few` people.
+
+    Structure that the first leaves has many ways to resemble some effect. One that does not predict would cost a step
+    more, and all choices made anew beside it, before its name is withdrawn.
+    """
+    if few:
+        return holds_beside(refitter, fit, grown, seed)
+    if len(refitter.data) < FEWEST_PEOPLE:
+        return True
+    gain, se = people_gain(refitter, fit, grown, seed)
+    return gain > SCATTERS * (se or 0.0)
 
 
 def _explanations(

@@ -60,10 +60,12 @@ class Realised:
 def structure_remains(found: Found, p_value: float) -> bool:
     """Whether a search leaves structure: in the residuals (p-value), or in the scores of candidates that it refused.
 
-    A search that ended at the largest number of additions has not tested what remains.
+    A search that ended at the largest number of additions has not tested what remains. What was refused because it
+    predicts nobody else is no structure.
     """
     last = found.steps[-1]
-    return bool(p_value < ALPHA or (last.log_p < np.log(ALPHA) and last.chosen is None))
+    refused = last.chosen is None and not last.unpredictive
+    return bool(p_value < ALPHA or (last.log_p < np.log(ALPHA) and refused))
 
 
 def branch_effects() -> tuple[Effect, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
+from bayes_impedance.diagnosis.selection.unnamed import ALPHA
 from bayes_impedance.diagnosis.verdict.electrical_words import UNIT
 from bayes_impedance.diagnosis.verdict_types import Physics, Verdict
 from bayes_impedance.units import number_with_unit as number
@@ -39,6 +40,13 @@ def sentence(verdict: Verdict, people: int) -> str:
         return (
             "No effect was found that is missing for all subjects, but the network does not describe every subject: "
             f"{_clause_of(verdict.shortcomings[0])}"
+        )
+    if not verdict.mismatch and verdict.located.p_value < ALPHA:
+        located = [(band.low_hz, band.high_hz) for band in verdict.located.bands]
+        where = f", mostly {_span(located)}" if located else ""
+        return (
+            f"No effect was found that is missing, but the residuals of {_people(people)} are not noise alone{where}: "
+            "somebody may be in another optimum of the network, or the noise is not what was estimated."
         )
     if not verdict.mismatch:
         return (

@@ -209,7 +209,8 @@ def make_verdict(
     found, before, after = evidence.found, evidence.before, evidence.after
     gross, partial = _shortcomings(recordings, evidence.final, evidence.unknown is not None)
     network, physics = found.base.model.network, _physics(recordings, evidence)
-    if not physics and not gross and not partial and _same_in_all(evidence.location):
+    withdrawn = found.steps[0].chosen is not None and not evidence.changed
+    if not physics and not gross and not partial and withdrawn and _same_in_all(evidence.location):
         physics = (unpredicted_entry(),)
     limits, hidden = detection_limits(found.base.model, found.steps[0].screening)
     effects = [entry for entry in physics if entry.kind == "effect"]

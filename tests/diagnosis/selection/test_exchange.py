@@ -37,7 +37,7 @@ def trial_of(effect: Effect, gain: float, *before: str) -> Trial:
 
 def step_of(chosen: Trial | None, *trials: Trial, before: Any = None) -> Step:
     every = trials if chosen is None else (chosen, *trials)
-    return Step(before or fit_of(), (), NOTHING, every, chosen)
+    return Step(before=before or fit_of(), residuals=(), screening=NOTHING, trials=every, chosen=chosen)
 
 
 FIRST = step_of(trial_of(RESONATOR, 100.0), trial_of(DELAY, 30.0))

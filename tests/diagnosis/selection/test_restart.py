@@ -109,7 +109,7 @@ def test_a_verdict_without_a_name_is_looked_at_again() -> None:
     with ThreadPoolExecutor(1) as executor:
         fitted = fit_network(recordings, None, 1, executor, quiet)
         screening = screen(fitted.fit, person_residuals(fitted.fit, recordings.names), candidates[:1], 1, executor)
-        step = Step(fitted.fit, (), screening, (), None)
+        step = Step(before=fitted.fit, residuals=(), screening=screening)
         begin = another_beginning(fitted, step, 0.0, 1, executor, quiet)
         high_pass, size = screening.candidates[0], float(screening.size[0])
 

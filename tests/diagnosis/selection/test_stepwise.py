@@ -266,6 +266,16 @@ def test_rivals_are_other_explanations_with_how_far_they_are_behind() -> None:
 # Step and Found
 
 
+def test_a_further_effect_that_predicts_nobody_else_is_not_added(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stepwise, "people_gain", lambda *_: (1.9, 1.0))
+    result = searched(experiment_with(("varying mass", "high-pass"), 1, 20), [entry(name) for name in LIST])
+    assert len(result.final.model.additions) == 1
+    last = result.steps[-1]
+    assert last.chosen is None
+    assert last.unpredictive
+    assert not result.steps[0].unpredictive
+
+
 def step_with(rows: Sequence[tuple[str, float, float, float]], effective: float = 1.0) -> Step:
     """Of candidates given by effect, score, size and log p-value of the spread."""
     base = found(("shared mass",), 1).base
@@ -283,7 +293,7 @@ def step_with(rows: Sequence[tuple[str, float, float, float]], effective: float 
         visible=np.ones(n),
         effective=effective,
     )
-    return Step(base, (), screening, (), None)
+    return Step(before=base, residuals=(), screening=screening)
 
 
 def test_the_p_value_of_a_step_is_that_of_its_best_possible_candidate() -> None:

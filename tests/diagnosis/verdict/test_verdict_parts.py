@@ -190,8 +190,9 @@ def test_only_significant_differences_from_a_simulation_are_listed() -> None:
 
 def test_structure_that_nothing_predicts_is_not_called_noise() -> None:
     look = found()
-    nothing = replace(look, final=look.base, steps=look.steps[:1], posterior=None)
-    changes: dict[str, Any] = {"found": nothing, "gains": (), "gain": None, "after": None}
+    withdrawn = replace(look, final=look.base, steps=look.steps[:1], posterior=None)
+    never = replace(withdrawn, steps=(replace(look.steps[0], chosen=None),))
+    changes: dict[str, Any] = {"found": withdrawn, "gains": (), "gain": None, "after": None}
     verdict = verdict_with((300.0, 500.0), **changes)
     (entry,) = verdict.physics
     assert (entry.kind, entry.place, entry.network, entry.evidence.elpd_gain) == ("unknown", "port", "", None)
@@ -200,11 +201,14 @@ def test_structure_that_nothing_predicts_is_not_called_noise() -> None:
     assert verdict.where.bands_hz == ((300.0, 500.0),)
     assert "something that no effect of the catalogue and no small network predicts" in verdict.summary
     assert from_json(to_json(verdict)).physics == verdict.physics
-    for other in ({"kind": "incoherent"}, {"p_value": 0.01}):  # people in other optima, chance
-        bands = tuple(replace(band, **other) for band in location().bands)
-        elsewhere = verdict_with(**changes, location=replace(location(), bands=bands))
-        assert not elsewhere.physics
-        assert elsewhere.summary.startswith("Nothing is missing")
+    people = tuple(replace(band, kind="incoherent") for band in location().bands)
+    for less in ({"found": never}, {"location": replace(location(), bands=people)}):  # may be people in other optima
+        verdict = verdict_with(**{**changes, **less})
+        assert not verdict.physics
+        assert verdict.summary.startswith("No effect was found that is missing, but the residuals")
+        assert "noise alone" in verdict.summary
+    verdict = verdict_with(**{**changes, "found": never, "location": replace(location(), bands=(), p_value=0.01)})
+    assert verdict.summary.startswith("Nothing is missing")
 
 
 # ---------------------------------------------------------------- improvement and bands
