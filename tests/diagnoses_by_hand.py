@@ -136,7 +136,7 @@ def verdict_of(physics: tuple[Physics, ...], network: str, after: str | None, **
             covariate=None,
         ),
         located=Located(
-            p_value=1e-9,
+            p_value=1e-9 if found else 0.4,
             bands=(),
             magnitude_share=0.1,
             subjects_p_value=1.0,
