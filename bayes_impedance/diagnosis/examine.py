@@ -43,13 +43,13 @@ from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.heterogeneity.subgroups import Subgroup
 from bayes_impedance.diagnosis.heterogeneity.tests import find_structures
+from bayes_impedance.diagnosis.multiple_testing import STRUCTURE_ALPHA
 from bayes_impedance.diagnosis.residuals.absolute_fit import badly_described, copies, far_off
 from bayes_impedance.diagnosis.residuals.locate import locate
 from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN
 from bayes_impedance.diagnosis.selection.score_scan import screen
 from bayes_impedance.diagnosis.selection.shortlist import ALPHA, best_shapes, poolings_for, try_candidate
 from bayes_impedance.diagnosis.selection.step import Step
-from bayes_impedance.diagnosis.selection.unnamed import ALPHA as STRUCTURE_ALPHA
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.population.fit import PopulationFit
 from bayes_impedance.population.map_error import without_map_noise

@@ -23,11 +23,12 @@ from bayes_impedance.diagnosis.fit.model import build
 from bayes_impedance.diagnosis.fit.normal_equations import Population
 from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
+from bayes_impedance.diagnosis.multiple_testing import STRUCTURE_ALPHA
 from bayes_impedance.diagnosis.residuals.locate import locate
 from bayes_impedance.diagnosis.residuals.missing_impedance import missing_one_ports
 from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, SCATTERS
 from bayes_impedance.diagnosis.selection.cross_validation import people_gain
-from bayes_impedance.diagnosis.selection.unnamed import ALPHA, stand_in_network
+from bayes_impedance.diagnosis.selection.unnamed import stand_in_network
 from bayes_impedance.network.notation import Network, parse
 from bayes_impedance.network.tree import Parallel, Series
 from bayes_impedance.person.likelihood import Likelihood
@@ -82,7 +83,7 @@ def grown_network(
     for _ in range(_MOST_BRANCHES):
         # With a further branch, elements that the claimed network has driven to nothing come back.
         residuals = person_residuals(fit, [names[i] for i in some], executor, returning=True)
-        if fit is not start and locate(residuals, seed).p_value >= ALPHA:
+        if fit is not start and locate(residuals, seed).p_value >= STRUCTURE_ALPHA:
             break
         branch = stand_in_network(small, fit, residuals, missing_one_ports(fit, residuals), seed, executor)
         if branch is None or (most is not None and _more(fit, start) > _OVERSHOOT * most):

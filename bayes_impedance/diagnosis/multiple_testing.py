@@ -13,6 +13,9 @@ from __future__ import annotations
 
 import numpy as np
 
+STRUCTURE_ALPHA = 1e-3
+"""P-value below which residuals have structure, and are not noise alone. By choice."""
+
 
 def bonferroni(p_value: float, tests: int) -> float:
     """The smallest p-value of a number of tests, corrected for that number."""

@@ -163,9 +163,9 @@ class MissingOnePort:
 
 
 def unexplained(diagnosis: Diagnosis) -> MissingOnePort | None:
-    """The remaining misfit that no effect of the catalogue describes, as a network; None if there is none."""
+    """The network that stands for what no effect of the catalogue describes; None if there is none."""
     entry = diagnosis.verdict.unexplained
-    if entry is None:
+    if entry is None or not entry.formula:
         return None
     return MissingOnePort(entry.place, entry.network, drawing(entry.network, {}, diagnosis))
 

@@ -6,8 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from bayes_impedance.diagnosis.selection.unnamed import ALPHA
-from bayes_impedance.diagnosis.verdict.sentence import body_of, gain_in_words
+from bayes_impedance.diagnosis.verdict.sentence import body_of, gain_in_words, only_structure
 from bayes_impedance.plots.missing_physics import people
 from bayes_impedance.units import hertz, scale_for, signed, significant, with_interval
 
@@ -81,7 +80,7 @@ def kind_of_verdict(verdict: Verdict) -> str:
     if not verdict.reliable:
         return "refused"
     if not verdict.mismatch:
-        return "structure" if verdict.located.p_value < ALPHA else "nothing"
+        return "structure" if only_structure(verdict) else "nothing"
     return "found" if any(entry.kind != "unknown" for entry in verdict.physics) else "unknown"
 
 

@@ -14,6 +14,7 @@ from said_and_recorded import NUMBER, contradictions, is_rounded, numbers, recor
 
 from bayes_impedance.commands.cli import main
 from bayes_impedance.diagnosis.types import Diagnosis
+from bayes_impedance.diagnosis.verdict.entries import unpredicted_entry
 from bayes_impedance.diagnosis.verdict.sentence import sentence
 from bayes_impedance.diagnosis.verdict_file import from_json, to_json
 from bayes_impedance.diagnosis.verdict_types import Parameter, Verdict
@@ -30,6 +31,11 @@ def verdicts() -> dict[str, Verdict]:
     """Of every kind: recorded ones, those by hand with their own sentence, and what is not to be relied on."""
     found = {name: from_json(record) for name, record in RECORDS.items()}
     found |= {f"{name} by hand": make_diagnosis(**options).verdict for name, options in VARIANTS.items()}
+    nothing, unknown = found["nothing by hand"], found["unknown by hand"]
+    found["structure"] = replace(nothing, located=replace(nothing.located, p_value=1e-9))
+    found["unpredicted"] = replace(
+        unknown, physics=(unpredicted_entry(),), network=(unknown.network[0],) * 2, improvement=None
+    )
     found |= {f"{name}, unreliable": replace(found[name], reliable=False) for name in ("nothing", "shared")}
     return {name: replace(verdict, summary=sentence(verdict, PEOPLE)) for name, verdict in found.items()}
 
@@ -132,10 +138,15 @@ def test_no_two_statements_contradict(name: str, tmp_path: Path, monkeypatch: An
     _, page = page_of(diagnosis_of(name), tmp_path)
     for words in (page.words, printed_of(name, tmp_path, monkeypatch, capsys)):
         assert contradictions(words) == []
-        assert ("to within their noise" in words) is (verdict.reliable and not verdict.mismatch)
+        nothing = verdict.reliable and not verdict.mismatch and name != "structure"
+        assert ("to within their noise" in words) is nothing
+        assert ("not noise alone" in words) is (name == "structure")
         assert ("The network leaves out" in words) is verdict.mismatch
-    if not verdict.reliable:
+    if not verdict.reliable or name == "structure":
         assert "Nothing is missing" not in page.words
+    if name == "unpredicted":
+        assert "smallest passive network" not in page.words
+        assert "no small network that was tried predicts" in page.words
 
 
 @pytest.mark.parametrize("name", ALL)

@@ -78,8 +78,8 @@ def move_additions(
     tau = np.zeros(now.size)
     tau[varying] = np.sqrt(np.diag(population.covariance)[a])
     target = marginal(model, h, d, tau)
-    force = target.precision @ (target.mean - now)
     whole = target.mean - now
+    force = target.precision @ whole
     prior = np.array([p.prior_sd for p in model.parameters])
     linear = np.array([p.is_coefficient for p in model.parameters])
     longest = np.maximum(_LONGEST_STEP * np.minimum(prior, 1.0), _LONGEST_SHARE * np.abs(now) * linear)

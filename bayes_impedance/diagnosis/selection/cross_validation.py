@@ -25,7 +25,7 @@ from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.normal_equations import Population
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.folds import FOLDS, person_folds
-from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE
+from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, SCATTERS
 from bayes_impedance.person.likelihood import Likelihood
 
 BLOCKS = 8
@@ -89,6 +89,11 @@ def people_gain(refitter: Refitter, before: Refit, after: Refit, seed: int) -> t
     fold = person_folds(len(refitter.data), seed)
     difference = _people(refitter, after, fold) - _people(refitter, before, fold)
     return float(difference.sum()), _se(difference)
+
+
+def clearly_gains(gain: float, standard_error: float | None) -> bool:
+    """Whether a gain on held-out people exceeds :data:`~.compare.SCATTERS` of its standard errors."""
+    return gain > SCATTERS * (standard_error or 0.0)
 
 
 def block_gains(refitter: Refitter, before: Refit, after: Refit) -> np.ndarray:

@@ -11,30 +11,19 @@ elements of the other one as well.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from bayes_impedance.diagnosis.catalogue.effect import Effect
-from bayes_impedance.diagnosis.fit.extend import is_physical
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.refit import Refit
-from bayes_impedance.diagnosis.selection.compare import (
-    CLIPPED,
-    FEWEST_PEOPLE,
-    SCATTERS,
-    log_evidence,
-    typical_gain,
-)
-from bayes_impedance.diagnosis.selection.finalists import EQUAL, SHARE, in_order
+from bayes_impedance.diagnosis.selection.compare import CLIPPED, FEWEST_PEOPLE, SCATTERS, typical_gain
+from bayes_impedance.diagnosis.selection.finalists import EQUAL, ROUNDS, SHARE, again, better_of, in_order
 from bayes_impedance.diagnosis.selection.shortlist import Trial
 
 _DRAWS = 12
 """Starts of each of these people from the population, half of them with the other explanation's elements. By choice: of
 ten draws two found the valley of the person above."""
-
-_ROUNDS = 40
-"""Largest number of rounds of a refit."""
 
 
 def where_few_decide(
@@ -65,7 +54,7 @@ def where_few_decide(
         behind, ahead = who_decides(difference), who_decides(-difference)
         trials[k] = _searched(refitter, fit, other, one, behind, seed)
         trials[0] = _searched(refitter, fit, one, other, ahead, seed)
-    return in_order(trials, effects) if trials else []
+    return in_order(trials, effects)
 
 
 def who_decides(difference: np.ndarray) -> np.ndarray:
@@ -77,10 +66,8 @@ def who_decides(difference: np.ndarray) -> np.ndarray:
         How much better the first describes each person, in log evidence.
     """
     if not np.all(np.isfinite(difference)) or difference.sum() <= 0 or typical_gain(difference) > SCATTERS:
-        limit = np.inf
-    else:
-        limit = max(EQUAL, CLIPPED * float(np.median(np.abs(difference))))
-    return np.flatnonzero(difference > limit)
+        return np.zeros(0, dtype=int)
+    return np.flatnonzero(difference > max(EQUAL, CLIPPED * float(np.median(np.abs(difference)))))
 
 
 def _searched(refitter: Refitter, fit: Refit, trial: Trial, other: Trial, people: np.ndarray, seed: int) -> Trial:
@@ -90,20 +77,18 @@ def _searched(refitter: Refitter, fit: Refit, trial: Trial, other: Trial, people
     grown, rng = trial.fit, np.random.default_rng(seed)
     varying, n = np.flatnonzero(~grown.model.shared), fit.model.n_elements
     factor = np.linalg.cholesky(grown.population.covariance)
-    copies = refitter.subset(np.repeat(people, _DRAWS))
-    rows = np.concatenate([np.flatnonzero(grown.owner == i) for i in np.repeat(people, _DRAWS)])
+    copied = np.repeat(people, _DRAWS)
+    copies, rows = refitter.subset(copied), np.concatenate([np.flatnonzero(grown.owner == i) for i in copied])
     draws = grown.population.mu + rng.normal(size=(people.size * _DRAWS, varying.size)) @ factor.T
     start = grown.u[rows]
     start[:, varying] = draws[copies.owner]
     half = copies.owner % 2 == 0
     start[half, :n] = other.fit.u[rows][half, :n]
-    ends = copies.fit(grown.model, start, grown.population, _ROUNDS, hold_population=True, hold_additions=True)
+    ends = copies.fit(grown.model, start, grown.population, ROUNDS, hold_population=True, hold_additions=True)
     evidence = np.nan_to_num(ends.evidence, nan=-np.inf).reshape(people.size, _DRAWS)
     better, u = evidence.max(axis=1) > grown.evidence[people] + EQUAL, grown.u.copy()
     if not better.any():
         return trial
     for i in np.flatnonzero(better):
         u[grown.owner == people[i]] = ends.u[copies.owner == i * _DRAWS + int(np.argmax(evidence[i]))]
-    again = refitter.fit(grown.model, u, grown.population, _ROUNDS)
-    gain = log_evidence(again) - log_evidence(fit)
-    return replace(trial, fit=again, gain=gain) if gain > trial.gain and is_physical(again) else trial
+    return better_of(trial, again(trial, refitter.fit(grown.model, u, grown.population, ROUNDS), fit))

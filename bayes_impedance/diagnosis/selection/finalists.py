@@ -40,7 +40,7 @@ _FIRST_SHARE, _FIRST_ROUNDS = 0.3, 8
 are chosen, and the rounds of that. By choice. A compliance of the rig whose refits began at the network's elements had
 two thirds of the gain of a diffusion layer; from that layer's elements it was 111 ahead."""
 
-_ROUNDS = 40
+ROUNDS = 40
 """Largest number of rounds of a refit that begins at the fit of another place: 11 of 12 converged."""
 
 
@@ -82,7 +82,7 @@ def with_lookalikes(
     if not ranked:
         return []
     own = [
-        _better_of(trial, _again(trial, _searched(refitter, trial.fit, seed), fit))  # as the leader is
+        better_of(trial, again(trial, _searched(refitter, trial.fit, seed), fit))  # as the leader is
         if within_reach(trial, ranked[0].gain)
         else trial
         for trial in lookalike_trials(refitter, fit, screening, ranked[0])
@@ -96,7 +96,7 @@ def _with_own_shapes(refitter: Refitter, fit: Refit, trial: Trial) -> Trial:
     if not varies or trial.pooling == "free" or not has_shapes(trial.effect):
         return trial
     model = with_pooling(trial.fit.model, len(trial.fit.model.additions) - 1, "free")
-    return _better_of(trial, _again(trial, refitter.fit(model, *extended_start(trial.fit, model), _ROUNDS), fit))
+    return better_of(trial, again(trial, refitter.fit(model, *extended_start(trial.fit, model), ROUNDS), fit))
 
 
 def _at_rest(
@@ -107,15 +107,15 @@ def _at_rest(
     Other effects also begin at the leader's elements: an element that the model without either had driven away may
     have come back beside one of them only.
     """
-    leader = _again(ranked[0], _searched(refitter, ranked[0].fit, seed), fit)
+    leader = again(ranked[0], _searched(refitter, ranked[0].fit, seed), fit)
     result = [leader]
     for trial in ranked[1:]:
         if trial.effect == leader.effect:
             model = with_pooling(trial.fit.model, len(trial.fit.model.additions) - 1, leader.pooling)
-            grown = refitter.fit(model, leader.fit.u, leader.fit.population, _ROUNDS)
-            result.append(_better_of(trial, _again(trial, grown, fit)))
+            grown = refitter.fit(model, leader.fit.u, leader.fit.population, ROUNDS)
+            result.append(better_of(trial, again(trial, grown, fit)))
         else:
-            trial = _beside(refitter, fit, trial, leader, _ROUNDS)
+            trial = _beside(refitter, fit, trial, leader, ROUNDS)
             result.append(_settled(refitter, fit, trial, seed, tries=2, rounds=1))
     result = in_order(result, effects)
     if result[0] is not leader:
@@ -128,7 +128,7 @@ def _beside(refitter: Refitter, fit: Refit, trial: Trial, leader: Trial, rounds:
     if trial.effect == leader.effect or trial.gain < _FIRST_SHARE * leader.gain:
         return trial
     beside = refitter.fit(trial.fit.model, *beside_the_leader(trial.fit, leader.fit), rounds)
-    return _better_of(trial, _again(trial, beside, fit))
+    return better_of(trial, again(trial, beside, fit))
 
 
 def _with_others_people(refitter: Refitter, fit: Refit, trial: Trial, trials: Sequence[Trial]) -> Trial:
@@ -156,7 +156,7 @@ def _with_others_people(refitter: Refitter, fit: Refit, trial: Trial, trials: Se
     if not taken.any():
         return trial
     start = np.where(taken[grown.owner, None], tried.u, grown.u)
-    return _better_of(trial, _again(trial, refitter.fit(grown.model, start, grown.population, _ROUNDS), fit))
+    return better_of(trial, again(trial, refitter.fit(grown.model, start, grown.population, ROUNDS), fit))
 
 
 def in_order(trials: Sequence[Trial], effects: Sequence[Effect]) -> list[Trial]:
@@ -170,22 +170,22 @@ def in_order(trials: Sequence[Trial], effects: Sequence[Effect]) -> list[Trial]:
 
 
 def _settled(refitter: Refitter, fit: Refit, trial: Trial, seed: int, tries: int, rounds: int) -> Trial:
-    return _better_of(trial, _again(trial, _searched(refitter, trial.fit, seed, tries, rounds), fit))
+    return better_of(trial, again(trial, _searched(refitter, trial.fit, seed, tries, rounds), fit))
 
 
 def _searched(refitter: Refitter, fit: Refit, seed: int, tries: int = 6, rounds: int = 3) -> Refit:
     """The fit after a search for better optima of the network, of people and of single recordings."""
-    fit = network_from_afar(refitter, fit, seed, _ROUNDS)
+    fit = network_from_afar(refitter, fit, seed, ROUNDS)
     return recordings_alone(refitter, refitter.settle(fit, seed, tries=tries, rounds=rounds))
 
 
-def _again(trial: Trial, grown: Refit, fit: Refit) -> Trial:
+def again(trial: Trial, grown: Refit, fit: Refit) -> Trial:
     """The trial with another fit of the same model; `fit` is that of the model without the addition."""
     pooling = grown.model.additions[-1].pooling
     gain = log_evidence(grown) - log_evidence(fit)
     return replace(trial, pooling=pooling, fit=grown, gain=gain, physical=is_physical(grown))
 
 
-def _better_of(old: Trial, new: Trial) -> Trial:
+def better_of(old: Trial, new: Trial) -> Trial:
     """The new trial if it is physical and gains more, else the old one."""
     return new if new.physical and new.gain > old.gain else old

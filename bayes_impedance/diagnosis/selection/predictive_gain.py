@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.model import Addition
-from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, SCATTERS
-from bayes_impedance.diagnosis.selection.cross_validation import held_out, people_gain
+from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE
+from bayes_impedance.diagnosis.selection.cross_validation import clearly_gains, held_out, people_gain
 from bayes_impedance.diagnosis.selection.identifiability import without
 from bayes_impedance.diagnosis.selection.stepwise import Found
 
@@ -53,7 +53,7 @@ def names_that_predict(refitter: Refitter, found: Found, seed: int) -> tuple[Fou
 
 
 def _enough(gain: float, se: float | None, is_first: bool) -> bool:
-    return gain > 0 and (is_first or gain > SCATTERS * (se or 0.0))
+    return gain > 0 and (is_first or clearly_gains(gain, se))
 
 
 def _own(found: Found) -> tuple[Addition, ...]:

@@ -23,8 +23,8 @@ from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.model import Addition
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
-from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, LEAST_GAIN, SCATTERS, compare, log_evidence
-from bayes_impedance.diagnosis.selection.cross_validation import people_gain
+from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN, compare, log_evidence
+from bayes_impedance.diagnosis.selection.cross_validation import clearly_gains, people_gain
 from bayes_impedance.diagnosis.selection.deciding_people import where_few_decide
 from bayes_impedance.diagnosis.selection.exchange import Way, exchanged, pruned, without
 from bayes_impedance.diagnosis.selection.few_people import holds_beside
@@ -207,10 +207,7 @@ def _earns_its_place(refitter: Refitter, fit: Refit, grown: Refit, seed: int, fe
     """
     if few:
         return holds_beside(refitter, fit, grown, seed)
-    if len(refitter.data) < FEWEST_PEOPLE:
-        return True
-    gain, se = people_gain(refitter, fit, grown, seed)
-    return gain > SCATTERS * (se or 0.0)
+    return clearly_gains(*people_gain(refitter, fit, grown, seed))
 
 
 def _explanations(

@@ -18,15 +18,13 @@ from bayes_impedance.diagnosis.catalogue.effect import Effect
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
 from bayes_impedance.diagnosis.fit.refit import Refit
-from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, FEWEST_TO_VARY, LEAST_GAIN, SCATTERS
-from bayes_impedance.diagnosis.selection.cross_validation import held_out, people_gain
+from bayes_impedance.diagnosis.multiple_testing import STRUCTURE_ALPHA
+from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, FEWEST_TO_VARY, LEAST_GAIN
+from bayes_impedance.diagnosis.selection.cross_validation import clearly_gains, held_out, people_gain
 from bayes_impedance.diagnosis.selection.score_scan import screen
 from bayes_impedance.diagnosis.selection.shortlist import Trial, best_shapes, try_candidate
 from bayes_impedance.diagnosis.selection.stepwise import Found
 from bayes_impedance.diagnosis.types import OnePort
-
-ALPHA = 1e-3
-"""P-value below which structure counts as remaining. By choice."""
 
 BRANCHES = ("m", "n", "r", "n|r", "m-r", "n-r", "m-(n|r)", "n-(m|r)", "(n-r)|(n-r)", "(n-r)-(m|r)")
 """Branches of one to four elements. By choice: with more elements, branches can no longer be told apart."""
@@ -65,7 +63,7 @@ def structure_remains(found: Found, p_value: float) -> bool:
     """
     last = found.steps[-1]
     refused = last.chosen is None and not last.unpredictive
-    return bool(p_value < ALPHA or (last.log_p < np.log(ALPHA) and refused))
+    return bool(p_value < STRUCTURE_ALPHA or (last.log_p < np.log(STRUCTURE_ALPHA) and refused))
 
 
 def branch_effects() -> tuple[Effect, ...]:
@@ -133,7 +131,7 @@ def stand_in_network(
     best = int(np.argmax([g for g, _ in gains]))
     total, se = gains[best]
     # A gain in a single person is that person's local optimum, not physics.
-    return Realised(good[best], total, se) if total > SCATTERS * (se or 0.0) else None
+    return Realised(good[best], total, se) if clearly_gains(total, se) else None
 
 
 def _numbered(branch: str) -> str:

@@ -218,7 +218,7 @@ def unpredicted_entry() -> Physics:
         parameters={},
         evidence=EvidenceOfEffect(None, None, None, None),
         connection="beside",
-        formula="nothing that was tried",
+        formula="",
         story=(
             "The residuals are not noise, but no effect of the catalogue and no small network that was tried predicts "
             "recordings that were held out better than the network alone does."

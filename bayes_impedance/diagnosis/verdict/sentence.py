@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from bayes_impedance.diagnosis.selection.unnamed import ALPHA
+from bayes_impedance.diagnosis.multiple_testing import STRUCTURE_ALPHA
 from bayes_impedance.diagnosis.verdict.electrical_words import UNIT
 from bayes_impedance.diagnosis.verdict_types import Physics, Verdict
 from bayes_impedance.units import number_with_unit as number
@@ -41,7 +41,7 @@ def sentence(verdict: Verdict, people: int) -> str:
             "No effect was found that is missing for all subjects, but the network does not describe every subject: "
             f"{_clause_of(verdict.shortcomings[0])}"
         )
-    if not verdict.mismatch and verdict.located.p_value < ALPHA:
+    if only_structure(verdict):
         located = [(band.low_hz, band.high_hz) for band in verdict.located.bands]
         where = f", mostly {_span(located)}" if located else ""
         return (
@@ -74,6 +74,11 @@ def sentence(verdict: Verdict, people: int) -> str:
     return text + "."
 
 
+def only_structure(verdict: Verdict) -> bool:
+    """Whether nothing is said to be missing, although the residuals have structure."""
+    return not verdict.mismatch and verdict.located.p_value < STRUCTURE_ALPHA
+
+
 def gain_in_words(gain: float, error: float | None) -> str:
     """How a gain in log predictive density compares with its standard error."""
     if error is None or not error > 0:
@@ -91,7 +96,7 @@ def _clause_of(sentence: str) -> str:
 def _clause(entry: Physics, unit: str) -> str:
     if entry.connection == "instead":
         return f"that the network lacks elements: {entry.network} describes the recordings"
-    if entry.kind == "unknown" and entry.evidence.elpd_gain is None:
+    if entry.kind == "unknown" and not entry.formula:
         return "something that no effect of the catalogue and no small network predicts"
     if entry.kind == "unknown":
         return f"an unknown effect at {_place(entry.place)}, represented by {entry.formula}"

@@ -18,12 +18,13 @@ from bayes_impedance.diagnosis.folds import FOLDS
 from bayes_impedance.diagnosis.heterogeneity.gain import HELD_OUT
 from bayes_impedance.diagnosis.heterogeneity.tests import Structure
 from bayes_impedance.diagnosis.hum.line import Hum
+from bayes_impedance.diagnosis.multiple_testing import STRUCTURE_ALPHA
 from bayes_impedance.diagnosis.residuals.absolute_fit import badly_described, copies, far_off, no_impedance
 from bayes_impedance.diagnosis.residuals.locate import Location
 from bayes_impedance.diagnosis.selection.cross_validation import HeldOut
 from bayes_impedance.diagnosis.selection.identifiability import felt
 from bayes_impedance.diagnosis.selection.stepwise import Found
-from bayes_impedance.diagnosis.selection.unnamed import ALPHA, Realised
+from bayes_impedance.diagnosis.selection.unnamed import Realised
 from bayes_impedance.diagnosis.types import Snapshot
 from bayes_impedance.diagnosis.verdict.electrical_words import electrical
 from bayes_impedance.diagnosis.verdict.entries import effect_entry, joint_of, unknown_entry, unpredicted_entry
@@ -255,7 +256,7 @@ def make_verdict(
 
 def _same_in_all(location: Location) -> bool:
     """Whether structure that people have in common remains: a person in another optimum has some of his own."""
-    return any(band.kind == "coherent" and band.p_value < ALPHA for band in location.bands)
+    return any(band.kind == "coherent" and band.p_value < STRUCTURE_ALPHA for band in location.bands)
 
 
 def _at_rest(evidence: Evidence) -> bool:

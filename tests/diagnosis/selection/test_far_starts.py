@@ -11,7 +11,7 @@ from bayes_impedance.diagnosis.fit.cold_start import driven_away
 from bayes_impedance.diagnosis.fit.extend import extended, extended_start
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection import far_starts
-from bayes_impedance.diagnosis.selection.far_starts import network_from_afar, of_the_chain
+from bayes_impedance.diagnosis.selection.far_starts import network_from_afar, of_the_chain, refits_from_afar
 
 NETWORK = "((r1|n1)-n2-r2)|((m1|r3)-r4)"
 CENTRES = {"r1": 27.7, "n1": 3.7e-4, "n2": 1.1e-4, "r2": 36.7, "m1": 0.045, "r3": 45.4, "r4": 13.5}
@@ -24,6 +24,14 @@ def world() -> Experiment:
         NETWORK, CENTRES, seed=4, n=10, noise=0.005, frequency_hz=np.geomspace(3.5, 1500, 80),
         hidden=lambda s, z, _: (z + MASS * s, np.zeros(10)),
     )  # fmt: skip
+
+
+def shape_values_of(fit: Refit) -> list[float]:
+    """Values of the last addition's parameters."""
+    model, scales = fit.model, fit.model.scales
+    columns = model.columns(len(model.additions) - 1)
+    coefficients = model.additions[-1].effect.coefficients
+    return [float(c.value(fit.u[0, column], scales)) for c, column in zip(coefficients, columns, strict=True)]
 
 
 @pytest.fixture(scope="module")
@@ -65,4 +73,22 @@ def test_masses_are_searched_from_afar_unless_the_network_describes_nothing(
     monkeypatch.setattr(far_starts, "wholly_off", lambda _: off)
     names = {candidate.effect.id for candidate in of_the_chain(world.fit(), registered())}
     assert {"rig.delay", "rig.highpass", "rig.lowpass"} <= names
-    assert ({"rig.mass", "rig.stiffness", "rig.damping"} <= names) is not off
+    added = {"rig.mass", "rig.stiffness", "rig.damping", "rig.resonance", "rig.semi_inductance"}
+    assert (added <= names) is not off
+    assert not (off and added & names)
+
+
+def test_a_semi_inductance_is_found_from_elements_that_it_has_driven_away() -> None:
+    """Its exponent lies between values of the grid; its coefficient is that in the middle of the band."""
+    size, exponent = 2.0, 0.42
+    coil = toy(
+        NETWORK, CENTRES, seed=4, n=10, noise=0.005, frequency_hz=np.geomspace(3.5, 1500, 80),
+        hidden=lambda s, z, _: (z + size * s**exponent, np.zeros(10)),
+    )  # fmt: skip
+    fit = coil.fit()
+    (candidate,) = [c for c in of_the_chain(fit, registered()) if c.effect.id == "rig.semi_inductance"]
+    best = max(refits_from_afar(coil.refitter, fit, candidate, 1, 40), key=lambda g: float(g.evidence.sum()))
+    assert best.evidence.sum() > fit.evidence.sum() + 100
+    found = dict(zip(("coefficient", "exponent"), shape_values_of(best), strict=True))
+    assert found["exponent"] == pytest.approx(exponent, abs=0.02)
+    assert found["coefficient"] == pytest.approx(size * fit.model.scales.middle**exponent, rel=0.05)

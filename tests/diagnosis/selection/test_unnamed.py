@@ -14,13 +14,13 @@ from bayes_impedance.diagnosis.catalogue.effect import Candidate, shape_grid
 from bayes_impedance.diagnosis.fit.extend import extended
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
+from bayes_impedance.diagnosis.multiple_testing import STRUCTURE_ALPHA
 from bayes_impedance.diagnosis.residuals.missing_impedance import missing_one_ports
 from bayes_impedance.diagnosis.selection.score_scan import Screening
 from bayes_impedance.diagnosis.selection.shortlist import Trial
 from bayes_impedance.diagnosis.selection.step import Step
 from bayes_impedance.diagnosis.selection.stepwise import Found
 from bayes_impedance.diagnosis.selection.unnamed import (
-    ALPHA,
     BRANCHES,
     Realised,
     branch_effects,
@@ -101,7 +101,7 @@ def test_structure_remains_in_residuals_or_in_candidates_that_were_refused(
     first = Step(before=fit, residuals=(), screening=replace(screening, z=np.array([20.0])), chosen=named)
     last = Step(before=fit, residuals=(), screening=screening, chosen=trial)
     found = Found(fit, fit, (first, last), None)
-    p_value = 0.1 * ALPHA if in_residuals else 10 * ALPHA
+    p_value = 0.1 * STRUCTURE_ALPHA if in_residuals else 10 * STRUCTURE_ALPHA
     assert structure_remains(found, p_value) == (in_residuals or (in_scores and not ended_by_choice))
     predicts_nobody = Found(fit, fit, (first, replace(last, chosen=None, unpredictive=True)), None)
     assert structure_remains(predicts_nobody, p_value) == in_residuals
