@@ -91,7 +91,7 @@ def test_only_what_could_come_near_the_leader_is_searched(monkeypatch: pytest.Mo
     nothing: Any = None
     monkeypatch.setattr(finalists, "lookalike_trials", lambda *_: [near, far, behind])
     monkeypatch.setattr(finalists, "_searched", lambda _, fit, __: searched.append(fit))
-    monkeypatch.setattr(finalists, "_again", lambda trial, *_: trial)
+    monkeypatch.setattr(finalists, "again", lambda trial, *_: trial)
     found = finalists.with_lookalikes(nothing, nothing, nothing, [leader], (), 1)
     assert len(searched) == 2
     assert all(a is b.fit for a, b in zip(searched, (near, behind), strict=True))
