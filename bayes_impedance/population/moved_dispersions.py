@@ -51,9 +51,6 @@ and by how much the range of the rest is widened. By choice: with the other disp
 BEYOND_ALLOWED = 0.025
 """Largest share of an element's likely dispersions that may lie beyond either end of the range: half of what a 90 %
 interval leaves out there, so that its ends lie where the likelihood is known."""
-_OUTWARD = 2.0
-"""Factor by which the upper end moves if the posterior lies beyond it. By choice; the lower end moves to what is
-negligible at once, which is a finite step in t."""
 _NEGLIGIBLE, _LEFT_OUT, _ROUGH = 12.0, 1e4, 1.0
 """As in :mod:`bayes_impedance.population.shared_draws`: the logarithm of how much smaller than the average a draw's
 weight may be, what such draws are divided by, and the largest error of a polynomial."""
@@ -96,13 +93,15 @@ class DispersionRange:
     def reaching(self, rho: np.ndarray, free: Sequence[int]) -> DispersionRange:
         """The range with those ends moved outward beyond which too many of likely dispersions (W, P) lie.
 
-        Only those of the elements `free`, given by their indices; if none moves, this range itself returns.
+        Only those of the elements `free`, given by their indices; if none moves, this range itself returns. An end
+        moves no farther than these dispersions ask for, since polynomials describe a wider range less precisely.
         """
         below, above = (self.beyond(rho) > BEYOND_ALLOWED) & np.isin(np.arange(rho.shape[1]), free)
         if not np.any(below | above):
             return self
-        lowest = np.where(below, 0.5 * LEAST_RHO, self.lowest)
-        highest = np.where(above, _OUTWARD * np.maximum(self.highest, np.median(rho, axis=0)), self.highest)
+        least, most = np.quantile(np.maximum(rho, LEAST_RHO), (_LEAST_SHARE, 1 - _LEAST_SHARE), axis=0)
+        wider = self._wider(np.array([least, self.middle, most]))
+        lowest, highest = np.where(below, wider.lowest, self.lowest), np.where(above, wider.highest, self.highest)
         return replace(self, lowest=lowest, highest=highest)
 
     @property

@@ -72,8 +72,8 @@ _CENTRINGS, _MOST_GROWTH = 5, 4.0
 """Most times that the origin of the shared parameters is moved to the posterior's mode, and most by which their
 variance grows each time. By choice: the mode is known within the reach only, so far ones are reached in steps."""
 _MOST_MOVES = 4
-"""Most times that draws are made while the range of dispersions between repetitions moves. By choice: its lower end
-moves once, its upper end by a factor of two each time."""
+"""Most times that draws are made while the range of dispersions between repetitions moves. By choice: each time its end
+is half as far again from the middle, so that after three moves it is three times as far."""
 _STEEP = 2.0
 """What is subtracted at one unit beyond the reach of the shared parameters. By choice: four times as steep as a normal
 density there."""
