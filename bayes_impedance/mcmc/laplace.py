@@ -22,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from scipy.special import ndtri
 
 _FEWEST, _MOST = 3, 10
 """Newton steps. By choice: three where the start, a point estimate, is close; ten where it is a few standard deviations
@@ -40,6 +41,8 @@ _GROWTH = 4.0
 one standard deviation of this one."""
 _NARROWEST = 1e-6
 """Least ratio of two lengths of the approximation's axes: the covariance stays positive definite when rounded."""
+_QUANTILES = ndtri((np.arange(200) + 0.5) / 200)
+"""Of a standard normal coordinate, evenly spread."""
 _HALVINGS = 6
 """Lengths of a step that are tried, each half of the one before. By choice: with a wrong curvature a step is at most
 four times too long, and the shape changes within some standard deviations."""
@@ -120,3 +123,12 @@ def _differences(
         hessian = (gradients[1 : n + 1] - gradients[n + 1 :]) / (2 * _STEP)
         hessian[~np.isfinite(values[1 : n + 1] + values[n + 1 :])] = np.nan  # there the gradient says nothing
     return float(values[0]), gradients[0], 0.5 * (hessian + hessian.T)
+
+
+def at_quantiles(mode: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Points (200, D) whose coordinates, each for itself, are spread like those of the normal approximation.
+
+    They say how often functions of one coordinate exceed a limit, to half a per cent and without a random number; all
+    coordinates go together, so that they say nothing of functions of several.
+    """
+    return np.asarray(mode + np.sqrt(np.diag(covariance)) * _QUANTILES[:, None])

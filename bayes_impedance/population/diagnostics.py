@@ -49,6 +49,10 @@ to 101 Hz, where it was found as 0.4 and 0.3, lower ends were off by 0.5 and 0.9
 With fewer draws for somebody than are believed (:data:`FEWEST_DRAWS_BELIEVED`), the limit is the error that draws are
 made to meet (:data:`~bayes_impedance.population.draw_error.ERROR_WANTED`)."""
 
+BEYOND_LIMIT = 0.05
+"""Above this share of a dispersion's draws beyond one end of the range in which likelihoods are known, the posterior is
+refused: an end of a 90 % interval lies there too."""
+
 PARETO_LIMIT = 0.7
 """Above this Pareto k (tail index) of a person's importance weights, the effective number of draws is not reliable
 (Vehtari et al. 2024)."""
@@ -135,6 +139,12 @@ class Diagnostics:
                 f"the importance draws do not hold for all populations that are possible (they leave an error of "
                 f"{self.draw_error.interval_end:.2g} standard deviations in the intervals, limit {limit:g}): the "
                 "recordings leave elements nearly undetermined; use a smaller network or a wider band"
+            )
+        if not self.draw_error.beyond <= BEYOND_LIMIT:
+            found.append(
+                f"a dispersion between repetitions lies where the draws' likelihoods are not known "
+                f"({self.draw_error.beyond:.0%} of its draws, limit {BEYOND_LIMIT:.0%}): the recordings leave its "
+                "element nearly undetermined; use a smaller network or a wider band"
             )
         if not self.missed <= MISSED_LIMIT:
             found.append(

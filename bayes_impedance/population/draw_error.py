@@ -55,10 +55,14 @@ class DrawError:
         deviations; infinite if weights are not finite.
     least_effective : float
         Effective number of draws of the worst person, 5 % quantile over populations of the chain.
+    beyond : float
+        Largest share of an element's dispersions between repetitions beyond one end of the range in which the draws'
+        likelihoods are known (:mod:`bayes_impedance.population.moved_dispersions`).
     """
 
     interval_end: float
     least_effective: float
+    beyond: float = 0.0
 
 
 def draw_error(marginal: KeptDraws, coordinates: np.ndarray, parameters: PopulationParameters) -> DrawError:

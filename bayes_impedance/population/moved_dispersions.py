@@ -18,7 +18,9 @@ over elements of functions of one dispersion each. These are smooth and bounded 
 
 because the posterior variance of a deviation is :math:`\rho^2/(1 + h\rho^2)`. Polynomials of degree two without a
 constant, fitted at some nodes, describe them; they are zero at :math:`\bar\rho`, where the draws are made. The nodes
-span what the contrasts at the modes leave possible. Beyond that a draw's likelihood is that at the edge.
+span what the contrasts at the modes leave possible. Beyond that a draw's likelihood is that at the edge. The contrasts
+go on there, so that an edge inside the posterior would be a false peak: the range moves outward until the posterior
+lies within it.
 """
 
 from __future__ import annotations
@@ -46,6 +48,9 @@ than 0.01."""
 _GRID, _LEAST_SHARE, _FARTHER = 60, 0.005, 1.5
 """Number of dispersions at which the contrasts' likelihood is taken, the share of it that is left out on either side,
 and by how much the range of the rest is widened. By choice: with the other dispersions held, a range is too narrow."""
+BEYOND_ALLOWED = 0.025
+"""Largest share of an element's likely dispersions that may lie beyond either end of the range: half of what a 90 %
+interval leaves out there, so that its ends lie where the likelihood is known."""
 _NEGLIGIBLE, _LEFT_OUT, _ROUGH = 12.0, 1e4, 1.0
 """As in :mod:`bayes_impedance.population.shared_draws`: the logarithm of how much smaller than the average a draw's
 weight may be, what such draws are divided by, and the largest error of a polynomial."""
@@ -79,6 +84,25 @@ class DispersionRange:
         lowest = np.maximum(middle - _FARTHER * (middle - lowest), 0.5 * LEAST_RHO)
         highest = np.maximum(middle + _FARTHER * (highest - middle), 2 * LEAST_RHO)
         return cls(np.maximum(middle, LEAST_RHO), lowest, highest)
+
+    def beyond(self, rho: np.ndarray) -> np.ndarray:
+        """Share of dispersions (W, P) below and above the range, shape (2, P); what is negligible is all the same."""
+        own = np.maximum(rho, LEAST_RHO)
+        return np.array([np.mean(own < self.lowest, axis=0), np.mean(own > self.highest, axis=0)])
+
+    def reaching(self, rho: np.ndarray, free: Sequence[int]) -> DispersionRange:
+        """The range with those ends moved outward beyond which too many of likely dispersions (W, P) lie.
+
+        Only those of the elements `free`, given by their indices; if none moves, this range itself returns. An end
+        moves no farther than these dispersions ask for, since polynomials describe a wider range less precisely.
+        """
+        below, above = (self.beyond(rho) > BEYOND_ALLOWED) & np.isin(np.arange(rho.shape[1]), free)
+        if not np.any(below | above):
+            return self
+        least, most = np.quantile(np.maximum(rho, LEAST_RHO), (_LEAST_SHARE, 1 - _LEAST_SHARE), axis=0)
+        wider = self._wider(np.array([least, self.middle, most]))
+        lowest, highest = np.where(below, wider.lowest, self.lowest), np.where(above, wider.highest, self.highest)
+        return replace(self, lowest=lowest, highest=highest)
 
     @property
     def nodes(self) -> np.ndarray:

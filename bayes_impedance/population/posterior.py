@@ -16,8 +16,9 @@ import numpy as np
 
 from bayes_impedance.errors import InputError
 from bayes_impedance.mcmc.ensemble import Chains, SamplerSettings, sample
-from bayes_impedance.mcmc.laplace import normal_approximation
+from bayes_impedance.mcmc.laplace import at_quantiles, normal_approximation
 from bayes_impedance.person.importance_draws import widening
+from bayes_impedance.population.anchor import Anchor, of_limited_growth
 from bayes_impedance.population.coordinates_gradient import pulled_back
 from bayes_impedance.population.draw_error import DrawError, draw_error, noise_within
 from bayes_impedance.population.em import Estimate, moved_to
@@ -49,7 +50,7 @@ _DRAWS_AGAIN, _DRAWS_OF_ALL = (8, 16), 2**14
 persons together had no more than this number. By choice, for time: sampling takes as many times longer. With 8 an error
 of 0.2 to 0.4 fell to 0.1 to 0.12 in narrow bands, not quite what is wanted, with 16 to 0.06 to 0.08 (24 persons)."""
 _FEWEST_AGAIN = 2
-"""Least such factor. By choice: it is a power of two."""
+"""Least such factor, where it is not the range of dispersions alone that was left. By choice: it is a power of two."""
 _DRAWS_AGAIN_SHARED = 4
 """The same where parameters are shared by all. By choice, for time: each draw is computed at up to 86 points."""
 _BEYOND_CHAIN = 2.0
@@ -70,6 +71,9 @@ found are about a standard deviation long, and must not leave the reach."""
 _CENTRINGS, _MOST_GROWTH = 5, 4.0
 """Most times that the origin of the shared parameters is moved to the posterior's mode, and most by which their
 variance grows each time. By choice: the mode is known within the reach only, so far ones are reached in steps."""
+_MOST_MOVES = 4
+"""Most times that draws are made while the range of dispersions between repetitions moves. By choice: each time its end
+is half as far again from the middle, so that after three moves it is three times as far."""
 _STEEP = 2.0
 """What is subtracted at one unit beyond the reach of the shared parameters. By choice: four times as steep as a normal
 density there."""
@@ -131,14 +135,15 @@ class Posterior:
         self.n_draws, self.point, self.covariates = n_draws, point, covariates
         self.pooling, self.shared_covariance = point.pooling, point.shared_covariance
         self.sharing: Sharing | None = None
-        self.repetitions = repetitions
+        self.repetitions, self.redrawn = repetitions, 0
         determined, held = point.determined, ~point.determined
         self.covariance = point.covariance.copy()
-        self.covariance[held, :] = 0
-        self.covariance[:, held] = 0
+        self.covariance[held | held[:, None]] = 0
         self.covariance[held, held] = 1.0
+        own = prior.of(self.pooling.varying) if self.pooling.names else prior
+        self.span = range_of(point.fits, own, point.between_repetitions)
         self.coordinates = Coordinates(
-            prior=(own := prior.of(self.pooling.varying) if self.pooling.names else prior),
+            prior=own,
             correlated=correlated,
             repetitions=bool(self.repetitions.max() > 1),
             n_covariates=covariates.shape[1],
@@ -214,44 +219,42 @@ class Posterior:
         proposals then follow the valley (:mod:`bayes_impedance.person.valley`) under a wider reference, until the
         draws suffice for all populations near the mode.
         """
-        mu, covariance, slopes = self.point.mu, self.covariance, self.point.slopes
         rounds = seed.spawn(len(_MORE_DRAWS))
         few, n_persons = self._few, self.repetitions.size  # persons times draws is kept about constant
         reach, holds = widening(n_persons), True
+        anchor = Anchor(mu=self.point.mu, slopes=self.point.slopes, covariance=self.covariance, reach=reach)
         self.mode = starting_point(self.coordinates, self.point, self.covariance, self.repetitions)
         scale = starting_scale(self.coordinates, self.point, self.shared_covariance, self.repetitions)
         self.normal_covariance = np.diag(scale**2)
-        for redrawn, child in enumerate(rounds):
-            n_draws = _MORE_DRAWS[redrawn] * self.n_draws * few
-            self._draw_centred(mu, slopes, covariance, reach, n_draws, child, executor, progress, not holds)
-            self.redrawn = redrawn
-            mode, normal = self.mode, self.normal_covariance
-            pilot = np.random.default_rng(child.spawn(1)[0]).normal(size=(_PILOTS, mode.size))
-            nearby = np.clip(mode + pilot @ np.linalg.cholesky(normal).T, -_LARGEST_COORDINATE, _LARGEST_COORDINATE)
-            populations = self.coordinates.unpack(nearby)
+        for self.redrawn, child in enumerate(rounds):
+            n_draws = _MORE_DRAWS[self.redrawn] * self.n_draws * few
+            self._draw_centred(anchor, n_draws, child, executor, progress)
+            pilot = np.random.default_rng(child.spawn(1)[0]).normal(size=(_PILOTS, self.mode.size))
+            nearby = self.mode + pilot @ np.linalg.cholesky(self.normal_covariance).T
+            populations = self.coordinates.unpack(np.clip(nearby, -_LARGEST_COORDINATE, _LARGEST_COORDINATE))
             variance = self._variance(populations)
-            calm = noise_within(variance, n_persons, mode.size) < VARIANCE_WANTED
+            calm = noise_within(variance, n_persons, self.mode.size) < VARIANCE_WANTED
             holds = bool(np.quantile(self.marginal.effective(populations), RARELY) >= FEWEST_DRAWS)
-            if (calm and holds) or redrawn == len(rounds) - 1:
+            if (calm and holds) or child is rounds[-1]:
                 return
             if not holds:
                 reach *= _WIDER
             chains = sample(
                 self.log_probability,
-                mode,
-                normal,
+                self.mode,
+                self.normal_covariance,
                 _PILOT,
                 child,
                 lambda _, done, total: progress("moving the reference", done, total),
                 even=self.coordinates.even,
             )
-            there = self._sampled(chains)
-            mu, slopes, covariance = there.mu.mean(axis=0), there.slopes.mean(axis=0), self._mean_covariance(there)
+            self._reach(there := self._sampled(chains))
+            anchor = Anchor.of(there, self.repetitions, reach, not holds)
 
     def error(self, chains: Chains) -> DrawError:
         """Error by the draws in the posterior that was sampled."""
-        flat = chains.coordinates.reshape(-1, self.coordinates.n_dimensions)
-        return draw_error(self.marginal, flat, self._sampled(chains))
+        flat, there = chains.coordinates.reshape(-1, self.coordinates.n_dimensions), self._sampled(chains)
+        return replace(draw_error(self.marginal, flat, there), beyond=self._beyond_range(there))
 
     def moved_to(
         self, chains: Chains, excess: float, seed: np.random.SeedSequence, executor: Executor, progress: Progress
@@ -262,33 +265,24 @@ class Posterior:
         the covariance of their means: such a reference reaches as far as the chain's populations together.
         """
         other, there = copy(self), self._sampled(chains)
-        covariance = self._mean_covariance(there)
-        for own in (there.mu, *np.moveaxis(there.slopes, 2, 0)):  # covariates have a mean square of one
-            covariance += np.atleast_2d(np.cov(own.T))
+        reach = _BEYOND_CHAIN if self.along_valley else widening(self.repetitions.size)
+        anchor = Anchor.of(there, self.repetitions, reach, self.along_valley).and_between(there)
+        fewest = 1 if other._reach(there) and excess <= 1 else _FEWEST_AGAIN  # of draws there may be enough
         before = self.n_draws * self._few
         more = _DRAWS_AGAIN[-1] if before * self.repetitions.size <= _DRAWS_OF_ALL else _DRAWS_AGAIN[0]
         if self.coordinates.shared_free:
             more = min(more, _DRAWS_AGAIN_SHARED)
-        mu, slopes = there.mu.mean(axis=0), there.slopes.mean(axis=0)
-        other._share_as(there, mu + self.covariates @ slopes.T, covariance)
-        needed = self.drawn * np.clip(excess**2, _FEWEST_AGAIN, more)
+        other._share_as(there, anchor.means(self.covariates), anchor.covariance)
+        needed = self.drawn * np.clip(excess**2, fewest, more)
         n_draws = min(more * before, 2 ** int(np.ceil(np.log2(needed))))
-        reach = _BEYOND_CHAIN if (along := self.along_valley) else widening(self.repetitions.size)
-        other._draw_centred(mu, slopes, covariance, reach, n_draws, seed, executor, progress, along, True)
-        other.along_valley = True  # should these draws not hold either
+        other._draw_centred(anchor, n_draws, seed, executor, progress, True)
+        other.along_valley = self.along_valley or excess > 1  # should these draws not hold either
         other._variance(there[np.linspace(0, len(there.mu) - 1, _PILOTS).astype(int)])
         other.redrawn = self.redrawn + 1
         return other
 
     def _sampled(self, chains: Chains) -> PopulationParameters:
         return self.coordinates.unpack(chains.coordinates.reshape(-1, self.coordinates.n_dimensions))
-
-    def _mean_covariance(self, there: PopulationParameters) -> np.ndarray:
-        """Mean covariance of the means of a person's repetitions, shape (P, P)."""
-        return np.asarray(
-            there.covariance.mean(axis=0)
-            + np.diag(np.mean(there.between_repetitions**2, axis=0) / np.mean(self.repetitions))
-        )
 
     @property
     def _few(self) -> int:
@@ -297,30 +291,26 @@ class Posterior:
 
     def _draw_centred(
         self,
-        mu: np.ndarray,
-        slopes: np.ndarray,
-        covariance: np.ndarray,
-        reach: float,
+        anchor: Anchor,
         n_draws: int,
         seed: np.random.SeedSequence,
         executor: Executor,
         progress: Progress,
-        along_valley: bool,
         centred: bool = False,
     ) -> None:
         """Draw under a population made wider, and again while the shared parameters are not at their centre."""
-        means, wide = mu + self.covariates @ slopes.T, covariance * reach**2
+        means, covariance = anchor.means(self.covariates), anchor.covariance
         if self.coordinates.shared_free and not centred:
             for _ in range(_CENTRINGS):
-                self._draw_once(means, wide, n_draws // _FEWER, seed, executor, progress, along_valley)
+                self._draw_once(anchor, n_draws // _FEWER, seed, executor, progress)
                 near = self._spread_of_shared() <= _SPREAD_ALLOWED
                 self._centre_shared(means, covariance)  # even if near: else all draws may find it beyond the limit
                 if near:
                     break
-        self._draw_once(means, wide, n_draws, seed, executor, progress, along_valley)
+        self._draw_within(anchor, n_draws, seed, executor, progress)
         if self.coordinates.shared_free and self._spread_of_shared() > _SPREAD_ALLOWED:
             self._centre_shared(means, covariance)
-            self._draw_once(means, wide, n_draws, seed, executor, progress, along_valley)
+            self._draw_within(anchor, n_draws, seed, executor, progress)
 
     def _variance(self, populations: PopulationParameters) -> float:
         """Mean Monte-Carlo variance of the log likelihood; says how many draws are enough for gradients."""
@@ -329,33 +319,46 @@ class Posterior:
         self.rough_draws = int(np.clip(needed, min(_FEWEST_ROUGH, self.drawn), self.drawn))
         return variance
 
+    def _draw_within(
+        self, anchor: Anchor, n_draws: int, seed: np.random.SeedSequence, executor: Executor, progress: Progress
+    ) -> None:
+        """Draw, and again while dispersions between repetitions near the mode lie beyond their range."""
+        for _ in range(_MOST_MOVES):
+            self._draw_once(anchor, n_draws, seed, executor, progress)
+            near = np.clip(at_quantiles(self.mode, self.normal_covariance), -_LARGEST_COORDINATE, _LARGEST_COORDINATE)
+            if not self._reach(self.coordinates.unpack(near)):
+                return
+
+    def _reach(self, there: PopulationParameters) -> bool:
+        """Move the range of dispersions between repetitions outward to these populations, if they lie beyond it."""
+        before, free = self.span, list(self.coordinates.free)  # others are held, wherever their range is
+        self.span = None if before is None else before.reaching(there.between_repetitions, free)
+        return self.span is not before
+
+    def _beyond_range(self, there: PopulationParameters) -> float:
+        """Largest share of a sampled dispersion between repetitions beyond an end of its range."""
+        if self.span is None:
+            return 0.0
+        return float(self.span.beyond(there.between_repetitions)[:, list(self.coordinates.free)].max(initial=0))
+
     def _draw_once(
-        self,
-        means: np.ndarray,
-        covariance: np.ndarray,
-        n_draws: int,
-        seed: np.random.SeedSequence,
-        executor: Executor,
-        progress: Progress,
-        along_valley: bool,
+        self, anchor: Anchor, n_draws: int, seed: np.random.SeedSequence, executor: Executor, progress: Progress
     ) -> None:
         """Draw under a reference population, and find the mode and the normal approximation of the posterior."""
-        self.drawn, self.along_valley = n_draws, along_valley
+        self.drawn, self.along_valley = n_draws, anchor.along_valley
         if self.pooling.names:
             self.sharing = Sharing.around(self.pooling, self.point.shared, self.shared_covariance)
         self.marginal = KeptDraws.made(
             self.pooling.at(self.point.shared),
             self.point,
-            means,
-            covariance,
+            anchor,
             self.covariates,
             n_draws,
             seed,
             executor,
             progress,
-            along_valley,
             self.sharing,
-            range_of(self.point.fits, self.coordinates.prior, self.point.between_repetitions),
+            self.span,
         )
         # Each mode is looked for where the last was found. The prior alone has a precision of one in most coordinates.
         self.rough_draws = n_draws  # all of them, until the variance says how many suffice
@@ -377,11 +380,8 @@ class Posterior:
         ours = np.linalg.cholesky(self.shared_covariance[np.ix_(free, free)])
         if np.linalg.norm(np.linalg.solve(ours, mean - before)) > _WELL_WITHIN * reach_of(self.point.shared.size):
             return  # so near the edge, beyond which the density is not known, its curvature there is none
-        relative = np.linalg.solve(ours, np.linalg.solve(ours, moment).T)
-        values, vectors = np.linalg.eigh(0.5 * (relative + relative.T))
-        factor = ours @ vectors * np.sqrt(np.clip(values, 1 / _MOST_GROWTH, _MOST_GROWTH))
         self.shared_covariance = self.shared_covariance.copy()
-        self.shared_covariance[np.ix_(free, free)] = factor @ factor.T
+        self.shared_covariance[np.ix_(free, free)] = of_limited_growth(ours, moment, _MOST_GROWTH)
 
     def _share_as(self, there: PopulationParameters, means: np.ndarray, covariance: np.ndarray) -> None:
         """Move the shared parameters of the draws to those of a chain."""

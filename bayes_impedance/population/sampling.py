@@ -3,9 +3,10 @@
 Whether importance draws hold can be told only from populations that the posterior contains, and these are known when it
 has been sampled: a normal approximation of it misses the long tails of ridges. The first chain therefore serves as the
 pilot. If the error that the draws leave in its intervals (:mod:`bayes_impedance.population.draw_error`) is smaller than
-the error that the chain leaves, the chain is the result, and nothing was spent. Otherwise everybody's draws are made
-anew for the populations of this chain, and the posterior is sampled again. The last error decides whether numbers are
-reported (:mod:`bayes_impedance.population.diagnostics`).
+the error that the chain leaves, and no dispersion lies beyond the range in which the draws' likelihoods are known, the
+chain is the result, and nothing was spent. Otherwise everybody's draws are made anew for the populations of this chain,
+and the posterior is sampled again. The last error decides whether numbers are reported
+(:mod:`bayes_impedance.population.diagnostics`).
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 
 from bayes_impedance.mcmc.ensemble import Chains, SamplerSettings, sample
 from bayes_impedance.population.draw_error import ERROR_WANTED, DrawError
+from bayes_impedance.population.moved_dispersions import BEYOND_ALLOWED
 from bayes_impedance.population.posterior import Posterior
 from bayes_impedance.runtime.clock import Clock
 from bayes_impedance.runtime.progress import Progress
@@ -89,10 +91,11 @@ def sampled(
                 mirrored=posterior.coordinates.mirrored,
             )
             error = posterior.error(chains)
-        if best is None or error.interval_end < best[2].interval_end:
+        if best is None or _order(error) < _order(best[2]):
             best = posterior, chains, error
         hopeless = time > 0 and not error.interval_end <= _HOPELESS
-        if error.interval_end <= ERROR_WANTED or time == _MOST_TIMES or hopeless:
+        holds = error.interval_end <= ERROR_WANTED and error.beyond <= BEYOND_ALLOWED
+        if holds or time == _MOST_TIMES or hopeless:
             break
         with clock.measure("draws"):
             excess = error.interval_end / ERROR_WANTED
@@ -102,6 +105,11 @@ def sampled(
         posterior = other
     assert best is not None  # the first chain is always there
     return best
+
+
+def _order(error: DrawError) -> tuple[bool, float]:
+    """Draws whose chain lies where their likelihoods are known come first, of these the ones with the least error."""
+    return error.beyond > BEYOND_ALLOWED, error.interval_end
 
 
 def _height(posterior: Posterior) -> float:

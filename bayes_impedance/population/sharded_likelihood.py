@@ -21,6 +21,7 @@ from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.person.importance_draws import Draws
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.marginal_likelihood import LEAST_RHO
+from bayes_impedance.population.anchor import Anchor
 from bayes_impedance.population.contrasts import Contrasts
 from bayes_impedance.population.e_step import PersonFit, contrasts_of
 from bayes_impedance.population.em import Estimate
@@ -92,14 +93,12 @@ class KeptDraws:
         cls,
         kernel: Kernel,
         point: Estimate,
-        means: np.ndarray,
-        covariance: np.ndarray,
+        anchor: Anchor,
         covariates: np.ndarray,
         n_draws: int,
         seed: np.random.SeedSequence,
         executor: Executor,
         progress: Progress,
-        along_valley: bool = False,
         sharing: Sharing | None = None,
         span: DispersionRange | None = None,
     ) -> KeptDraws:
@@ -110,30 +109,27 @@ class KeptDraws:
         kernel : Kernel
         point : Estimate
             With each person's mode and likelihood.
-        means : ndarray, shape (N, P)
-            Of the reference population.
-        covariance : ndarray, shape (P, P)
-            Its covariance, already widened.
+        anchor : Anchor
+            The reference population.
         covariates : ndarray, shape (N, Q)
         n_draws : int
             For each person, a power of two.
         seed : SeedSequence
         executor : Executor
         progress : callable
-        along_valley : bool
-            Propose along each person's curved valley, because one t distribution missed parts of it.
         sharing : Sharing, optional
             If there are parameters that are the same for everybody: how far they may move.
         span : DispersionRange, optional
             How far dispersions between repetitions may move; draws are made at its middle, or at the point estimate.
         """
+        means = anchor.means(covariates)
         n = len(means)
         plan = DrawingPlan(
             kernel=kernel,
             rho=point.between_repetitions if span is None else span.middle,
-            covariance=covariance,
+            covariance=anchor.wide,
             n_draws=n_draws,
-            along_valley=along_valley,
+            along_valley=anchor.along_valley,
             sharing=sharing,
             span=span,
         )

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.special import ndtri
 
-from bayes_impedance.mcmc.laplace import normal_approximation
+from bayes_impedance.mcmc.laplace import at_quantiles, normal_approximation
 
 
 def _normal(mean, covariance):
@@ -86,3 +87,11 @@ def test_start_outside_the_support_is_kept():
     mode, found = normal_approximation(lambda x: np.full(len(x), -np.inf), np.zeros_like, np.ones(2), np.eye(2), 0.5)
     np.testing.assert_array_equal(mode, 1.0)
     np.testing.assert_array_equal(found, np.eye(2))
+
+
+def test_quantiles_of_each_coordinate_are_those_of_the_approximation():
+    mode, covariance = np.array([1.0, -2.0]), np.array([[4.0, 1.9], [1.9, 1.0]])
+    points = at_quantiles(mode, covariance)
+    limits = mode + np.sqrt(np.diag(covariance)) * ndtri(0.975)
+    assert np.mean(points > limits, axis=0).tolist() == [0.025, 0.025]
+    assert np.allclose(points.mean(axis=0), mode)

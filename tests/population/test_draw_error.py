@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from experiments import Serial
 
-from bayes_impedance.mcmc.ensemble import SamplerSettings
+from bayes_impedance.mcmc.ensemble import Chains, SamplerSettings
 from bayes_impedance.person.importance_draws import Draws
 from bayes_impedance.population import sampling
-from bayes_impedance.population.diagnostics import ERROR_LIMIT
+from bayes_impedance.population.diagnostics import BEYOND_LIMIT, ERROR_LIMIT
 from bayes_impedance.population.draw_error import ERROR_WANTED, POPULATIONS, DrawError, draw_error
 from bayes_impedance.population.fit import FitSettings, PopulationFit, fit_population
 from bayes_impedance.population.importance_likelihood import ImportanceLikelihood
@@ -190,3 +190,26 @@ def test_an_interrupted_repetition_is_continued(
 def test_draws_that_do_not_hold_are_a_problem(plain: PopulationFit, end: float, least: float, refused: bool) -> None:
     told = replace(plain.diagnostics, draw_error=DrawError(interval_end=end, least_effective=least)).problems
     assert any("importance draws do not hold" in sentence for sentence in told) == refused
+
+
+def test_draws_are_made_anew_while_the_chain_lies_where_they_are_not_known(
+    six: Recordings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However small their error is; and a set of draws whose chain lies where they are known is the better one."""
+    shares, errors = iter([0.5, 0.0]), iter([1e-3, 2e-3])
+
+    def error(self: Posterior, chains: Chains) -> DrawError:
+        return DrawError(interval_end=next(errors), least_effective=100.0, beyond=next(shares))
+
+    monkeypatch.setattr(Posterior, "error", error)
+    again = fit_population(six, settings=SHORT, seed=4, workers=1)
+    assert again.diagnostics.redrawn == 1
+    assert again.diagnostics.draw_error.beyond == 0.0
+    assert again.diagnostics.draw_error.interval_end == 2e-3
+
+
+@pytest.mark.parametrize(("beyond", "refused"), [(0.0, False), (0.5 * BEYOND_LIMIT, False), (1.1 * BEYOND_LIMIT, True)])
+def test_a_dispersion_beyond_its_range_is_a_problem(plain: PopulationFit, beyond: float, refused: bool) -> None:
+    known = DrawError(interval_end=0.01, least_effective=100.0, beyond=beyond)
+    told = replace(plain.diagnostics, draw_error=known).problems
+    assert any("likelihoods are not known" in sentence for sentence in told) == refused

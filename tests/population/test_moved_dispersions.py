@@ -11,9 +11,14 @@ from scipy.optimize import least_squares
 
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
+from bayes_impedance.population import moved_dispersions
+from bayes_impedance.population import posterior as posteriors
 from bayes_impedance.population.moved_dispersions import DispersionRange
 from bayes_impedance.population.parameters import PopulationParameters
+from bayes_impedance.population.posterior import Posterior
+from bayes_impedance.population.prior import Prior
 from bayes_impedance.recordings.files import Recordings, Subject
+from bayes_impedance.runtime.sharded import Kept
 
 SPAN = DispersionRange(np.array([0.1, 0.02]), np.array([0.01, 0.005]), np.array([0.4, 0.1]))
 NETWORK = parse("(n3|r3)-(m2|r1|n1)")
@@ -28,6 +33,24 @@ def test_terms_vanish_in_the_middle_and_stay_at_the_ends():
     assert np.array_equal(SPAN.terms(2 * SPAN.highest[None]), SPAN.terms(SPAN.highest[None]))
     assert np.array_equal(SPAN.terms(np.zeros((1, 2))), SPAN.terms(SPAN.lowest[None]))
     assert np.abs(SPAN.nodes[:, [0, -1]].T - [SPAN.lowest, SPAN.highest]).max() < 1e-12
+
+
+def test_the_range_reaches_as_far_as_likely_dispersions() -> None:
+    """Elsewhere it stays, and so does the middle, at which draws are made."""
+    inside = np.tile(SPAN.middle, (100, 1))
+    assert not SPAN.beyond(inside).any()
+    assert SPAN.reaching(inside, (0, 1)) is SPAN
+    low, high = inside.copy(), inside.copy()
+    low[:50, 0], high[:20, 1] = 0.005, 0.15
+    np.testing.assert_allclose(SPAN.beyond(low), [[0.5, 0.0], [0.0, 0.0]])
+    np.testing.assert_allclose(SPAN.beyond(high), [[0.0, 0.0], [0.0, 0.2]])
+    further = SPAN.reaching(low, (0, 1))
+    assert not further.beyond(np.tile((1e-6, 0.02), (3, 1))).any()  # all that is negligible is the same
+    assert further.lowest[1] == SPAN.lowest[1]
+    # Half as far again from the middle as the farthest: 0.02 + 1.5 * 0.13.
+    np.testing.assert_allclose(SPAN.reaching(high, (0, 1)).highest, [0.4, 0.215])
+    np.testing.assert_allclose(SPAN.reaching(np.full((9, 2), 1.0), (1,)).highest, [0.4, 1.49])  # the first is held
+    np.testing.assert_array_equal(further.middle, SPAN.middle)
 
 
 def test_slopes_of_terms():
@@ -95,6 +118,35 @@ def integrated(kernel: Kernel, subject: Subject, sets: PopulationParameters, k: 
         centre = weight @ u
         covariance = (u - centre).T @ ((u - centre) * weight[:, None]) + 0.02 * curvature
     return float(value)
+
+
+def dispersion_at_mode(posterior: Posterior, p: int) -> float:
+    return float(posterior.coordinates.unpack(posterior.mode[None]).between_repetitions[0, p])
+
+
+@pytest.mark.parametrize("moves", [False, True])
+def test_an_edge_of_the_range_inside_the_posterior_is_a_false_peak(
+    moves: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It goes when the range moves: then the mode is where it is with a range that was wide from the beginning."""
+    given, p = recordings(), Kernel(NETWORK).elements.index("n3")
+    expected = dispersion_at_mode(posterior_of(given, monkeypatch), p)
+    first_range = moved_dispersions.range_of
+
+    def narrow(fits: Kept, prior: Prior, rho: np.ndarray) -> DispersionRange:
+        own = first_range(fits, prior, rho)
+        assert own is not None
+        middle, highest = own.middle.copy(), own.highest.copy()
+        middle[p], highest[p] = 0.4 * expected, 0.6 * expected
+        return replace(own, middle=middle, highest=highest)
+
+    monkeypatch.setattr(posteriors, "range_of", narrow)
+    if not moves:
+        monkeypatch.setattr(DispersionRange, "reaching", lambda self, *_: self)
+    found = dispersion_at_mode(posterior_of(given, monkeypatch), p)
+    assert (found == pytest.approx(expected, rel=0.05)) == moves
+    if not moves:
+        assert found == pytest.approx(0.6 * expected, rel=0.1)  # at the edge
 
 
 @pytest.mark.parametrize("factored", [False, True])
