@@ -64,8 +64,19 @@ def estimated_tail(
     for own in map_persons(executor, partial(_of_person, kernel, model), recordings.subjects, theta):
         total += own
     best = int(np.argmax(total))
-    inside = np.flatnonzero(total >= total[best] - _WITHIN)
-    return np.array([TAILS[best], TAILS[inside[0]], TAILS[inside[-1]]])
+    behind = total[best] - total - _WITHIN
+    inside = np.flatnonzero(behind <= 0)
+    ends = (_crossing(behind, int(inside[0]), -1), _crossing(behind, int(inside[-1]), 1))
+    return np.array([TAILS[best], *ends])
+
+
+def _crossing(behind: np.ndarray, last: int, step: int) -> float:
+    """Where a function that is at most zero at `last`, and above it one step further, is zero on the straight line."""
+    beyond = last + step
+    if not 0 <= beyond < TAILS.size:
+        return float(TAILS[last])
+    share = behind[last] / (behind[last] - behind[beyond])
+    return float(TAILS[last] + share * (TAILS[beyond] - TAILS[last]))
 
 
 def likelihoods_of(
