@@ -57,7 +57,8 @@ def assemble(
                 f"{spectra[0].unit}; import the two kinds into different datasets"
             )
         _check_values(spectrum)
-    short = shorter_grids([(one.source, one.frequency_hz) for one in spectra])
+    downwards = {one.source for one in spectra if one.downwards}
+    short = shorter_grids([(one.source, one.frequency_hz) for one in spectra], downwards)
     if short and STOPPED not in believed:
         raise InputError(f"{short[0][0]}: {short[0][1]}, or give --stopped-sweeps if it was stopped there")
     notes = [f"{source}: {what}" for source, what in short]
