@@ -1,8 +1,8 @@
 """People whose frequencies are the first of everybody else's: a sweep that was stopped, or a file that was cut.
 
-Such a recording can be used, and its band is narrower than that of the others, which nobody may have noticed. A file that
-lists a sweep downwards is cut at the lowest frequencies. Instruments note the frequency that they have reached, so that
-grids count as the same where each line is nearer to its place than to its neighbour by far.
+Such a recording can be used, and its band is narrower than that of the others, which nobody may have noticed. A file
+that lists a sweep downwards is cut at the lowest frequencies. Instruments note the frequency that they have reached, so
+that grids count as the same where each line is much nearer to its place than to its neighbour.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ MOST = 0.5
 
 
 SAME = 0.1
-"""Largest distance of two frequencies of one line, over the distance of neighbouring lines, in logarithms. By choice."""
+"""Largest distance of two frequencies of one line, over the distance of neighbours, in logarithms. By choice."""
 
 
 def shorter_grids(

@@ -23,8 +23,8 @@ ordinary one's elpd is 2.9 lower, 1645.4 in place of 1648.3: the sum is optimist
 **Refits.** Where the Pareto tail index k is above 0.7 the smoothed weights cannot be believed. For such a person the
 network is fitted to the others alone, and elpd is the logarithm of the mean density under the draws of that fit
 (:mod:`bayes_impedance.population.held_out_person`). If there are more than a few of these people, a refit is not
-reliable, or one person less is too few for a full covariance, so that the refit would be of another model, the value from
-the weights stays, with a mark.
+reliable, or one person less is too few for a full covariance, so that the refit would be of another model, the value
+from the weights stays, with a mark.
 """
 
 from __future__ import annotations
