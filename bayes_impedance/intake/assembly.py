@@ -119,13 +119,13 @@ def assemble(
 
 def _required_hertz(first: Spectrum, subjects: Sequence[Subject]) -> list[str]:
     """Refuse frequencies that seem to be in another unit, if all of them do; the remark if they only may be."""
-    bands = [(s.frequency_hz.size, float(s.frequency_hz[0]), float(s.frequency_hz[-1])) for s in subjects]
-    found = {frequency_scale.seems(*band, first.unit) for band in bands}
+    bands = [frequency_scale.band_of(one.frequency_hz) for one in subjects]
+    found = {frequency_scale.seems(band, first.unit) for band in bands}
     other = next(iter(found)) if len(found) == 1 else None
     if other is None:
         return []
     told = (
-        f"{frequency_scale.sentence(other, *bands[0][1:])}; give --frequency-unit {other}, or --frequency-unit {HERTZ} "
+        f"{frequency_scale.sentence(other, bands[0].low, bands[0].high)}; give --frequency-unit {other}, or --frequency-unit {HERTZ} "
         "if they are in Hz"
     )
     if other in frequency_scale.SURELY:
