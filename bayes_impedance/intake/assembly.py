@@ -124,10 +124,8 @@ def _required_hertz(first: Spectrum, subjects: Sequence[Subject]) -> list[str]:
     other = next(iter(found)) if len(found) == 1 else None
     if other is None:
         return []
-    told = (
-        f"{frequency_scale.sentence(other, bands[0].low, bands[0].high)}; give --frequency-unit {other}, or --frequency-unit {HERTZ} "
-        "if they are in Hz"
-    )
+    why = frequency_scale.sentence(other, bands[0].low, bands[0].high)
+    told = f"{why}; give --frequency-unit {other}, or --frequency-unit {HERTZ} if they are in Hz"
     if other in frequency_scale.SURELY:
         raise InputError(f"{first.source}: {told}")
     return [told]

@@ -9,14 +9,14 @@ themselves. Three questions are asked, each of which chance answers with yes les
 
 - Are both ends :math:`2\pi` times a number of **two digits**, to their rounding or 2e-4, as 31.42 and 31416? Of numbers
   without any such meaning 1.6 % are round to 2e-4, of pairs one in four thousand.
-- Are both :math:`2\pi` times a number of **three digits**, to the rounding of the numbers, where these have six digits or
-  more? 0.4 % of numbers of six digits are, of pairs one in sixty thousand.
+- Are both :math:`2\pi` times a number of **three digits**, to the rounding of the numbers, where these have six digits
+  or more? 0.4 % of numbers of six digits are, of pairs one in sixty thousand.
 - Is the **distance of neighbours** of an evenly spaced grid of ten digits or more :math:`2\pi` times a number of three
   digits over a power of two, as 51.2 kHz over 4096 samples? Of numbers without meaning one in ten thousand is.
 
-(The rounding may be that of 3.1416 for pi.) Measured with 40 000 grids as people and instruments choose them, of 4 to 16
-digits: of those in Hz 3 are named (of two digits to 2e-4 alone 13). Of the same in rad/s 82 % are where ends have three
-digits, 59 % of lines of a spectrum, and few of others; with 7 and 12 digits nearly all of the first two.
+(The rounding may be that of 3.1416 for pi.) Measured with 40 000 grids as people and instruments choose them, of 4 to
+16 digits: of those in Hz 3 are named (of two digits to 2e-4 alone 13). Of the same in rad/s 82 % are where ends have
+three digits, 59 % of lines of a spectrum, and few of others; with 7 and 12 digits nearly all of the first two.
 
 Numbers that are as simple in Hz are Hz. What no question reaches, as evenly spaced lines in five digits whose ends are
 not round, cannot be told.

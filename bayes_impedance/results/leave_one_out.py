@@ -184,8 +184,8 @@ def refit_without(
     LeftOut
         A refit that is not reliable leaves the value as it was, and so does one of too few people for the same model.
     """
-    own = sum(not parameter.shared for parameter in parse(result.attributes["network"]).parameters)
-    if settings.covariance == "full" and too_few_for_correlations(len(recordings) - 1, own):
+    varying = sum(not parameter.shared for parameter in parse(result.attributes["network"]).parameters)
+    if settings.covariance == "full" and too_few_for_correlations(len(recordings) - 1, varying):
         return left_out
     elpd, refitted = left_out.elpd.copy(), left_out.refitted.copy()
     recordings, seed = with_noise(recordings, result), int(result.attributes["seed"])
