@@ -199,7 +199,8 @@ def schemas() -> str:
         "recordings do not determine is `null`. A Student t population has a key `distribution` besides, with the "
         "interval of its `degrees_of_freedom`: dispersions between persons are then its scales. Of two groups the key "
         "holds `second_group_share`, their `distance` in standard deviations within a group, and the `difference` of "
-        "each element's logarithm; `central` is then the geometric mean of all people. The keys of the shipped "
+        "each element's logarithm; `central` is then the geometric mean of all people. Student t noise has a "
+        "key `noise_distribution`, with its `degrees_of_freedom` (`null` is infinite). The keys of the shipped "
         "population's file, with the first entry of "
         f"each list or table:\n\n```json\n{json.dumps(_shortened(summary), indent=2)}\n```\n"
     )

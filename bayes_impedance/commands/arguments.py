@@ -79,6 +79,13 @@ def parser_of_commands() -> argparse.ArgumentParser:
         help="compare these distributions of people, such as normal, student_t and mixture, for each network (default: "
         "that of --distribution)",
     )
+    compare.add_argument(
+        "--noise-distributions",
+        nargs="+",
+        choices=("normal", "student_t"),
+        metavar="NAME",
+        help="compare noise with these distributions, such as normal and student_t, in the same way",
+    )
     compare.add_argument("--result", type=Path, metavar="FOLDER", help="use this finished fit of the same recordings")
     compare.add_argument(
         "--full", dest="quick", action="store_false", help="as many draws as 'run' (default: fewer, as with --quick)"
@@ -193,6 +200,13 @@ def _fit_arguments(parser: argparse.ArgumentParser) -> None:
         default="normal",
         help="of people's log elements: student_t has heavier tails, its degrees of freedom inferred; mixture is two "
         "groups of people, which differ in their central values (default: normal)",
+    )
+    parser.add_argument(
+        "--noise-distribution",
+        choices=("normal", "student_t"),
+        default="normal",
+        help="of the noise: with student_t points far off count little, its degrees of freedom estimated (default: "
+        "normal)",
     )
     parser.add_argument(
         "--covariate",

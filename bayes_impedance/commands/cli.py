@@ -71,7 +71,7 @@ def _fit(options: argparse.Namespace) -> int:
 
 
 def _compare(options: argparse.Namespace) -> int:
-    if options.networks is not None or options.distributions is not None:
+    if any(getattr(options, name) is not None for name in ("networks", "distributions", "noise_distributions")):
         return _compare_networks(options)
     from bayes_impedance.commands.comparison import compare_dataset
     from bayes_impedance.network.spellings import in_both
@@ -118,9 +118,9 @@ def _compare_networks(options: argparse.Namespace) -> int:
                 f"--{name} and --networks exclude each other: give it as one of the networks of --networks"
             )
     with Bars() as bars:
-        given, kinds = options.networks or (), options.distributions or ()
+        kinds = options.distributions or (), options.noise_distributions or ()
         comparison = compare_networks(
-            options.dataset, options.out, given, _fit_options(options), options.resume, bars, kinds
+            options.dataset, options.out, options.networks or (), _fit_options(options), options.resume, bars, *kinds
         )
     for line in lines_of(comparison):
         tell(line)
@@ -346,6 +346,7 @@ def _fit_options(options: argparse.Namespace) -> Any:
         plain=plain,
         prior=None if options.priors is None else read_prior(options.priors),
         distribution=options.distribution,
+        noise_distribution=options.noise_distribution,
         beside=_beside(options),
     )
 

@@ -47,6 +47,7 @@ EXAMPLES: dict[str, tuple[tuple[str, ...], str]] = {
             "bayes-impedance compare fingertip_71 -o out/methods",
             'bayes-impedance compare mine -o out/networks --networks "m1|r1" "m1|r1|n1" out/mine',
             "bayes-impedance compare mine -o out/people --distributions normal student_t mixture",
+            "bayes-impedance compare mine -o out/noise --noise-distributions normal student_t",
         ),
         "the paper's methods: about two minutes for the shipped recordings; with --networks one fit for each network, "
         "and one more for each person whom the others do not predict reliably.",

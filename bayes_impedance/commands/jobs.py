@@ -89,8 +89,8 @@ class FitOptions:
         What replaces the default prior.
     beside : tuple of str
         Published sets (:func:`bayes_impedance.datasets.published_values`) that are laid beside the fit.
-    distribution : str
-        Of people's log elements: ``normal``, ``student_t`` or ``mixture``.
+    distribution, noise_distribution : str
+        As in :class:`~bayes_impedance.population.settings.FitSettings`.
     """
 
     network: str | None = None
@@ -108,6 +108,7 @@ class FitOptions:
     prior: GivenPrior | None = None
     beside: tuple[str, ...] = ()
     distribution: str = "normal"
+    noise_distribution: str = "normal"
 
     @property
     def threads(self) -> int:
@@ -118,9 +119,8 @@ class FitOptions:
         """Settings of the fit."""
         from bayes_impedance.population.fit import QUICK_SETTINGS, FitSettings
 
-        base = QUICK_SETTINGS if self.quick else FitSettings()
-        own = {name: getattr(self, name) for name in ("covariance", "covariates", "prior", "distribution")}
-        return replace(base, **own)
+        names = ("covariance", "covariates", "prior", "distribution", "noise_distribution")
+        return replace(QUICK_SETTINGS if self.quick else FitSettings(), **{n: getattr(self, n) for n in names})
 
 
 def fit_dataset(dataset: Path, out: Path, options: FitOptions, resume: bool, progress: Progress) -> Result:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.metadata import version
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,12 +39,13 @@ TABLES = ("networks.json", "networks.csv")
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A network as it was named: its notation and the distribution of people, or its finished result."""
+    """A network as it was named: its notation and the distributions of people and noise, or its finished result."""
 
     given: str
     network: str
     result: Result | None
     distribution: str
+    noise_distribution: str
 
 
 def compare_networks(
@@ -54,6 +56,7 @@ def compare_networks(
     resume: bool,
     progress: Progress,
     distributions: Sequence[str] = (),
+    noise_distributions: Sequence[str] = (),
 ) -> NetworkComparison:
     """Fit each network, leave people out, and write ``networks.json`` and ``networks.csv``.
 
@@ -74,6 +77,8 @@ def compare_networks(
     distributions : sequence of str
         With which each network that is not a finished fit is fitted, one after the other; that of the options if none
         is given.
+    noise_distributions : sequence of str
+        Of the noise, each fitted for each distribution of people; that of the options if none is given.
 
     Raises
     ------
@@ -92,25 +97,22 @@ def compare_networks(
             "people"
         )
     given = given or [options.network or recordings.network or ""]
-    kinds = distributions or (options.distribution,)
+    kinds = list(
+        product(distributions or (options.distribution,), noise_distributions or (options.noise_distribution,))
+    )
     candidates = [own for text in given for own in _candidates(text, recordings, options, dataset, kinds)]
     _require_different(candidates)
     priors = _priors(candidates, recordings, options)
     folders = [out / str(k) if c.result is None else Path(c.given) for k, c in enumerate(candidates, start=1)]
     for candidate, folder in zip(candidates, folders, strict=True):
         if candidate.result is None:
-            replace(options, distribution=candidate.distribution).settings()  # refused before anything is written
+            _with_distributions(options, candidate).settings()  # refused before anything is written
             require_ours(folder, FIT_FILES, options.overwrite)
     entries = []
     with output_folder(out, TABLES, options.overwrite):
         for k, (candidate, folder) in enumerate(zip(candidates, folders, strict=True), start=1):
-            own = replace(
-                options,
-                network=candidate.network,
-                prior=priors[k - 1],
-                with_before=False,
-                distribution=candidate.distribution,
-            )
+            own = _with_distributions(options, candidate)
+            own = replace(own, network=candidate.network, prior=priors[k - 1], with_before=False)
             result = candidate.result or (_finished(folder, recordings, own) if resume else None)
             if result is None:
                 result = fit_dataset(dataset, folder, own, resume, progress)
@@ -129,11 +131,16 @@ def compare_networks(
     return comparison
 
 
+def _with_distributions(options: FitOptions, candidate: _Candidate) -> FitOptions:
+    own = candidate.distribution, candidate.noise_distribution
+    return replace(options, distribution=own[0], noise_distribution=own[1])
+
+
 # -------------------------------------------------------------------- what is named
 
 
 def _candidates(
-    text: str, recordings: Recordings, options: FitOptions, dataset: Path, distributions: Sequence[str]
+    text: str, recordings: Recordings, options: FitOptions, dataset: Path, kinds: Sequence[tuple[str, str]]
 ) -> list[_Candidate]:
     from bayes_impedance.network.notation import parse
     from bayes_impedance.population.requirements import checked_model
@@ -141,8 +148,7 @@ def _candidates(
     result, network = None, text
     if os.path.isdir(text):
         result = _result_of(Path(text), recordings, dataset)
-        distribution = result.attributes.get("distribution", "normal")
-        return [_Candidate(text, result.summary["network_as_written"], result, distribution)]
+        return [_Candidate(text, result.summary["network_as_written"], result, *_distributions_of(result))]
     if os.path.isfile(text):
         network = _network_in(Path(text))
     try:
@@ -152,7 +158,13 @@ def _candidates(
             raise InputError(f"{error} (and there is no file or folder of this name)") from None
         raise InputError(f"{text}: {error}") from None
     checked_model(recordings, network, options.covariates)
-    return [_Candidate(text, network, None, distribution) for distribution in distributions]
+    return [_Candidate(text, network, None, *kind) for kind in kinds]
+
+
+def _distributions_of(result: Result) -> tuple[str, str]:
+    """Of people and of noise."""
+    attributes = result.attributes
+    return attributes.get("distribution", "normal"), attributes.get("noise_distribution", "normal")
 
 
 def _network_in(file: Path) -> str:
@@ -180,11 +192,13 @@ def _require_different(candidates: Sequence[_Candidate]) -> None:
 
     if len(candidates) < 2:
         raise InputError(
-            "--networks: give two or more, separated by blanks, each in quotation marks; or one and two --distributions"
+            "--networks: give two or more, with blanks between, each in quotation marks; or one, and two "
+            "--distributions or two --noise-distributions"
         )
-    known: dict[tuple[str, str], str] = {}
+    known: dict[tuple[str, str, str], str] = {}
     for c in candidates:
-        identity = (os.path.realpath(c.given) if c.result is not None else str(parse(c.network))), c.distribution
+        name = os.path.realpath(c.given) if c.result is not None else str(parse(c.network))
+        identity = name, c.distribution, c.noise_distribution
         if identity in known:
             raise InputError(f"--networks: {shown(c.given)} and {shown(known[identity])} are the same; leave one out")
         known[identity] = c.given
@@ -233,7 +247,7 @@ def _finished(folder: Path, recordings: Recordings, options: FitOptions) -> Resu
         "data_sha256": recordings.sha256,
         "covariance": "diagonal" if few else options.covariance,
     }
-    same = attributes.get("distribution", "normal") == options.distribution
+    same = _distributions_of(result) == (options.distribution, options.noise_distribution)
     same = same and all(attributes[name] == value for name, value in wanted.items())
     same = same and _names(result) == recordings.names and _settings_of(result).covariates == options.covariates
     same = same and summary["sampler"]["ensembles"] == settings.sampler.ensembles
@@ -256,7 +270,8 @@ def _settings_of(result: Result) -> FitSettings:
         covariance=result.attributes["covariance"],
         covariates=covariates,
         prior=prior,
-        distribution=result.attributes.get("distribution", "normal"),
+        distribution=_distributions_of(result)[0],
+        noise_distribution=_distributions_of(result)[1],
     )
 
 

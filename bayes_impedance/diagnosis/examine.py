@@ -163,6 +163,7 @@ def _refitted(fit: PopulationFit, executor: Executor) -> tuple[Refitter, Refit, 
     for i in some:
         s = fit.recordings.subjects[i] if clean is None else clean.subjects[i]
         noise = fit.noise[i] / fit.noise_scale[i] if s.noise_sd is None else s.noise_sd
+        noise = noise if fit.noise_weights is None else noise / np.sqrt(fit.noise_weights[i])
         own = fit.deviations[i][:, varying_of(fit)]
         data.append(Likelihood.make(s.frequency_hz, s.z, noise, own))
     refitter = Refitter(data, executor, fit.one_person)

@@ -57,7 +57,8 @@ def assemble(
                 f"{spectra[0].unit}; import the two kinds into different datasets"
             )
         _check_values(spectrum)
-    short = shorter_grids([(one.source, one.frequency_hz) for one in spectra])
+    downwards = {one.source for one in spectra if one.downwards}
+    short = shorter_grids([(one.source, one.frequency_hz) for one in spectra], downwards)
     if short and STOPPED not in believed:
         raise InputError(f"{short[0][0]}: {short[0][1]}, or give --stopped-sweeps if it was stopped there")
     notes = [f"{source}: {what}" for source, what in short]
@@ -118,15 +119,13 @@ def assemble(
 
 def _required_hertz(first: Spectrum, subjects: Sequence[Subject]) -> list[str]:
     """Refuse frequencies that seem to be in another unit, if all of them do; the remark if they only may be."""
-    bands = [(s.frequency_hz.size, float(s.frequency_hz[0]), float(s.frequency_hz[-1])) for s in subjects]
-    found = {frequency_scale.seems(*band, first.unit) for band in bands}
+    bands = [frequency_scale.band_of(one.frequency_hz) for one in subjects]
+    found = {frequency_scale.seems(band, first.unit) for band in bands}
     other = next(iter(found)) if len(found) == 1 else None
     if other is None:
         return []
-    told = (
-        f"{frequency_scale.sentence(other, *bands[0][1:])}; give --frequency-unit {other}, or --frequency-unit {HERTZ} "
-        "if they are in Hz"
-    )
+    why = frequency_scale.sentence(other, bands[0].low, bands[0].high)
+    told = f"{why}; give --frequency-unit {other}, or --frequency-unit {HERTZ} if they are in Hz"
     if other in frequency_scale.SURELY:
         raise InputError(f"{first.source}: {told}")
     return [told]

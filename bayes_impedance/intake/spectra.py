@@ -125,6 +125,7 @@ def spectra_of(contents: Contents, who: Who, settings: SpectraSettings) -> tuple
                     degrees_of_freedom=_degrees(settings, one[2]),
                     coherence=one[3],
                     facts={**who.facts, **contents.facts},
+                    downwards=bool(np.all(np.diff(frequency[index]) < 0)),
                 )
             )
     return found, notes

@@ -43,6 +43,8 @@ class Spectrum:
         What is noted of the repetition.
     frequency_tolerance : float
         Relative difference of what is one frequency in two repetitions.
+    downwards : bool
+        Whether the file goes from the highest frequency to the lowest.
     """
 
     subject: str
@@ -57,3 +59,4 @@ class Spectrum:
     calibration_sd: FloatArray | None = None
     facts: dict[str, str | float] = field(default_factory=dict)
     frequency_tolerance: float = SAME_FREQUENCY
+    downwards: bool = False

@@ -37,6 +37,9 @@ and Laplace's method is applied to it as above: :math:`d = (M w + R^{-1})^{-1} w
 :math:`G(\rho) - G(\rho_0)` is what another rho changes. (In sampling w is held fixed; here the scale follows, because
 somebody whose repetitions differ more than others' must not be taken for noisy.)
 
+**Noise with tails.** Constants are those of Student's t at the mode (:mod:`bayes_impedance.person.heavy_noise`), and N
+is the share of the values that they are worth.
+
 **The scale once more.** Laplace's method holds w while the contrasts are integrated, although the scale is unknown: in
 m directions that the data determine it errs by about :math:`\tfrac m2(\tfrac m2+1)/(2N)`, which is 0.2 for three
 repetitions of eight elements and sixty frequencies, and not the same for networks of different size. With the quadratic
@@ -58,6 +61,7 @@ import numpy as np
 from scipy.special import gammaln
 
 from bayes_impedance.network.kernel import Kernel, compiled
+from bayes_impedance.person.heavy_noise import log_density, squares_at
 from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood, repetition_equations
 from bayes_impedance.person.marginal_likelihood import Ridge
 from bayes_impedance.person.noise import contrasts
@@ -84,14 +88,17 @@ class Deviations:
         b.
     at_zero : float
         Chi-square without deviations.
-    count : int
+    count : float
         Number N of complex values.
+    tails : float or None
+        Of noise with tails: what the log likelihood at the deviations' mode lacks of the log density there.
     """
 
     curvature: np.ndarray
     slope: np.ndarray
     at_zero: float
-    count: int
+    count: float
+    tails: float | None = None
 
     def log_likelihood(self, rho: np.ndarray) -> np.ndarray:
         """G of dispersions between repetitions (W, P), shape (W,); zero with one repetition."""
@@ -112,7 +119,18 @@ def deviations_of(kernel: Kernel, likelihood: Likelihood, theta: np.ndarray) -> 
     residual = kernel.impedance(theta + own, d.omega / (2 * np.pi)) - (d.z[:, 0] + 1j * d.z[:, 1])
     at_mode = np.sum(d.weight * np.abs(residual) ** 2)
     at_zero = at_mode - np.sum(own * (gradient - pull))
-    return Deviations(curvature, (rows @ pull).ravel(), float(at_zero), d.values)
+    return Deviations(curvature, (rows @ pull).ravel(), float(at_zero), d.values, _of_tails(kernel, d, theta))
+
+
+def _of_tails(kernel: Kernel, likelihood: Likelihood, theta: np.ndarray) -> float | None:
+    """The constant of noise with tails, which makes the density at the mode that of Student's t."""
+    d = likelihood
+    if d.plain is None:
+        return None
+    square = squares_at(kernel, d, theta)
+    chi_square = float(np.sum(square * d.weight / d.plain))
+    density = log_density(square, float(np.sum(np.log(d.plain))), d.degrees)
+    return density + (SCALE_SHAPE + d.values) * float(np.log(SCALE_SHAPE + 0.5 * chi_square))
 
 
 def log_constant(likelihood: Likelihood, ridge: Ridge, deviations: Deviations) -> float:
@@ -133,8 +151,11 @@ def log_constant(likelihood: Likelihood, ridge: Ridge, deviations: Deviations) -
         Natural logarithm; the density is that of real and imaginary parts in the unit of the recordings.
     """
     n, d = deviations.count, likelihood
-    constant = SCALE_SHAPE * np.log(SCALE_SHAPE) + gammaln(SCALE_SHAPE + n) - gammaln(SCALE_SHAPE)
-    constant += np.sum(np.log(d.weight)) - n * np.log(2 * np.pi)  # the weight is 1/sigma^2
+    if deviations.tails is None:
+        constant = SCALE_SHAPE * np.log(SCALE_SHAPE) + gammaln(SCALE_SHAPE + n) - gammaln(SCALE_SHAPE)
+        constant += np.sum(np.log(d.weight)) - n * np.log(2 * np.pi)  # the weight is 1/sigma^2
+    else:
+        constant = deviations.tails
     if d.z.shape[0] > 1:
         constant += _unknown_scale(deviations, ridge.rho) - (d.z.shape[0] - 1) * np.sum(np.log(ridge.rho))
     return float(constant)

@@ -47,6 +47,11 @@ _summing: Any = kept_njit(nogil=True, fastmath={"reassoc", "contract"})
 """Decorator of long sums: the compiler may reorder them, and so use vector instructions."""
 
 
+def information_share(degrees: float) -> float:
+    """Fisher's information on a mean from a value of Student t noise, over that from normal noise of its scale."""
+    return (degrees + 2) / (degrees + 4) if np.isfinite(degrees) else 1.0
+
+
 @dataclass(frozen=True, kw_only=True)
 class Likelihood:
     """Data of one person, ready for the compiled functions.
@@ -63,11 +68,16 @@ class Likelihood:
         Log elements of each repetition less the person's; columns sum to zero.
     count : float
         Number N of complex values that inform theta and the noise scale.
-    values : int
-        Number of all complex values, J times that of the recordings' frequencies.
+    values : float
+        Number of all complex values, J times that of the recordings' frequencies; of noise with tails the share of it
+        that they are worth.
     rest : float
         Chi-square that no theta changes, to be added to that of `z`: not zero where `z` sums up more frequencies
         (:mod:`bayes_impedance.person.condensed`).
+    degrees : float
+        Degrees of freedom of the noise (:mod:`bayes_impedance.person.heavy_noise`); infinite if it is normal.
+    plain : ndarray, shape (J, F), or None
+        1/sigma^2 where `weight` holds weights of the points besides.
     """
 
     omega: np.ndarray
@@ -75,8 +85,10 @@ class Likelihood:
     weight: np.ndarray
     deviations: np.ndarray
     count: float
-    values: int
+    values: float
     rest: float = 0.0
+    degrees: float = np.inf
+    plain: np.ndarray | None = None
 
     @classmethod
     def make(cls, frequency_hz: np.ndarray, z: np.ndarray, noise_sd: np.ndarray, deviations: np.ndarray) -> Likelihood:
@@ -106,7 +118,7 @@ class Likelihood:
     def at(self, points: np.ndarray) -> Likelihood:
         """The data at some of the frequencies, given by their indices (integer) or as a mask."""
         omega, z, weight = (np.ascontiguousarray(a[..., points]) for a in (self.omega, self.z, self.weight))
-        lost = (self.omega.size - omega.size) * len(z)
+        lost = (self.omega.size - omega.size) * len(z) * information_share(self.degrees)
         return replace(
             self,
             omega=omega,
@@ -114,6 +126,7 @@ class Likelihood:
             weight=weight,
             count=max(self.count - lost, 1.0),
             values=max(self.values - lost, 1),
+            plain=None if self.plain is None else self.plain[..., points],
         )
 
     def recording(self, j: int, n_parameters: int) -> Likelihood:
@@ -122,7 +135,7 @@ class Likelihood:
         nothing = np.zeros((1, n_parameters))
         return replace(
             self, z=self.z[[j]], weight=self.weight[[j]], deviations=nothing, count=self.count / n,
-            values=self.values // n,
+            values=self.values / n, plain=None if self.plain is None else self.plain[[j]],
         )  # fmt: skip
 
     def moved(self, deviations: np.ndarray) -> Likelihood:

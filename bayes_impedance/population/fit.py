@@ -27,11 +27,12 @@ from pathlib import Path
 
 import numpy as np
 
-from bayes_impedance.mcmc.ensemble import Chains, sample
+from bayes_impedance.mcmc.ensemble import sample
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Network
 from bayes_impedance.network.redundancy import Combination
 from bayes_impedance.person.absolute_density import deviations_of, log_constant
+from bayes_impedance.person.likelihood import information_share
 from bayes_impedance.person.marginal_likelihood import find_ridge, marginal_log_likelihood
 from bayes_impedance.person.noise import NoiseModel
 from bayes_impedance.population.calibrated import known_of, prior_of, within_rig
@@ -41,17 +42,18 @@ from bayes_impedance.population.diagnostics import Diagnostics, assess
 from bayes_impedance.population.em import Estimate, estimate, with_groups
 from bayes_impedance.population.heavy_tails import NORMAL, STUDENT_T
 from bayes_impedance.population.map_error import moved, response, with_map_noise
+from bayes_impedance.population.noise_tails import likelihoods_of, weights_kept
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.posterior import Posterior
 from bayes_impedance.population.prior import Prior
-from bayes_impedance.population.recording_noise import initial_likelihoods, scaled_noise
+from bayes_impedance.population.recording_noise import scaled_noise
 from bayes_impedance.population.requirements import (
     CheckedModel,
     checked_model,
     require_people_for_groups,
     too_few_for_correlations,
 )
-from bayes_impedance.population.sampling import sampled
+from bayes_impedance.population.sampling import kept_sets, sampled
 from bayes_impedance.population.settings import QUICK_SETTINGS, FitSettings
 from bayes_impedance.population.shared import Pooling
 from bayes_impedance.population.shown_fit import ShownFit
@@ -73,9 +75,6 @@ IDENTIFIED_SD = 1.0
 choice: a higher limit reports values whose order of magnitude is uncertain."""
 
 _POINT_ESTIMATE = "point_estimate.npz"
-_MOST_NUMBERS, _FEWEST_SETS = 30_000_000, 100
-"""Most numbers of persons in a result, 0.24 GB in double precision, and fewest sets kept of each ensemble. By choice:
-memory against the number of posterior draws."""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -115,6 +114,11 @@ class PopulationFit(ShownFit):
     diagnostics : Diagnostics
     seconds : dict
         Time of each step.
+    noise_tail : ndarray, shape (3,), or None
+        Reciprocal degrees of freedom of the noise, if they were asked for: the most probable, and the ends of their
+        90 % interval. `noise` then holds the scales of the t distribution.
+    noise_weights : tuple of ndarray, shape (J, F), or None
+        Weights of the points; None if the noise is normal.
     """
 
     recordings: Recordings
@@ -136,6 +140,8 @@ class PopulationFit(ShownFit):
     identified: np.ndarray
     diagnostics: Diagnostics
     seconds: dict[str, float]
+    noise_tail: np.ndarray | None = None
+    noise_weights: tuple[np.ndarray, ...] | None = None
 
     @property
     def one_person(self) -> bool:
@@ -217,24 +223,19 @@ def fit_population(
     seeds = np.random.SeedSequence(seed).spawn(6)
     if checkpoint is not None:
         same_for_any = replace(settings, sampler=replace(settings.sampler, workers=0))
-        others = (
-            version("bayes_impedance"),
-            str(kernel.network),
-            same_for_any,
-            seed,
-            covariates.tolist(),
-            *known_of(recordings),
-        )
+        taken = covariates.tolist(), *known_of(recordings)
+        others = version("bayes_impedance"), str(kernel.network), same_for_any, seed, *taken
         claim(checkpoint, (s.digest for s in recordings.subjects), *others)
     clock = Clock()
     # The linear algebra library must not start its own threads inside ours.
     own = executor_of(workers) if executor is None else nullcontext(executor)
     with threadpool_limits(1), own as executor:
         with clock.measure("modes"):
-            first = first_fits(kernel, recordings, prior, seeds[0], executor, progress, checkpoint)
+            tails = settings.noise_distribution == STUDENT_T
+            first = first_fits(kernel, recordings, prior, seeds[0], executor, progress, checkpoint, tails)
             point = estimate(
                 pooling,
-                initial_likelihoods(recordings, first.model, pooling.varying.size, executor),
+                likelihoods_of(kernel, recordings, first, pooling.varying.size, executor),
                 first,
                 prior,
                 covariates,
@@ -258,16 +259,17 @@ def fit_population(
             posterior, settings.sampler, seeds[3], seeds[2], executor, clock, progress, checkpoint
         )
         with clock.measure("persons"):
-            kept = _kept_sets(chains, len(recordings.subjects) * len(kernel.elements))
+            kept = kept_sets(chains, len(recordings.subjects) * len(kernel.elements))
             flat = chains.coordinates[:, kept].reshape(-1, chains.coordinates.shape[-1])
             parameters = posterior.coordinates.unpack(flat)
             known = point.determined & (parameters.mu.std(axis=0) < IDENTIFIED_SD)
             known &= ~dependent(point, parameters, known, posterior.coordinates.prior)
+            weights = weights_kept(first.degrees, point)
             point.forget()
             person_draws, person_likelihood = posterior.marginal.persons(parameters, seeds[4])
             diagnostics = assess(recordings, point, chains, posterior.marginal, parameters, posterior.redrawn, error)
-            scaled = partial(scaled_noise, first.model)
-            noise = tuple(map_persons(executor, scaled, recordings.subjects, point.scale))
+            scale = point.scale * np.sqrt(information_share(first.degrees))
+            noise = tuple(map_persons(executor, partial(scaled_noise, first.model), recordings.subjects, scale))
     shape = (settings.sampler.ensembles, -1, len(recordings.subjects))
     shared_spread = np.zeros(0) if parameters.shared is None else parameters.shared.std(axis=0)
     identified = pooling.whole(known, point.shared_determined & (shared_spread < IDENTIFIED_SD)).astype(bool)
@@ -287,10 +289,12 @@ def fit_population(
         deviations=tuple(whole.without(own) for own in point.deviations),
         noise=noise,
         noise_model=first.model,
-        noise_scale=point.scale,
+        noise_scale=scale,
         identified=identified,
         diagnostics=diagnostics,
         seconds=clock.seconds,
+        noise_tail=first.tail,
+        noise_weights=weights,
     )
     return _with_map_error(fit, seeds[5])
 
@@ -300,7 +304,7 @@ def _with_map_error(fit: PopulationFit, seed: np.random.SeedSequence) -> Populat
     if fit.recordings.calibration_map is None:
         return fit
     elements = fit.person_draws.mean(axis=(0, 1))
-    follows = response(fit.recordings, fit.kernel, elements, fit.noise, fit.parameters, fit.prior)
+    follows = response(fit.recordings, fit.kernel, elements, fit.effective_noise, fit.parameters, fit.prior)
     flat = fit.person_draws.reshape(-1, *elements.shape)
     parameters, persons = moved(follows, fit.parameters, flat, seed)
     return replace(
@@ -330,6 +334,7 @@ def _one_person(
     mode, likelihood = point.modes[0], point.likelihoods[0]
     ridge = find_ridge(kernel, likelihood, mode.theta, mode.scale, point.between_repetitions)
     sd = np.sqrt(np.diag(np.linalg.inv(mode.precision)))
+    scale = mode.scale * float(np.sqrt(information_share(first.degrees)))
 
     def log_probability(u: np.ndarray) -> np.ndarray:
         theta = mode.theta + sd * u
@@ -374,20 +379,15 @@ def _one_person(
         person_draws=whole.persons(theta[:, None], None).reshape(ensembles, -1, 1, p),
         person_log_likelihood=log_density.reshape(ensembles, -1, 1),
         deviations=(likelihood.deviations,),
-        noise=(scaled_noise(first.model, recordings.subjects[0], mode.scale),),
+        noise=(scaled_noise(first.model, recordings.subjects[0], scale),),
         noise_model=first.model,
-        noise_scale=np.array([mode.scale]),
+        noise_scale=np.array([scale]),
         identified=(point.determined | prior.known) & (theta.std(axis=0) < IDENTIFIED_SD),
         diagnostics=assess(recordings, point, chains, None, parameters, 0),
         seconds=clock.seconds,
+        noise_tail=first.tail,
+        noise_weights=weights_kept(first.degrees, point),
     )
-
-
-def _kept_sets(chains: Chains, numbers_each: int) -> np.ndarray:
-    """Indices of the draws kept of each ensemble: all, or as many as memory allows for the elements of all persons."""
-    available = chains.coordinates.shape[1]
-    most = max(_MOST_NUMBERS // (numbers_each * chains.coordinates.shape[0]), _FEWEST_SETS)
-    return np.unique(np.linspace(0, available - 1, min(available, most)).astype(int))
 
 
 def prior_for(kernel: Kernel, recordings: Recordings, settings: FitSettings) -> Prior:

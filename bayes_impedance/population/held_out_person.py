@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from bayes_impedance.person.heavy_noise import reweighted, squared_scale, squares_at
+from bayes_impedance.person.heavy_noise import weights_of as weights_of_points
 from bayes_impedance.person.importance_draws import widening
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.marginal_likelihood import LEAST_RHO
@@ -31,8 +33,8 @@ _MOST_ROUNDS, _AT_REST = 30, 1e-3
 """Rounds in which mode and deviations are found in turn, at most, and the change of the deviations, relative to their
 dispersion, at which they end. By choice: the draws correct for what remains."""
 _REWEIGHTED = 3
-"""Times that the weight of a person in a population with tails, and the mode under it, are found in turn. By choice:
-the draws correct for what remains."""
+"""Times that the weight of a person in a population with tails, or those of points whose noise has tails, and the mode
+under them, are found in turn. By choice: the draws correct for what remains."""
 _MORE_DRAWS = 8
 """Times as many draws as the fit takes for each person. By choice: there is only one person here."""
 
@@ -64,6 +66,13 @@ def held_out_log_densities(fit: PopulationFit, person: Subject, seed: np.random.
     likelihood = Likelihood.make(person.frequency_hz, person.z, noise_of(person, None), nothing)
     searching, drawing, again = seed.spawn(3)
     found = _mode(fit, likelihood, mean, covariance, rho, searching)
+    if fit.noise_weights is not None and fit.noise_tail is not None:
+        degrees, plain = float(1 / fit.noise_tail[0]), likelihood
+        for _ in range(_REWEIGHTED):
+            square = squares_at(fit.kernel, plain.moved(found.deviations), found.theta)
+            weights = weights_of_points(square / squared_scale(square, degrees, found.deviations.size), degrees)
+            likelihood = reweighted(plain, weights, degrees)
+            found = _mode(fit, likelihood, mean, covariance, rho, searching)
     if p.tail is not None:
         precision, tail = np.linalg.inv(covariance), float(p.tail.mean())
         for _ in range(_REWEIGHTED):

@@ -83,8 +83,8 @@ def require_people_for_groups(n_persons: int, n_elements: int) -> None:
     """
     if too_few_for_correlations(n_persons, n_elements):
         raise InputError(
-            f"{n_persons} subjects are too few for two groups that differ in {n_elements} elements: take another "
-            "distribution, or a network with fewer elements"
+            f"{n_persons} subjects are too few for two groups that differ in {n_elements} elements, which take "
+            f"{n_elements + 2}: take another distribution, or a network with fewer elements"
         )
 
 

@@ -32,6 +32,10 @@ _MOST_TIMES = 2
 in a band of 1 % the first time sufficed, or the second."""
 
 
+_MOST_NUMBERS, _FEWEST_SETS = 30_000_000, 100
+"""Most numbers of persons in a result, 0.24 GB in double precision, and fewest sets kept of each ensemble. By choice:
+memory against the number of posterior draws."""
+
 _MUCH_LOWER = 20.0
 """Difference of the log densities at the two modes above which draws that were made anew are worse than the first: both
 estimate one density, and errors of a few units are those that new draws are to mend. By choice."""
@@ -117,3 +121,10 @@ def _height(posterior: Posterior) -> float:
     coordinates, mode = posterior.coordinates, posterior.mode[None]
     value = posterior.marginal.log_density(coordinates.unpack(mode)) + coordinates.log_prior(mode)
     return float(value[0])
+
+
+def kept_sets(chains: Chains, numbers_each: int) -> np.ndarray:
+    """Indices of the draws kept of each ensemble: all, or as many as memory allows for the elements of all persons."""
+    available = chains.coordinates.shape[1]
+    most = max(_MOST_NUMBERS // (numbers_each * chains.coordinates.shape[0]), _FEWEST_SETS)
+    return np.unique(np.linspace(0, available - 1, min(available, most)).astype(int))

@@ -8,6 +8,7 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.mcmc.ensemble import QUICK, SamplerSettings
 from bayes_impedance.population.given_prior import GivenPrior
 from bayes_impedance.population.heavy_tails import NORMAL, STUDENT_T
+from bayes_impedance.population.noise_tails import NOISE_DISTRIBUTIONS
 from bayes_impedance.population.two_components import MIXTURE
 from bayes_impedance.runtime.user_table import shown, whole_number_in
 
@@ -35,6 +36,9 @@ class FitSettings:
         Of people's log elements: ``normal``, ``student_t`` with degrees of freedom that are inferred
         (:mod:`~bayes_impedance.population.heavy_tails`), or ``mixture``, two groups of people
         (:mod:`~bayes_impedance.population.two_components`), which takes a full covariance. One person has none.
+    noise_distribution : str
+        Of the noise: ``normal``, or ``student_t`` with degrees of freedom that are estimated
+        (:mod:`~bayes_impedance.population.noise_tails`): points far off then count little.
     """
 
     covariance: str = "full"
@@ -43,12 +47,15 @@ class FitSettings:
     sampler: SamplerSettings = field(default_factory=SamplerSettings)
     prior: GivenPrior | None = None
     distribution: str = NORMAL
+    noise_distribution: str = NORMAL
 
     def __post_init__(self) -> None:
         if self.covariance not in ("full", "diagonal"):
             raise InputError(f"covariance is '{self.covariance}': choose 'full' or 'diagonal'")
         if self.distribution not in DISTRIBUTIONS:
             raise InputError(f"distribution is '{self.distribution}': choose 'normal', 'student_t' or 'mixture'")
+        if self.noise_distribution not in NOISE_DISTRIBUTIONS:
+            raise InputError(f"noise_distribution is '{self.noise_distribution}': choose 'normal' or 'student_t'")
         if self.distribution == MIXTURE and self.covariance != "full":
             raise InputError(
                 "two groups of people that differ in several elements make these correlated: a mixture takes "

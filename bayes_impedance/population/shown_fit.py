@@ -33,10 +33,21 @@ class _Fit(Protocol):
     def diagnostics(self) -> Diagnostics: ...
     @property
     def repeated(self) -> bool: ...
+    @property
+    def noise(self) -> tuple[np.ndarray, ...]: ...
+    @property
+    def noise_weights(self) -> tuple[np.ndarray, ...] | None: ...
 
 
 class ShownFit:
     """Part of :class:`~bayes_impedance.population.fit.PopulationFit`."""
+
+    @property
+    def effective_noise(self: _Fit) -> tuple[np.ndarray, ...]:
+        """Standard deviations of normal noise that say as much as noise with tails and its weights do, (J, F) each."""
+        if self.noise_weights is None:
+            return self.noise
+        return tuple(sd / np.sqrt(w) for sd, w in zip(self.noise, self.noise_weights, strict=True))
 
     def __repr__(self: _Fit) -> str:
         n, draws = len(self.recordings), len(self.parameters.mu)

@@ -19,6 +19,7 @@ import numpy as np
 
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.person.bounded_search import bounded_search, modes_from
+from bayes_impedance.person.heavy_noise import WORKING_DEGREES
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.mode import all_modes
 from bayes_impedance.person.noise import (
@@ -31,6 +32,7 @@ from bayes_impedance.person.noise import (
     scatter_of_roughness,
 )
 from bayes_impedance.population.equal_parts import named_alike, steps_of
+from bayes_impedance.population.noise_tails import estimated_tail
 from bayes_impedance.population.prior import Prior
 from bayes_impedance.recordings.files import Recordings, Subject
 from bayes_impedance.runtime.checkpoint import forget_pieces, in_pieces, load_arrays, save_arrays
@@ -92,17 +94,27 @@ class FirstFits:
     model : NoiseModel or None
         The common noise model; None if every recording has its own noise. Noise of single recordings follows from it
         (:mod:`~bayes_impedance.population.recording_noise`).
+    tail : ndarray, shape (3,), or None
+        Reciprocal degrees of freedom of the noise, most probable, least and largest; None if it is taken as normal.
     """
 
     theta: np.ndarray
     alternatives: np.ndarray
     common: np.ndarray
     model: NoiseModel | None
+    tail: np.ndarray | None = None
+
+    @property
+    def degrees(self) -> float:
+        """Degrees of freedom of the noise, infinite of normal noise."""
+        return np.inf if self.tail is None or self.tail[0] == 0 else float(1 / self.tail[0])
 
     def save(self, file: Path) -> None:
         """Save for a run that is resumed."""
         model = {} if self.model is None else {f"noise_{name}": value for name, value in vars(self.model).items()}
-        save_arrays(file, {"theta": self.theta, "alternatives": self.alternatives, "common": self.common, **model})
+        tail = {} if self.tail is None else {"tail": self.tail}
+        own = {"theta": self.theta, "alternatives": self.alternatives, "common": self.common}
+        save_arrays(file, {**own, **model, **tail})
 
     @classmethod
     def load(cls, file: Path) -> FirstFits | None:
@@ -114,7 +126,7 @@ class FirstFits:
         if "noise_sd" in kept:
             relative, floor = bool(kept["noise_relative"]), float(kept["noise_floor"])
             model = NoiseModel(kept["noise_frequency_hz"], kept["noise_sd"], relative, floor)
-        return cls(kept["theta"], kept["alternatives"], kept["common"], model)
+        return cls(kept["theta"], kept["alternatives"], kept["common"], model, kept.get("tail"))
 
 
 def first_fits(
@@ -125,6 +137,7 @@ def first_fits(
     executor: Executor,
     progress: Progress,
     checkpoint: Path | None = None,
+    heavy: bool = False,
 ) -> FirstFits:
     """Fit each person under the broad prior and estimate the noise.
 
@@ -141,6 +154,8 @@ def first_fits(
     progress : callable
     checkpoint : Path, optional
         Folder where the fits are saved as they are computed, and from which an interrupted run continues.
+    heavy : bool
+        Whether the noise may have heavier tails than the normal.
     """
     if checkpoint is not None and (whole := FirstFits.load(checkpoint / _WHOLE)) is not None:
         return whole
@@ -178,12 +193,16 @@ def first_fits(
 
     provisional = everybody("noise", partial(_provisional, kernel, prior.centre, precision), subjects, start)
     theta = np.array([own for (own,) in provisional])
-    model = None
-    if any(subject.noise_sd is None for subject in subjects):
-        unknown = [i for i, subject in enumerate(subjects) if subject.noise_sd is None]
-        model = _noise(kernel, [subjects[i] for i in unknown], theta[unknown], executor)
+    unknown = [i for i, subject in enumerate(subjects) if subject.noise_sd is None]
+    tail, degrees = None, np.inf
+    shaped = partial(_noise, kernel, [subjects[i] for i in unknown], theta[unknown], executor)
+    if heavy:
+        model = shaped(WORKING_DEGREES) if unknown else None
+        tail = estimated_tail(kernel, recordings, theta, model, executor)
+        degrees = 1 / tail[0] if tail[0] else np.inf
+    model = shaped(degrees) if unknown else None
     solutions = [named_alike(solution, exchanged) for solution in _common_solutions(ends, regret)]
-    fits = FirstFits(theta, alternatives, np.array(solutions), model)
+    fits = FirstFits(theta, alternatives, np.array(solutions), model, tail)
     if checkpoint is not None:
         fits.save(checkpoint / _WHOLE)
         forget_pieces(checkpoint, "searching", "first_fits", "noise")
@@ -320,18 +339,20 @@ def _distinct(ends: np.ndarray, objectives: np.ndarray, n: int, apart: float) ->
     return kept or [ends[0]]
 
 
-def _noise(kernel: Kernel, subjects: Sequence[Subject], theta: np.ndarray, executor: Executor) -> NoiseModel:
+def _noise(
+    kernel: Kernel, subjects: Sequence[Subject], theta: np.ndarray, executor: Executor, degrees: float
+) -> NoiseModel:
     repeated = [i for i, subject in enumerate(subjects) if len(subject.repetitions) > 1]
     if not repeated:
         scatters = list(map_persons(executor, partial(_roughness, kernel), subjects, theta))
-        return pool(scatters, FLOOR_WITHOUT)
+        return pool(scatters, FLOOR_WITHOUT, degrees)
     model: NoiseModel | None = None
     some = [subjects[i] for i in repeated]
     own = list(map_persons(executor, partial(_own_elements, kernel), some, theta[repeated]))
     for _ in range(2):
         scatter = partial(_disagreement, kernel, model)
         scatters = list(map_persons(executor, scatter, some, theta[repeated], own))
-        model = pool(scatters, FLOOR_WITH_REPETITIONS)
+        model = pool(scatters, FLOOR_WITH_REPETITIONS, degrees)
     assert model is not None  # two rounds were made
     return model
 

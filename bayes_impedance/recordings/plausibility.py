@@ -35,7 +35,7 @@ class Plausibility:
 
     def __init__(self) -> None:
         self.points = self.wrong = self.turned = self.conjugated = self.transfer = 0
-        self.bands: set[tuple[int, float, float]] = set()
+        self.bands: set[frequency_scale.Band] = set()
 
     def add(self, subject: Subject) -> None:
         """Count the points of one subject."""
@@ -44,8 +44,7 @@ class Plausibility:
         self.turned += size if is_turned(subject) else 0
         self.conjugated += size if is_conjugate(subject) else 0
         self.transfer += size if wrong > 0 and is_transfer(subject) else 0
-        f = subject.frequency_hz
-        self.bands.add((f.size, float(f[0]), float(f[-1])))
+        self.bands.add(frequency_scale.band_of(subject.frequency_hz))
 
     def require(self, metadata: Metadata, file: str, first_row: int, metadata_file: str) -> None:
         """Refuse a dataset that contradicts its metadata.
@@ -95,7 +94,7 @@ class Plausibility:
 
     def other_unit(self, metadata: Metadata) -> str | None:
         """The unit in which all frequencies seem to be, if it is not declared to be Hz and another fits better."""
-        found = {frequency_scale.seems(*band, metadata.unit) for band in self.bands}
+        found = {frequency_scale.seems(band, metadata.unit) for band in self.bands}
         return next(iter(found)) if metadata.frequency_unit is None and len(found) == 1 else None
 
     def remarks(self, metadata: Metadata, metadata_file: str) -> tuple[str, ...]:
@@ -106,7 +105,7 @@ class Plausibility:
     def _about_unit(self, metadata: Metadata, metadata_file: str) -> str:
         other = self.other_unit(metadata)
         assert other is not None  # who asks has found one
-        _, low, high = min(self.bands)
+        _, low, high, _ = min(self.bands)
         return (
             f"{frequency_scale.sentence(other, low, high)}; import the file with --frequency-unit {other}, or, if they "
             f'are in Hz, write frequency_unit = "{HERTZ}" in {metadata_file}, beside a file named recordings.csv'

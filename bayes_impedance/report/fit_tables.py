@@ -380,6 +380,8 @@ def command(result: Result) -> str:
         parts.append(f"--covariance {summary['covariance']}")
     if "distribution" in summary:
         parts.append(f"--distribution {summary['distribution']['name']}")
+    if "noise_distribution" in summary:
+        parts.append(f"--noise-distribution {summary['noise_distribution']['name']}")
     parts += ["--priors FILE"] if result.attributes.get("prior") else []
     parts += [f"--beside {name}" for name in result.summary.get("beside", ())]
     parts += [f"--covariate {quote(str(name))}" for name in result.coords.get("covariate", [])]

@@ -25,6 +25,7 @@ import numpy as np
 
 from bayes_impedance.population.covariates import standardised_covariates
 from bayes_impedance.population.fit import PopulationFit
+from bayes_impedance.population.noise_tails import drawn_stretch
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.prior_draws import draw_prior
 from bayes_impedance.population.shapes import standard_people
@@ -153,18 +154,19 @@ def _recorded_again(
     """Mean recordings (W, N, F') of somebody new in everybody's place, complex, for W sets of population parameters."""
     people = fit.recordings.subjects
     theta = np.repeat(parameters.mu[:, None], len(people), axis=1)
+    counts = np.array([len(s.repetitions) for s in people])
     if not fit.one_person:
         x = standardised_covariates(fit.recordings, fit.settings.covariates)
         theta = theta + np.einsum("wpq,nq->wnp", parameters.slopes, x)
         own = standard_people(rng.normal(size=theta.shape), parameters.tail, parameters.groups, rng)
         theta = theta + np.einsum("wpr,wnr->wnp", parameters.covariance_cholesky, own)
-        counts = np.array([len(s.repetitions) for s in people])
         theta = theta + (parameters.between_repetitions[:, None] / np.sqrt(counts)[:, None]) * rng.normal(
             size=theta.shape
         )
     with np.errstate(all="ignore"):  # a prior may reach where an element overflows
         z = fit.kernel.impedance(theta.reshape(-1, theta.shape[-1]), frequency).reshape(*theta.shape[:2], -1)
-        sd = np.abs(z) * noise
+        stretch = drawn_stretch(fit.noise_tail, np.tile(counts, len(theta)), frequency.size, rng)
+        sd = np.abs(z) * noise * (stretch.reshape(z.shape) if stretch.size > 1 else 1.0)
         return np.asarray(z + sd * (rng.normal(size=z.shape) + 1j * rng.normal(size=z.shape)))
 
 

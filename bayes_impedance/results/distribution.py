@@ -61,6 +61,38 @@ def distribution_summary(
     }
 
 
+def noise_summary(tail: np.ndarray | None) -> dict[str, Any] | None:
+    """Entry ``noise_distribution`` of the summary; None of noise that is taken as normal.
+
+    Parameters
+    ----------
+    tail : ndarray, shape (3,), or None
+        Reciprocal degrees of freedom: the most probable, and the ends of the 90 % interval.
+    """
+    if tail is None:
+        return None
+    best, low, high = (float(1 / t) if t else None for t in tail)  # null is infinite: normal noise
+    return {
+        "name": STUDENT_T,
+        "degrees_of_freedom": {"most_probable": best, "q05": high, "q95": low},
+        "noise_is": "scale of the Student t distribution of real and imaginary part",
+    }
+
+
+def noise_remark(tail: np.ndarray | None) -> str | None:
+    """The same as sentences for the user; None of noise that is taken as normal."""
+    if tail is None:
+        return None
+    if tail[0] == 0:
+        return "Noise with heavier tails than the normal was looked for, and there is none: it is taken as normal."
+    best, low, high = ("infinitely many" if t == 0 else f"{1 / t:.3g}" for t in tail)
+    return (
+        f"The noise follows a Student t distribution with {best} degrees of freedom ({high} to {low}); above 30 it is "
+        "close to a normal one. Points far off count little. 'compare --noise-distributions normal student_t' says "
+        "whether it predicts people left out better."
+    )
+
+
 def is_student_t(summary: Mapping[str, Any]) -> bool:
     """Whether dispersions between persons are scales of a Student t distribution, not standard deviations."""
     return (summary.get("distribution") or {}).get("name") == STUDENT_T

@@ -22,8 +22,9 @@ ordinary one's elpd is 2.9 lower, 1645.4 in place of 1648.3: the sum is optimist
 
 **Refits.** Where the Pareto tail index k is above 0.7 the smoothed weights cannot be believed. For such a person the
 network is fitted to the others alone, and elpd is the logarithm of the mean density under the draws of that fit
-(:mod:`bayes_impedance.population.held_out_person`). If there are more than a few of these people, or a refit is not
-reliable, the value from the weights stays, with a mark.
+(:mod:`bayes_impedance.population.held_out_person`). If there are more than a few of these people, a refit is not
+reliable, or one person less is too few for a full covariance, so that the refit would be of another model, the value
+from the weights stays, with a mark.
 """
 
 from __future__ import annotations
@@ -38,11 +39,13 @@ import numpy as np
 
 from bayes_impedance.display import MOST_ROWS, heading, joined, table
 from bayes_impedance.errors import InputError
+from bayes_impedance.network.notation import parse
 from bayes_impedance.population.covariate_terms import with_terms
 from bayes_impedance.population.diagnostics import PARETO_LIMIT
 from bayes_impedance.population.fit import FitSettings, fit_population
 from bayes_impedance.population.held_out_person import held_out_log_densities
 from bayes_impedance.population.recording_noise import noise_of
+from bayes_impedance.population.requirements import too_few_for_correlations
 from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.results.arviz_layout import for_file
 from bayes_impedance.results.result import DENSITY_ATTRIBUTE, Result
@@ -179,8 +182,11 @@ def refit_without(
     Returns
     -------
     LeftOut
-        A refit that is not reliable leaves the value as it was.
+        A refit that is not reliable leaves the value as it was, and so does one of too few people for the same model.
     """
+    varying = sum(not parameter.shared for parameter in parse(result.attributes["network"]).parameters)
+    if settings.covariance == "full" and too_few_for_correlations(len(recordings) - 1, varying):
+        return left_out
     elpd, refitted = left_out.elpd.copy(), left_out.refitted.copy()
     recordings, seed = with_noise(recordings, result), int(result.attributes["seed"])
     recordings, _ = with_terms(recordings, settings.covariates)  # of everybody, also of whom is left out

@@ -55,9 +55,10 @@ class Entry:
 
     @property
     def shown(self) -> str:
-        """The network as it is shown: of electrical recordings in both spellings; with the people's tails."""
+        """The network: of electrical recordings in both spellings; with the distributions that are not normal."""
         network = in_both(self.result.attributes["network"], self.result.attributes["unit"])
-        return network if self.distribution == NORMAL else f"{network}, {self.distribution}"
+        own = "" if self.distribution == NORMAL else f", {self.distribution}"
+        return network + own + ("" if self.noise_distribution == NORMAL else f", {self.noise_distribution} noise")
 
     @property
     def place(self) -> str:
@@ -68,6 +69,11 @@ class Entry:
     def distribution(self) -> str:
         """Of people's log elements: ``normal``, ``student_t`` or ``mixture``."""
         return str(self.result.attributes.get("distribution", NORMAL))
+
+    @property
+    def noise_distribution(self) -> str:
+        """Of the noise: ``normal`` or ``student_t``."""
+        return str(self.result.attributes.get("noise_distribution", NORMAL))
 
 
 @dataclass(frozen=True)
@@ -132,6 +138,7 @@ class NetworkComparison:
         row = {
             "network": entry.result.attributes["network"],
             "distribution": entry.distribution,
+            "noise_distribution": entry.noise_distribution,
             "given": entry.given,
             "folder": entry.folder,
             "reliable": not entry.result.problems,

@@ -21,6 +21,7 @@ import numpy as np
 from bayes_impedance.population.covariate_terms import goes_with_others
 from bayes_impedance.population.covariates import standardised_covariates
 from bayes_impedance.population.fit import PopulationFit
+from bayes_impedance.population.noise_tails import drawn_stretch
 from bayes_impedance.population.shapes import standard_people
 from bayes_impedance.results.curve_errors import (
     ErrorCurves,
@@ -240,13 +241,13 @@ def _recordings(
     (N, F) of a measured person.
     """
     theta = people
+    counts = np.array([len(s.repetitions) for s in fit.recordings.subjects])
     if not fit.one_person:
-        counts = np.array([len(s.repetitions) for s in fit.recordings.subjects])
         spread = fit.parameters[rows].between_repetitions / np.sqrt(rng.choice(counts, rows.size))[:, None]
         theta = people + spread * rng.normal(size=people.shape)
     z = fit.kernel.impedance(theta, frequency)
     who = rng.integers(len(fit.recordings.subjects), size=rows.size)
-    sd = np.abs(z) * noise[who]
+    sd = np.abs(z) * noise[who] * drawn_stretch(fit.noise_tail, counts[who], frequency.size, rng)
     return np.asarray(z + sd * (rng.normal(size=z.shape) + 1j * rng.normal(size=z.shape)))
 
 

@@ -227,6 +227,8 @@ def make_result(
     }
     if fit.settings.distribution != NORMAL:
         attributes["distribution"] = fit.settings.distribution
+    if fit.settings.noise_distribution != NORMAL:
+        attributes["noise_distribution"] = fit.settings.noise_distribution
     checks = checked_predictions(fit, predictive)
     coords = {
         "element": elements,

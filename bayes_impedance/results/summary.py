@@ -16,7 +16,13 @@ from bayes_impedance.population.calibrated import inseparable_given
 from bayes_impedance.population.fit import PopulationFit
 from bayes_impedance.population.requirements import too_few_for_correlations
 from bayes_impedance.results.adequacy import Adequacy
-from bayes_impedance.results.distribution import distribution_remark, distribution_summary, interval
+from bayes_impedance.results.distribution import (
+    distribution_remark,
+    distribution_summary,
+    interval,
+    noise_remark,
+    noise_summary,
+)
 from bayes_impedance.results.misfit import coverage_by_frequency, misfit_words, network_misfits, noise_scale_summary
 from bayes_impedance.results.predictive import Predictive
 from bayes_impedance.units import INTERVAL
@@ -105,6 +111,7 @@ def summary_of(
         "delta_phase_deg": float(np.mean(predictive.person_delta_phase_deg)),
     }
     distribution = distribution_summary(p, fit.kernel.elements, fit.identified, known=not problems)
+    noise = noise_summary(fit.noise_tail)
     return {
         "schema": SCHEMA,
         "reliable": not problems,
@@ -125,6 +132,7 @@ def summary_of(
         "data_sha256": fit.recordings.sha256,
         "covariance": fit.settings.covariance,
         **({} if distribution is None else {"distribution": distribution}),
+        **({} if noise is None else {"noise_distribution": noise}),
         "prior": _prior(fit),
         "covariates": _covariates(fit),
         "elements": elements,
@@ -198,6 +206,8 @@ def _remarks(fit: PopulationFit, predictive: Predictive, gross: bool) -> list[st
     elif n < FEW_PERSONS:
         remarks.append(f"There are only {n} subjects: dispersions rest on the prior as much as on the data.")
     if (said := distribution_remark(fit.parameters)) is not None:
+        remarks.append(said)
+    if (said := noise_remark(fit.noise_tail)) is not None:
         remarks.append(said)
     own = sum(not parameter.shared for parameter in fit.kernel.parameters)
     if not fit.one_person and too_few_for_correlations(n, own):

@@ -250,6 +250,23 @@ def test_distributions_of_people_are_compared(place: Path, capsys: pytest.Captur
     assert abs(rows["normal"]["elpd"] - rows["student_t"]["elpd"]) < 5
 
 
+def test_distributions_of_noise_are_compared(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Normal noise: both predict as well. The finished fit is known to be that of normal noise."""
+    out = place / "noise"
+    own = ["compare", str(place / "data"), "-o", str(out), *OPTIONS, "--network", "m1|r1|n1"]
+    assert main([*own, "--noise-distributions", "normal", "student_t"]) == 0
+    told = capsys.readouterr().out
+    rows = {row["noise_distribution"]: row for row in json.loads((out / "networks.json").read_text())["networks"]}
+    assert set(rows) == {"normal", "student_t"}
+    assert "m1|r1|n1, student_t noise" in told
+    assert "not separated from it" in told
+    assert abs(rows["normal"]["elpd"] - rows["student_t"]["elpd"]) < 5
+    tails = load_result(out / "2")
+    assert tails.attributes["noise_distribution"] == "student_t"
+    assert tails.summary["noise_distribution"]["name"] == "student_t"
+    assert "noise_distribution" not in load_result(out / "1").summary
+
+
 def test_two_groups_are_compared_with_one(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, own = place / "groups", ["compare", str(place / "data"), "--network", "m1|r1|n1"]
     assert main([*own, "-o", str(place / "no"), *OPTIONS, "--distributions", "normal", "mixture"]) == 2

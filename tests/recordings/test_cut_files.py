@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from datasets import HEADER, dataset
 
@@ -11,6 +12,7 @@ from bayes_impedance.commands.cli import main
 from bayes_impedance.errors import InputError
 from bayes_impedance.quality.checks import check_recordings
 from bayes_impedance.recordings.files import read_recordings
+from bayes_impedance.recordings.shorter_grid import shorter_grids
 
 FREQUENCIES = (5, 10, 20, 40, 80, 160)
 
@@ -65,6 +67,30 @@ def test_a_person_whose_frequencies_end_early_is_remarked_on(tmp_path: Path) -> 
 )
 def test_other_grids_are_not_remarked_on(tmp_path: Path, content: str) -> None:
     assert read_recordings(dataset(tmp_path, content)).warnings == ()
+
+
+def test_files_that_go_downwards_are_cut_at_low_frequencies(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    for who, count in (("A", 6), ("B", 4), ("C", 6)):
+        lines = rows(who, *FREQUENCIES[::-1][:count]).splitlines()
+        text = "frequency_hz,z_re,z_im\n" + "\n".join(",".join(line.split(",")[2:]) for line in lines) + "\n"
+        (tmp_path / f"{who}.csv").write_text(text, encoding="utf-8")
+    files = [str(tmp_path / f"{who}.csv") for who in "ABC"]
+    assert main(["import", *files, "-o", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert "B.csv: the frequencies end at 20 Hz after 4, where 2 others have the same and go on, 6 to 5 Hz" in said
+    upwards = (tmp_path / "B.csv").read_text(encoding="utf-8").splitlines()
+    (tmp_path / "B.csv").write_text("\n".join([upwards[0], *upwards[:0:-1]]) + "\n", encoding="utf-8")
+    assert main(["import", *files, "-o", str(tmp_path / "out")]) == 0  # a sweep that began higher was not cut
+
+
+def test_frequencies_that_an_instrument_reached_are_the_same_lines() -> None:
+    rng, line = np.random.default_rng(1), np.geomspace(5, 500, 20)
+    grids = [(name, line * np.exp(0.01 * rng.uniform(-1, 1, 20))) for name in "ABCDE"]
+    assert shorter_grids(grids) == []
+    ((name, said),) = shorter_grids([*grids, ("F", grids[0][1][:13])])
+    assert name == "F"
+    assert "after 13, where 5 others have the same" in said
+    assert shorter_grids([*grids, ("F", np.geomspace(5, 300, 13))]) == []  # other lines
 
 
 def test_import_refuses_it_unless_sweeps_were_stopped(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:

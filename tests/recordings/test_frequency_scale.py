@@ -8,7 +8,7 @@ from known_impedance import FREQUENCY, impedance, imported, table
 
 from bayes_impedance.commands.cli import main
 from bayes_impedance.recordings import Recordings, Subject, read_recordings, write_recordings
-from bayes_impedance.recordings.frequency_scale import seems
+from bayes_impedance.recordings.frequency_scale import Band, band_of, seems
 
 RADIANS = 2 * np.pi * FREQUENCY
 
@@ -58,12 +58,59 @@ def test_batteries_are_slow(tmp_path: Path) -> None:
 def test_bands_that_nobody_chose_are_rarely_rounded() -> None:
     rng = np.random.default_rng(1)
     ends = np.exp(rng.uniform(0, 10, size=(20_000, 2)))
-    assert sum(seems(100, *sorted(pair), "N s/m") == "rad/s" for pair in ends.tolist()) < 20
+    assert sum(seems(Band(100, *sorted(pair)), "N s/m") == "rad/s" for pair in ends.tolist()) < 20
 
 
 @pytest.mark.parametrize("step", [1.0, 0.25, 1.953125])
 def test_lines_of_a_spectrum_are_hertz(step: float) -> None:
-    assert seems(200, 5 * step, 204 * step, "N s/m") is None
+    assert seems(band_of(step * np.arange(5, 205)), "N s/m") is None
+
+
+def written(frequency_hz: np.ndarray, digits: int) -> np.ndarray:
+    """Read from a file that holds so many digits."""
+    return np.array([float(f"{f:.{digits}g}") for f in frequency_hz])
+
+
+def grids(rng: np.random.Generator, kind: str) -> np.ndarray:
+    """A grid as people and instruments choose it, in Hz."""
+    n = int(rng.integers(20, 400))
+    if kind == "three digits":
+        low = float(f"{10 ** rng.uniform(-1, 2):.3g}")
+        return np.geomspace(low, float(f"{low * 10 ** rng.uniform(0.7, 3):.3g}"), n)
+    if kind == "octaves":
+        return 1000 * 2.0 ** (np.arange(-int(rng.integers(10, 25)), int(rng.integers(4, 12))) / 3)
+    rate = rng.choice([1000.0, 2048, 2500, 8000, 10_000, 44_100, 48_000, 51_200, 65_536, 102_400])
+    samples = 2 ** int(rng.integers(9, 17)) if kind == "spectrum" else int(rng.integers(100, 20_000))
+    first = int(rng.integers(1, 20))
+    return rate / samples * np.arange(first, first + n)
+
+
+@pytest.mark.parametrize("kind", ["three digits", "octaves", "spectrum", "any number of samples"])
+def test_grids_in_hertz_are_not_doubted(kind: str) -> None:
+    rng = np.random.default_rng(2)
+    told = [seems(band_of(written(grids(rng, kind), int(rng.integers(4, 17)))), "ohm") for _ in range(2000)]
+    assert told.count("rad/s") <= 1
+
+
+@pytest.mark.parametrize(("kind", "digits", "least"), [("three digits", 7, 0.95), ("spectrum", 12, 0.99)])
+def test_radians_of_bands_that_are_not_round_are_named(kind: str, digits: int, least: float) -> None:
+    rng = np.random.default_rng(3)
+    told = [seems(band_of(written(2 * np.pi * grids(rng, kind), digits)), "ohm") for _ in range(300)]
+    assert told.count("rad/s") >= least * len(told)
+
+
+@pytest.mark.parametrize("frequency", [np.geomspace(3.25, 1250, 60), 51_200 / 4096 * np.arange(3, 200)])
+def test_radians_of_any_grid_are_refused_by_commands(
+    frequency: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    s = 2j * np.pi * frequency
+    z = 0.02 * s + 2 + 1000 / s
+    one = Subject(name="A", frequency_hz=2 * np.pi * frequency, z=z[None], repetitions=("1",))
+    folder = write_recordings(
+        Recordings(unit="N s/m", subjects=(one,), title="t", network=None, source="", licence=""), tmp_path / "in"
+    )
+    assert main(["check", str(folder)]) == 2
+    assert "these seem to be in rad/s" in capsys.readouterr().err
 
 
 def test_the_unit_in_a_name_is_used(tmp_path: Path) -> None:

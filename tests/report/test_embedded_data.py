@@ -150,6 +150,19 @@ def test_every_picture_says_what_is_seen(tmp_path: Path) -> None:
         assert sum(bool(re.search(r"\d", words)) for words in said) >= 0.7 * len(said)
 
 
+@pytest.mark.parametrize("kind", ["fit", "diagnosis"])
+def test_pages_of_as_many_recordings_as_the_shipped_stay_below_6_mb(kind: str, tmp_path: Path) -> None:
+    """71 people x 3 x 401, pictures included."""
+    if kind == "fit":
+        page = write_report(make_result(subjects=71, points=401), tmp_path)
+    else:
+        page = write_diagnosis_report(make_diagnosis("two", subjects=71, size=401), tmp_path)
+    text = page.read_text(encoding="utf-8")
+    assert text.count("data:image/png;base64,") >= 5
+    assert len(data_of(text)["people"]) == 71
+    assert 2_000_000 < page.stat().st_size < 6_000_000  # the library and the pictures are in it
+
+
 def test_numbers_are_short_and_frequencies_few() -> None:
     assert rounded(np.array([1.0, 123456.7, 1.23456e-5, np.nan, np.inf])) == [1, 123500, 1.235e-05, None, None]
     assert kept_frequencies(5, 30, 6).tolist() == list(range(30))

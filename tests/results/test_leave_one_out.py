@@ -119,6 +119,20 @@ def test_a_fit_without_a_person_gives_what_the_weights_promise() -> None:
     assert np.all(changed[[2, 9]] != 0)
 
 
+@pytest.mark.parametrize("distribution", ["normal", "mixture"])
+def test_fewer_people_than_the_model_takes_are_no_refit(distribution: str) -> None:
+    """Four people are the fewest for correlations of two elements, and for two groups; three would be another model."""
+    recordings = recordings_of(mass_and_damper, "m1|r1", np.array([-5.0, 0.7]), [2] * 4, 12, seed=8)
+    settings = replace(SHORT, covariance="full", distribution=distribution)
+    fit = fit_population(recordings, settings=settings, seed=1)
+    assert fit.settings.covariance == "full"
+    result = make_result(fit, predict(fit), {})
+    left_out = leave_one_out(result)
+    kept = refit_without(recordings, [2], left_out, result, settings, 1, lambda *_: None)
+    assert not kept.refitted.any()
+    np.testing.assert_array_equal(kept.elpd, left_out.elpd)
+
+
 def test_the_density_of_somebody_unseen_equals_a_brute_force_integral() -> None:
     mu = np.array([-5.0, 0.7])
     recordings = recordings_of(mass_and_damper, "m1|r1", mu, [2] * 12 + [1] * 4, 30, seed=6)
