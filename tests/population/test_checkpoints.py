@@ -174,9 +174,9 @@ def test_a_checkpoint_from_before_a_setting_existed_is_refused(
     whole = FitSettings.__repr__
     with monkeypatch.context() as earlier:
         earlier.setattr(FitSettings, "__repr__", lambda self: whole(self).replace(", distribution='normal'", ""))
-        assert "distribution" not in repr(VERY_SHORT)
+        assert ", distribution=" not in repr(VERY_SHORT)
         fit_population(recordings, settings=VERY_SHORT, seed=7, checkpoint=tmp_path)
-    assert "distribution" in repr(VERY_SHORT)
+    assert ", distribution=" in repr(VERY_SHORT)
     before = {file: file.read_bytes() for file in tmp_path.iterdir()}
     with pytest.raises(InputError, match="another version of the package; give the same ones, or start anew"):
         fit_population(recordings, settings=VERY_SHORT, seed=7, checkpoint=tmp_path)
