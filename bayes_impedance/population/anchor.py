@@ -1,4 +1,4 @@
-"""The reference population under which everybody's draws are made."""
+"""The reference population of everybody's draws, and where it is moved when draws do not suffice."""
 
 from __future__ import annotations
 
@@ -6,7 +6,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bayes_impedance.person.choosing import Nearby
 from bayes_impedance.population.parameters import PopulationParameters
+
+_AROUND = 1.2
+"""Factor on the standard deviations of the mean of some populations from which draws are made for all of them.
+Computed with normal likelihoods of 71 virtual fingertips from 20 to 800 Hz: under populations near the posterior 0.07
+(5 % quantile) and 0.55 (median) of the draws are effective with 1.08, 0.15 and 0.53 with 1.2, 0.18 and 0.44 with
+1.4."""
+
+_CHOSEN_FOR = 32
+"""Populations for which draws are chosen. By choice: a person's weights under as many span those under the others."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,6 +32,8 @@ class Anchor:
         Factor on its standard deviations.
     along_valley : bool
         Propose along each person's curved valley.
+    near : Nearby, optional
+        Populations for which draws are chosen from many.
     """
 
     mu: np.ndarray
@@ -29,6 +41,7 @@ class Anchor:
     covariance: np.ndarray
     reach: float
     along_valley: bool = False
+    near: Nearby | None = None
 
     def means(self, covariates: np.ndarray) -> np.ndarray:
         """Mean of each person (N, P) with covariates (N, Q)."""
@@ -49,6 +62,17 @@ class Anchor:
             reach=reach,
             along_valley=along_valley,
         )
+
+    @classmethod
+    def among(cls, there: PopulationParameters, repetitions: np.ndarray) -> Anchor:
+        """The same, wide enough for all of them, and with draws that are chosen for them.
+
+        How slopes differ between them is left out of the choice.
+        """
+        some = there[np.unique(np.linspace(0, len(there.mu) - 1, _CHOSEN_FOR).astype(int))]
+        middle = cls.of(there, repetitions, _AROUND, False)
+        near = Nearby(some.mu - middle.mu, _of_means(some, repetitions))
+        return replace(middle, near=near)
 
     def and_between(self, there: PopulationParameters) -> Anchor:
         """The same, its covariance increased by that of the means of some populations."""

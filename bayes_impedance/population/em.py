@@ -28,23 +28,23 @@ errors from zero, so neither a smaller nor a larger value fits as well.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from operator import attrgetter, methodcaller
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
 
 from bayes_impedance.errors import InputError
-from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.parameters import LOG
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.mode import Mode
 from bayes_impedance.population.calibrated import inseparable_given
+from bayes_impedance.population.common_solutions import ALIGNED, APART, best_common, from_one_person
 from bayes_impedance.population.contrasts import Contrasts
 from bayes_impedance.population.e_step import PersonFit, contrasts_of
 from bayes_impedance.population.em_state import State, equations_of, refitted
-from bayes_impedance.population.order import Order, arranged
+from bayes_impedance.population.order import arranged
 from bayes_impedance.population.prior import Prior
 from bayes_impedance.population.shared import Pooling
 from bayes_impedance.population.starting_fits import FirstFits
@@ -64,11 +64,8 @@ _AT_REST = -1.0
 """Marks, in place of the distance moved, that the last iteration, from many starting points, is done."""
 _TOLERANCE = 0.02
 """Iterations end when the population moves by less than this, in its standard errors. By choice: see `_MAX_ROUNDS`."""
-_ALIGNED = (2, 5)
-"""Rounds after which recordings are searched one by one where linear steps have not described them. By choice: such
-steps need two rounds where they suffice."""
-_TRIAL_ROUNDS, _TRIAL_POINTS = 10, 100
-"""Iterations and frequencies per person in comparing modes. By choice: few, as their evidences differ by much."""
+_MOST_TOGETHER = 2
+"""Most times that everybody begins anew from one person's solution. By choice: each time the evidence is higher."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -220,34 +217,53 @@ def estimate(
         return State(pooling, data, prior, covariates, correlated, theta, repeated, one_person, tails)
 
     rounds, moved, rivals = 0, np.inf, tuple[float, ...]()
+    together, jumped = 0, np.zeros(n, dtype=bool)
     kept = None if checkpoint is None else load_arrays(checkpoint)
     if kept is not None:
         state = state_from(first.theta, data)
         state.restore(kept)
         rounds, moved, rivals = int(kept["rounds"]), float(kept["moved"]), tuple(kept["rivals"].tolist())
+        together, jumped = int(kept["together"]), kept["jumped"]
     elif len(first.common) > 1 and not one_person:
-        begun, rivals = _best_common(pooling.kernel, prior.order, state_from, data, first, progress)
+        begun, rivals = best_common(pooling.kernel, prior.order, state_from, data, first, progress)
         state = state_from(begun, data)
     else:
         state = state_from(first.theta, data)
 
     def keep() -> None:
         if checkpoint is not None:
-            save_arrays(checkpoint, state.snapshot() | {"rounds": rounds, "moved": moved, "rivals": np.array(rivals)})
+            own = {"rounds": rounds, "moved": moved, "rivals": np.array(rivals), "together": together, "jumped": jumped}
+            save_arrays(checkpoint, state.snapshot() | own)
 
-    while moved >= 0 and rounds < _MAX_ROUNDS and not (rounds >= _FEWEST_ROUNDS and moved < _TOLERANCE):
-        rounds += 1
-        moved = state.iterate(first.alternatives[..., pooling.varying] if rounds in (1, 4) else None)
-        if rounds in _ALIGNED:
-            state.align()
-        progress("population estimate", rounds, _MAX_ROUNDS)
-        keep()
-    if moved >= 0:
-        # A last iteration from many starting points, as the population itself may hold a person in a local optimum.
-        spread = np.linalg.cholesky(state.covariance) @ np.random.default_rng(seed).normal(size=(n, p, 4))
-        state.iterate(state.means[:, None, :] + np.swapaxes(spread, 1, 2))
-        moved = _AT_REST
-        keep()
+    def searched(starts: np.ndarray) -> float:
+        """One iteration from other starting points too; who has gone to another solution is noted."""
+        before = state.theta[:, pooling.varying]
+        change = state.iterate(starts)
+        jumped[np.abs(state.theta[:, pooling.varying] - before).max(axis=1) > APART] = True
+        return change
+
+    while True:
+        while moved >= 0 and rounds < _MAX_ROUNDS and not (rounds >= _FEWEST_ROUNDS and moved < _TOLERANCE):
+            rounds += 1
+            again = rounds in (1, 4)
+            moved = searched(first.alternatives[..., pooling.varying]) if again else state.iterate(None)
+            if rounds in ALIGNED:
+                state.align()
+            progress("population estimate", rounds, _MAX_ROUNDS)
+            keep()
+        if moved >= 0:
+            # A last iteration from many starting points, as the population itself may hold a person in a local optimum.
+            spread = np.linalg.cholesky(state.covariance) @ np.random.default_rng(seed).normal(size=(n, p, 4))
+            searched(state.means[:, None, :] + np.swapaxes(spread, 1, 2))
+            moved = _AT_REST
+            keep()
+        if one_person or together == _MOST_TOGETHER or not np.any(jumped):
+            break
+        found, gain = from_one_person(pooling.kernel, prior.order, state_from, data, state.theta, jumped, progress)
+        if found is None:
+            break
+        state, rivals = state_from(found, data), (gain, *(rival + gain for rival in rivals))
+        rounds, moved, together, jumped = 0, np.inf, together + 1, np.zeros(n, dtype=bool)
     if prior.order:
         state.iterate(None)  # standard errors need everybody's fit under the population as it now is
         state.exchange(arranged(prior.order, pooling.kernel, *state.found()))
@@ -335,43 +351,3 @@ def _most_repetitions(part: Sequence[Likelihood]) -> int:
 
 def _outcome(fit: PersonFit) -> tuple[float, bool, np.ndarray]:
     return fit.mode.scale, fit.mode.converged, fit.deviations
-
-
-def _best_common(
-    kernel: Kernel,
-    order: Order,
-    state_from: Callable[[np.ndarray, Kept], State],
-    data: Kept,
-    first: FirstFits,
-    progress: Progress,
-) -> tuple[np.ndarray, tuple[float, ...]]:
-    """Each person's starting point, (N, P), and the differences in log evidence of the alternatives.
-
-    If persons start in different optima, the estimated population spans all of them, and its inflated dispersion then
-    holds each person in the optimum it started from. So each common solution is tried as a population of its own, on
-    thinned data, and the one with the highest evidence is taken: of those that are in the order of the prior, if any
-    of them is.
-    """
-    thinned = data.each(methodcaller("thinned", _TRIAL_POINTS))
-    found, ends, ordered = [], [], []
-    for c, theta in enumerate(first.common):
-        state = state_from(theta, thinned)
-        for k in range(_TRIAL_ROUNDS):
-            state.iterate(None)
-            if k + 1 in _ALIGNED:
-                state.align()
-        found.append(state.log_evidence())
-        ends.append(state.theta)
-        middle = np.median(state.theta, axis=0)
-        best = arranged(order, kernel, middle, np.ones(middle.size))
-        ordered.append(bool(order.obeyed(middle[best])))
-        progress("common solutions", c + 1, len(first.common))
-    ranked = [k for k in np.argsort(found)[::-1] if ordered[k] or not any(ordered)]
-    middles = [_by_kind(kernel.elements, np.median(end, axis=0)) for end in ends]
-    others = [k for k in ranked[1:] if np.abs(middles[k] - middles[ranked[0]]).max() > 0.3]
-    return ends[ranked[0]], tuple(float(found[ranked[0]] - found[k]) for k in others)
-
-
-def _by_kind(elements: Sequence[str], theta: np.ndarray) -> np.ndarray:
-    """Log elements sorted within each kind, so that exchanging equal parts of a network changes nothing."""
-    return np.asarray(theta[np.lexsort((theta, np.array([ord(e[0]) for e in elements])))])

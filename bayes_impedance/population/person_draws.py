@@ -13,6 +13,7 @@ import numpy as np
 
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.person.absolute_density import deviations_of, log_constant
+from bayes_impedance.person.choosing import Nearby
 from bayes_impedance.person.condensed import NODES_PER_DECADE, condensed, holds
 from bayes_impedance.person.importance_draws import Draws, Reference, draw
 from bayes_impedance.person.likelihood import Likelihood
@@ -43,6 +44,8 @@ class DrawingPlan:
         How far parameters that are the same for everybody may move.
     span : DispersionRange or None
         How far dispersions between repetitions may move.
+    near : Nearby, optional
+        Populations for which draws are chosen.
     """
 
     kernel: Kernel
@@ -52,6 +55,7 @@ class DrawingPlan:
     along_valley: bool
     sharing: Sharing | None
     span: DispersionRange | None
+    near: Nearby | None = None
 
 
 @dataclass(frozen=True)
@@ -114,8 +118,8 @@ def _drawn(
         small = condensed(plan.kernel, likelihood, fit.theta, per_decade)
         if small is None:
             break
-        draws = draw(plan.kernel, small, fit.mode, ridge, reference, plan.n_draws, seed, plan.along_valley)
+        draws = draw(plan.kernel, small, fit.mode, ridge, reference, plan.n_draws, seed, plan.along_valley, plan.near)
         if holds(plan.kernel, likelihood, small, ridge, draws.theta, draws.log_weight):
             return draws, small
-    draws = draw(plan.kernel, likelihood, fit.mode, ridge, reference, plan.n_draws, seed, plan.along_valley)
+    draws = draw(plan.kernel, likelihood, fit.mode, ridge, reference, plan.n_draws, seed, plan.along_valley, plan.near)
     return draws, likelihood

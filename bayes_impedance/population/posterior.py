@@ -21,6 +21,7 @@ from bayes_impedance.person.importance_draws import widening
 from bayes_impedance.population.anchor import Anchor, of_limited_growth
 from bayes_impedance.population.coordinates_gradient import pulled_back
 from bayes_impedance.population.draw_error import DrawError, draw_error, noise_within
+from bayes_impedance.population.draws_again import DrawsAgain
 from bayes_impedance.population.em import Estimate, moved_to
 from bayes_impedance.population.moved_dispersions import range_of
 from bayes_impedance.population.parameters import Coordinates, PopulationParameters
@@ -45,21 +46,12 @@ elsewhere the first or the second attempt is the last."""
 _WIDER = 2.0
 """Factor on the reference population's standard deviations if the effective number of draws is too small: the
 populations not covered are wider than the reference. By choice."""
-_DRAWS_AGAIN, _DRAWS_OF_ALL = (8, 16), 2**14
-"""Largest factor on the number of draws when they are made for the populations of a chain: the second if at first all
-persons together had no more than this number. By choice, for time: sampling takes as many times longer. With 8 an error
-of 0.2 to 0.4 fell to 0.1 to 0.12 in narrow bands, not quite what is wanted, with 16 to 0.06 to 0.08 (24 persons)."""
-_FEWEST_AGAIN = 2
-"""Least such factor, where it is not the range of dispersions alone that was left. By choice: it is a power of two."""
-_DRAWS_AGAIN_SHARED = 4
-"""The same where parameters are shared by all. By choice, for time: each draw is computed at up to 86 points."""
 _BEYOND_CHAIN = 2.0
 """Factor on the standard deviations of the reference population that follows from a chain, along valleys. Measured in a
 band of 100 to 101 Hz: the smallest effective number of draws (5 % quantile of populations) was 37 with 1, 57 with 1.5,
 120 with 2. Where one t holds near the mode it is too wide: of 71 people with eight elements one was left with 1."""
 _PILOT = SamplerSettings(ensembles=2, burn_in=(60, 60), chunk=60, longest=60)
-"""Short chains that give the mean and the covariance to which the reference is moved. By choice: convergence is not
-required."""
+"""Short chains, to whose mean and covariance the reference is moved. By choice: convergence is not required."""
 _LARGEST_COORDINATE = 8.0
 """Limit on the coordinates. Most are standard normal under the prior, with a probability of 1e-15 beyond eight."""
 _SPREAD_ALLOWED = 1.2
@@ -154,7 +146,7 @@ class Posterior:
             shared_free=tuple(np.flatnonzero(point.shared_determined)),
             held_shared=point.shared,
             bend_persons=bend_of(np.sqrt(np.diag(self.covariance)), own),
-            bend_repetitions=bend_of(point.between_repetitions, own),
+            bend_repetitions=bend_of(point.between_repetitions, own, self.span),
             tails=point.tail is not None,
             groups=point.groups is not None,
         )
@@ -217,28 +209,34 @@ class Posterior:
         uncertainty there: no reference suits both a small and a vanishing spread, so more draws are needed. It
         collapses if a person's posterior is a curved valley of which one t distribution covers only a part. The
         proposals then follow the valley (:mod:`bayes_impedance.person.valley`) under a wider reference, until the
-        draws suffice for all populations near the mode.
+        draws suffice for all populations near the mode. But if everybody has enough draws under the reference itself,
+        it is only that these populations differ: then draws are chosen for them from many, before more are kept.
         """
-        rounds = seed.spawn(len(_MORE_DRAWS))
-        few, n_persons = self._few, self.repetitions.size  # persons times draws is kept about constant
-        reach, holds = widening(n_persons), True
+        few, repetitions = self._few, self.repetitions  # persons times draws is kept about constant
+        reach, step = widening(repetitions.size), 0
         anchor = Anchor(mu=self.point.mu, slopes=self.point.slopes, covariance=self.covariance, reach=reach)
         self.mode = starting_point(self.coordinates, self.point, self.covariance, self.repetitions)
         scale = starting_scale(self.coordinates, self.point, self.shared_covariance, self.repetitions)
         self.normal_covariance = np.diag(scale**2)
-        for self.redrawn, child in enumerate(rounds):
-            n_draws = _MORE_DRAWS[self.redrawn] * self.n_draws * few
+        n_draws = _MORE_DRAWS[step] * self.n_draws * few
+        for self.redrawn, child in enumerate(seed.spawn(1 + len(_MORE_DRAWS))):
             self._draw_centred(anchor, n_draws, child, executor, progress)
             pilot = np.random.default_rng(child.spawn(1)[0]).normal(size=(_PILOTS, self.mode.size))
             nearby = self.mode + pilot @ np.linalg.cholesky(self.normal_covariance).T
             populations = self.coordinates.unpack(np.clip(nearby, -_LARGEST_COORDINATE, _LARGEST_COORDINATE))
-            variance = self._variance(populations)
-            calm = noise_within(variance, n_persons, self.mode.size) < VARIANCE_WANTED
-            holds = bool(np.quantile(self.marginal.effective(populations), RARELY) >= FEWEST_DRAWS)
-            if (calm and holds) or child is rounds[-1]:
+            noise = noise_within(self._variance(populations), repetitions.size, self.mode.size) / VARIANCE_WANTED
+            lacking = FEWEST_DRAWS / float(np.quantile(self.marginal.effective(populations), RARELY))
+            if (noise < 1 and lacking <= 1) or step == len(_MORE_DRAWS) - 1:
                 return
-            if not holds:
-                reach *= _WIDER
+            at_home = np.quantile(self.marginal.effective_at_home(), RARELY) >= FEWEST_DRAWS
+            # People are covered, other populations are not: draws are chosen for these, and no more than are needed.
+            around = bool(at_home) and not anchor.along_valley and self.redrawn <= 1
+            step += not around or self.redrawn > 0
+            if not around:
+                n_draws = _MORE_DRAWS[step] * self.n_draws * few
+                reach *= _WIDER if lacking > 1 else 1.0
+            elif self.redrawn > 0:
+                n_draws *= min(_MORE_DRAWS[step], 2 ** int(np.ceil(np.log2(max(noise, lacking)))))
             chains = sample(
                 self.log_probability,
                 self.mode,
@@ -249,7 +247,7 @@ class Posterior:
                 even=self.coordinates.even,
             )
             self._reach(there := self._sampled(chains))
-            anchor = Anchor.of(there, self.repetitions, reach, not holds)
+            anchor = Anchor.among(there, repetitions) if around else Anchor.of(there, repetitions, reach, lacking > 1)
 
     def error(self, chains: Chains) -> DrawError:
         """Error by the draws in the posterior that was sampled."""
@@ -267,14 +265,16 @@ class Posterior:
         other, there = copy(self), self._sampled(chains)
         reach = _BEYOND_CHAIN if self.along_valley else widening(self.repetitions.size)
         anchor = Anchor.of(there, self.repetitions, reach, self.along_valley).and_between(there)
-        fewest = 1 if other._reach(there) and excess <= 1 else _FEWEST_AGAIN  # of draws there may be enough
-        before = self.n_draws * self._few
-        more = _DRAWS_AGAIN[-1] if before * self.repetitions.size <= _DRAWS_OF_ALL else _DRAWS_AGAIN[0]
-        if self.coordinates.shared_free:
-            more = min(more, _DRAWS_AGAIN_SHARED)
+        if not self.along_valley:
+            anchor = replace(anchor, near=Anchor.among(there, self.repetitions).near)
+        again = DrawsAgain(
+            first=self.n_draws * self._few,
+            last=self.drawn,
+            n_persons=self.repetitions.size,
+            shared=bool(self.coordinates.shared_free),
+        )
+        n_draws = again.number(excess, other._reach(there), not (self.along_valley or self.chosen))
         other._share_as(there, anchor.means(self.covariates), anchor.covariance)
-        needed = self.drawn * np.clip(excess**2, fewest, more)
-        n_draws = min(more * before, 2 ** int(np.ceil(np.log2(needed))))
         other._draw_centred(anchor, n_draws, seed, executor, progress, True)
         other.along_valley = self.along_valley or excess > 1  # should these draws not hold either
         other._variance(there[np.linspace(0, len(there.mu) - 1, _PILOTS).astype(int)])
@@ -345,7 +345,7 @@ class Posterior:
         self, anchor: Anchor, n_draws: int, seed: np.random.SeedSequence, executor: Executor, progress: Progress
     ) -> None:
         """Draw under a reference population, and find the mode and the normal approximation of the posterior."""
-        self.drawn, self.along_valley = n_draws, anchor.along_valley
+        self.drawn, self.along_valley, self.chosen = n_draws, anchor.along_valley, anchor.near is not None
         if self.pooling.names:
             self.sharing = Sharing.around(self.pooling, self.point.shared, self.shared_covariance)
         self.marginal = KeptDraws.made(

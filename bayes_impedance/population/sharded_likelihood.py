@@ -132,6 +132,7 @@ class KeptDraws:
             along_valley=anchor.along_valley,
             sharing=sharing,
             span=span,
+            near=anchor.near,
         )
         seeds = seed.spawn(n)
         if isinstance(executor, Cluster):
@@ -178,6 +179,10 @@ class KeptDraws:
     def effective(self, parameters: PopulationParameters) -> np.ndarray:
         """Each person's effective number of draws under W sets, shape (W, N)."""
         return np.concatenate(self._kept.ask(_effective, parameters), axis=1)
+
+    def effective_at_home(self) -> np.ndarray:
+        """Each person's effective number of draws under the reference population, shape (N,)."""
+        return np.concatenate(self._kept.ask(_effective_at_home))
 
     def influences(self, parameters: PopulationParameters, influence: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """How the weights of the draws go with functions of W sets of parameters.
@@ -335,6 +340,10 @@ def _variance(part: Part, parameters: PopulationParameters) -> np.ndarray:
 
 def _effective(part: Part, parameters: PopulationParameters) -> np.ndarray:
     return np.asarray(part.marginal.terms(parameters, effective=True)[1])
+
+
+def _effective_at_home(part: Part) -> np.ndarray:
+    return np.array([draws.effective for draws in part.draws])
 
 
 def _influences(part: Part, parameters: PopulationParameters, influence: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

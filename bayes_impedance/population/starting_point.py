@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from bayes_impedance.person.marginal_likelihood import LEAST_RHO
 from bayes_impedance.population.em import Estimate
+from bayes_impedance.population.moved_dispersions import DispersionRange
 from bayes_impedance.population.parameters import Coordinates
 from bayes_impedance.population.prior import Prior
 
@@ -14,9 +16,16 @@ dispersion that few people determine to 30 % lies on the logarithmic part, one t
 linear part."""
 
 
-def bend_of(dispersion: np.ndarray, prior: Prior) -> np.ndarray:
-    """Where coordinates of dispersions bend, in units of the prior's scale, for point estimates (P,)."""
-    return np.asarray(_BEND * np.maximum(dispersion, _LEAST_DISPERSION) / prior.dispersion_sds)
+def bend_of(dispersion: np.ndarray, prior: Prior, span: DispersionRange | None = None) -> np.ndarray:
+    """Where coordinates of dispersions bend, in units of the prior's scale, for point estimates (P,).
+
+    A dispersion whose range reaches down to what is negligible lies on the linear part with all of its range: its
+    logarithm would have a long tail, even where the point estimate is far from zero.
+    """
+    bend = _BEND * np.maximum(dispersion, _LEAST_DISPERSION)
+    if span is not None:
+        bend = np.where(span.lowest <= LEAST_RHO, np.maximum(bend, span.highest), bend)
+    return np.asarray(bend / prior.dispersion_sds)
 
 
 def starting_point(

@@ -9,7 +9,9 @@ from scipy import stats
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
 from bayes_impedance.person import importance_draws
-from bayes_impedance.person.importance_draws import Reference, _inclusion, _log_t, draw
+from bayes_impedance.person.bent_proposal import log_t
+from bayes_impedance.person.choosing import inclusion
+from bayes_impedance.person.importance_draws import Reference, draw
 from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood, log_likelihood
 from bayes_impedance.person.marginal_likelihood import Ridge, find_ridge
 from bayes_impedance.person.mode import Mode, find_mode
@@ -126,17 +128,17 @@ def test_draws_are_chosen_with_probabilities_that_go_with_the_root_of_their_weig
     rng = np.random.default_rng(10)
     log_weight = rng.normal(scale=2, size=500)
     log_weight[:3] = -np.inf
-    inclusion = _inclusion(log_weight, 64)
-    assert inclusion.sum() == pytest.approx(64)
-    assert np.all((inclusion > 0) & (inclusion <= 1))
-    certain = inclusion == 1
+    chance = inclusion(0.5 * log_weight, 64)
+    assert chance.sum() == pytest.approx(64)
+    assert np.all((chance > 0) & (chance <= 1))
+    certain = chance == 1
     assert 0 < certain.sum() < 64
     rest = ~certain & np.isfinite(log_weight)
-    np.testing.assert_allclose(np.diff(np.log(inclusion[rest])), 0.5 * np.diff(log_weight[rest]), atol=1e-9)
+    np.testing.assert_allclose(np.diff(np.log(chance[rest])), 0.5 * np.diff(log_weight[rest]), atol=1e-9)
     assert log_weight[certain].min() > log_weight[rest].max()
     # Also where fewer draws count than are to be chosen.
     few = np.where(np.arange(500) < 10, 0.0, -np.inf)
-    np.testing.assert_allclose(_inclusion(few, 64), np.where(np.arange(500) < 10, 1.0, 54 / 490))
+    np.testing.assert_allclose(inclusion(0.5 * few, 64), np.where(np.arange(500) < 10, 1.0, 54 / 490))
 
 
 def test_density_of_the_t_is_that_of_scipy() -> None:
@@ -145,7 +147,7 @@ def test_density_of_the_t_is_that_of_scipy() -> None:
     root = rng.normal(size=(4, 4))
     centre, covariance, theta = rng.normal(size=4), root @ root.T, rng.normal(scale=5, size=(50, 4))
     expected = stats.multivariate_t(centre, covariance, df=10).logpdf(theta)
-    np.testing.assert_allclose(_log_t(theta, centre, np.linalg.cholesky(covariance)), expected, rtol=1e-10)
+    np.testing.assert_allclose(log_t(theta, centre, np.linalg.cholesky(covariance)), expected, rtol=1e-10)
 
 
 def test_same_seed_same_draws() -> None:

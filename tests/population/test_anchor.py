@@ -1,4 +1,4 @@
-"""The reference population: the mean of some populations."""
+"""The reference population: the mean of some populations, and draws chosen for these."""
 
 import numpy as np
 import pytest
@@ -24,8 +24,18 @@ def test_the_mean_of_populations_has_their_repetitions_too() -> None:
     np.testing.assert_allclose(anchor.covariance, np.diag(np.mean(there.between_persons**2, axis=0) + 0.01 / 3))
     np.testing.assert_allclose(anchor.wide, 2.25 * anchor.covariance)
     assert anchor.along_valley
+    assert anchor.near is None
     between = anchor.and_between(there).covariance - anchor.covariance
     np.testing.assert_allclose(between, np.cov(there.mu.T))
+
+
+def test_draws_are_chosen_for_some_of_the_populations() -> None:
+    there = populations()
+    anchor = Anchor.among(there, np.array([1, 1]))
+    assert anchor.near is not None
+    assert len(anchor.near.shift) == len(anchor.near.covariance) == 32
+    np.testing.assert_allclose(anchor.mu + anchor.near.shift[0], there.mu[0])
+    np.testing.assert_allclose(anchor.near.covariance[-1], there.covariance[-1] + 0.01 * np.eye(2))
 
 
 def test_a_covariance_grows_by_no_more_than_is_allowed() -> None:

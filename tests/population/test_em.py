@@ -11,9 +11,9 @@ import pytest
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
 from bayes_impedance.person.likelihood import Likelihood
-from bayes_impedance.population.em import DETERMINED_BOUNDED, DETERMINED_SD, Estimate, _best_common, estimate, moved_to
+from bayes_impedance.population import em
+from bayes_impedance.population.em import DETERMINED_BOUNDED, DETERMINED_SD, Estimate, estimate, moved_to
 from bayes_impedance.population.em_state import SMALLEST_DISPERSION, State
-from bayes_impedance.population.order import Order
 from bayes_impedance.population.prior import Prior
 from bayes_impedance.population.shared import Pooling
 from bayes_impedance.population.starting_fits import FirstFits
@@ -204,6 +204,17 @@ def stopping(after: int) -> Progress:
     return progress
 
 
+def stopping_at_call(which: int) -> Progress:
+    """Interrupts in the call of this number, the first is zero."""
+    calls = iter(range(which + 1))
+
+    def progress(_stage: str, _done: int, _total: int) -> None:
+        if next(calls) == which:
+            raise StoppedError
+
+    return progress
+
+
 @pytest.mark.parametrize("stopped_after", [1, 3])
 def test_an_interrupted_estimation_goes_on_to_the_same_numbers(tmp_path: Path, stopped_after: int) -> None:
     theta = np.random.default_rng(2).normal(size=(8, 2)) * 0.2 + np.log([2e-3, 2.0])
@@ -219,6 +230,26 @@ def test_an_interrupted_estimation_goes_on_to_the_same_numbers(tmp_path: Path, s
         )
         same(resumed, whole)
         assert rounds[0] == first
+
+
+def test_an_interrupted_estimation_that_began_again_goes_on_to_the_same_numbers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Everybody begins anew from a more probable solution, at most twice; the evidences of those before are kept."""
+    theta = np.random.default_rng(2).normal(size=(8, 2)) * 0.2 + np.log([2e-3, 2.0])
+    likelihoods, file = people("m1|r1", theta, 0.05, repetitions=2, moved=0.05), tmp_path / "point.npz"
+    monkeypatch.setattr(em, "APART", 0.0)  # so that everybody counts as gone elsewhere
+    monkeypatch.setattr(em, "from_one_person", lambda _, __, ___, ____, now, *_____: (now + 0.5, 3.0))
+    rounds: list[int] = []
+    whole = estimated("m1|r1", likelihoods, theta, progress=lambda _, done, __: rounds.append(done))
+    assert rounds.count(1) == 3
+    assert whole.rivals == (3.0, 6.0)
+    second = rounds.index(1, 1)
+    with pytest.raises(StoppedError):
+        estimated("m1|r1", likelihoods, theta, progress=stopping_at_call(second + 3), checkpoint=file)
+    resumed = estimated("m1|r1", likelihoods, theta, checkpoint=file)
+    same(resumed, whole)
+    assert resumed.rivals == whole.rivals
 
 
 @pytest.mark.parametrize("notation", ["m1|r1", "m1*|r1"])
@@ -266,48 +297,6 @@ def test_an_interruption_changes_no_number_of_shared_parameters(tmp_path: Path) 
 
 
 # -------------------------------------------------------------------- which optimum everybody starts in
-
-
-class Trial:
-    """Stands for the state of a population that stays where it was put."""
-
-    def __init__(self, theta: np.ndarray, evidence: float) -> None:
-        self.theta, self._evidence = theta, evidence
-
-    def iterate(self, extra_starts: None) -> float:
-        assert extra_starts is None
-        return 0.0
-
-    def align(self) -> None:
-        pass
-
-    def log_evidence(self) -> float:
-        return self._evidence
-
-
-def test_the_common_solution_of_highest_evidence_is_taken_and_an_exchange_is_no_rival() -> None:
-    """r1 and r2 exchanged are the same explanation; one that lies farther than 0.3 in some element is another."""
-    at = np.array([[0.0, 2.0], [2.0, 0.0], [0.0, 2.2], [1.0, 2.0]])
-    common = np.repeat(at[:, None], 3, axis=1)
-    evidences = dict(zip(map(tuple, at), (-7.0, -5.0, -6.0, -9.0), strict=True))
-    first = FirstFits(common[0], np.empty((3, 0, 2)), common, None)
-    data = Kept.of(ONE_THREAD, people("r1", np.zeros((3, 1)), 0.1))
-
-    def state_from(theta: np.ndarray, thinned: Kept) -> Trial:
-        assert len(thinned.gathered()) == 3
-        return Trial(theta, evidences[tuple(theta[0])])
-
-    def best(network: str, order: Order) -> tuple[np.ndarray, tuple[float, ...]]:
-        return _best_common(Kernel(parse(network)), order, state_from, data, first, lambda *_: None)  # type: ignore[arg-type]
-
-    begun, rivals = best("r1|r2", Order())
-    np.testing.assert_array_equal(begun, common[1])
-    assert rivals == (4.0,)
-    # Where the two cannot be exchanged and their order is given, only what is in this order is a solution.
-    rising, falling = (Order(chains=(pair,), names=(("r1", "r2"),)) for pair in ((0, 1), (1, 0)))
-    np.testing.assert_array_equal(best("r1-(r2|m1=1.0)", rising)[0], common[2])
-    np.testing.assert_array_equal(best("r1-(r2|m1=1.0)", falling)[0], common[1])
-    np.testing.assert_array_equal(best("r1|r2", rising)[0], common[1])
 
 
 def test_modes_follow_a_population_that_is_moved() -> None:
