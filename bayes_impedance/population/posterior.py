@@ -230,13 +230,14 @@ class Posterior:
                 return
             at_home = np.quantile(self.marginal.effective_at_home(), RARELY) >= FEWEST_DRAWS
             # People are covered, other populations are not: draws are chosen for these, and no more than are needed.
-            around = bool(at_home) and not anchor.along_valley and self.redrawn <= 1
+            around = bool(at_home) and not anchor.along_valley
             step += not around or self.redrawn > 0
             if not around:
                 n_draws = _MORE_DRAWS[step] * self.n_draws * few
                 reach *= _WIDER if lacking > 1 else 1.0
             elif self.redrawn > 0:
-                n_draws *= min(_MORE_DRAWS[step], 2 ** int(np.ceil(np.log2(max(noise, lacking)))))
+                needed = n_draws * 2 ** int(np.ceil(np.log2(max(noise, lacking))))
+                n_draws = min(needed, max(_MORE_DRAWS) * self.n_draws * few)
             chains = sample(
                 self.log_probability,
                 self.mode,
