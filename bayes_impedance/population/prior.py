@@ -16,6 +16,9 @@ from bayes_impedance.population import prior_tails
 from bayes_impedance.population.order import Order
 from bayes_impedance.runtime.user_table import number_in
 
+DEFAULT_SD = 3.0
+"""Standard deviation of a log element's default prior: :mod:`.natural_scales`."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Prior:
@@ -46,7 +49,7 @@ class Prior:
     """
 
     centre: np.ndarray
-    centre_sd: float | np.ndarray = 3.0
+    centre_sd: float | np.ndarray = DEFAULT_SD
     dispersion_sd: float | np.ndarray = 1.0
     concentration: float = 2.0
     slope_sd: float = 1.0
@@ -116,6 +119,11 @@ class Prior:
     def tailed(self) -> np.ndarray:
         """Which parameters have a Student t prior, shape (P,)."""
         return np.zeros(self.centre.size, dtype=bool) if self.heavy is None else self.heavy
+
+    @property
+    def starting_sds(self) -> np.ndarray:
+        """Standard deviations (P,) for first fits: a Student t is as wide as the default, which recordings overrule."""
+        return np.where(self.tailed, np.maximum(self.centre_sds, DEFAULT_SD), self.centre_sds)
 
     def local_sds(self, centre: np.ndarray) -> np.ndarray:
         """Standard deviations (P,) of the normal prior that draws as this one does at centres (P,)."""

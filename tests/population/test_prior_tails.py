@@ -151,3 +151,12 @@ def test_one_person_has_the_prior_too(recordings: Recordings) -> None:
         fit = fit_population(one, settings=replace(SHORT, prior=given), seed=1)
         moved[kind] = fit.parameters.mu[:, k].mean() - mu
     assert moved["student_t"] < 0.5 * moved["normal"]
+
+
+def test_first_fits_are_not_held_where_the_prior_is_wrong() -> None:
+    """They would end elsewhere than the others, and be told as another solution, with the evidence of the same one."""
+    recordings = simulate_recordings(THREE_ELEMENTS, 12, 1, np.geomspace(5, 5000, 24), seed=1).recordings
+    given = GivenPrior(elements={"r1": ElementPrior(centre=30.0, scale=0.1, kind="student_t")})
+    fit = fit_population(recordings, "m1|r1|n1", settings=replace(SHORT, prior=given), seed=1)
+    result = make_result(fit, predict(fit, n_draws=20, n_replicates=4), {})
+    assert not [remark for remark in result.summary["remarks"] if remark.startswith("Another solution")]
