@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
 from html import escape
 from typing import Any
 
@@ -111,3 +112,34 @@ def _range(values: Iterable[float]) -> tuple[float, float]:
     found = list(values)
     low, high = min(found), max(found)
     return (low, high) if high > low else (low - 1.0, high + 1.0)
+
+
+class Brief:
+    """Base of dataclasses with ``repr=False``: fields as a line, in a notebook as a table; arrays by their shape."""
+
+    def _told(self) -> list[tuple[str, str]]:
+        return [(field.name, _in_words(getattr(self, field.name))) for field in fields(self)]  # type: ignore[arg-type]
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {short(', '.join(f'{name} {told}' for name, told in self._told()))}>"
+
+    def _repr_html_(self) -> str:
+        return joined(heading(type(self).__name__), table(["field", "value"], self._told()))
+
+
+def _in_words(value: object) -> str:
+    """A field in a few words: numbers and short text as they are, all else by its kind and size."""
+    shape = getattr(value, "shape", None)
+    if isinstance(shape, tuple) and shape:
+        return f"array {' x '.join(map(str, shape))}"
+    if isinstance(value, str):
+        return short(value)
+    if isinstance(value, Mapping | Sequence):
+        return f"{len(value)} entries" if len(value) != 1 else "1 entry"
+    if value is None or isinstance(value, bool | int | float):
+        return number(float(value) if isinstance(value, float) else value)
+    if isinstance(value, complex):
+        return f"{value:.3g}"
+    if shape == ():  # a number of NumPy
+        return _in_words(value.item())  # type: ignore[attr-defined]
+    return type(value).__name__

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import inspect
+from dataclasses import fields, is_dataclass, replace
 from html import escape
 from html.parser import HTMLParser
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +17,9 @@ from diagnoses_by_hand import make_diagnosis
 from results_by_hand import make_result as result_by_hand
 
 from bayes_impedance import display
+from bayes_impedance.classical import map_to_network, vector_fit
 from bayes_impedance.classical.methods import compare_methods
-from bayes_impedance.design import population_of
+from bayes_impedance.design import population_of, representatives
 from bayes_impedance.design.answer import design_answer
 from bayes_impedance.design.loop.device import PHANTOM, Section
 from bayes_impedance.diagnosis.verdict_tables import COLUMNS
@@ -191,6 +194,57 @@ def test_devices_and_their_answers(fit: PopulationFit) -> None:
     assert f"{rounded(answer.limit.stiffness)} N/m for 99 % of users at B = 2 N s/m" in repr(answer)
     assert display.number(answer.limit.mean_user) in html
     assert escape(answer.sentence) in html
+
+
+def test_inputs_for_designers(fit: PopulationFit) -> None:
+    """Every object of an answer, and what else designers get, in a line and a table."""
+    population = population_of(make_result(fit, predict(fit, n_draws=50, n_replicates=20), {}))
+    users = population.draw(40, seed=1)
+    answer = design_answer(population, users, PHANTOM, damping=2.0, grid=3)
+    for one in (answer.map, answer.limit, answer.reason, answer.transparency):
+        shown(one)
+    assert repr(answer.limit).startswith("<Limit: damping 2, share 0.99, stiffness ")
+    table = answer.map.to_dataframe()
+    assert len(table) == answer.map.probability.size
+    row = table.iloc[answer.map.stiffness.size + 1]  # second damping, second stiffness
+    assert (row["damping"], row["stiffness"]) == (answer.map.damping[1], answer.map.stiffness[1])
+    assert row["share"] == answer.map.probability[1, 1]
+    assert answer.transparency is not None
+    error = answer.transparency.to_dataframe()
+    np.testing.assert_array_equal(error["velocity_error"], np.median(answer.transparency.velocity_error, axis=0))
+    empty = replace(
+        answer.transparency, transmitted=np.zeros((0, len(error))), velocity_error=np.zeros((0, len(error)))
+    )
+    assert empty.to_dataframe()["transmitted"].isna().all()
+    few = representatives(population, users, (5, 5000), number=2)
+    shown(few)
+    assert list(few.to_dataframe()["rule"]) == list(few.rules)
+
+
+def test_methods_of_the_paper_one_by_one(fit: PopulationFit) -> None:
+    frequency, z = fit.recordings.subjects[0].frequency_hz, fit.recordings.subjects[0].mean
+    fitted = vector_fit(frequency, z, n_poles=1, pole_at_zero=True, linear=True)
+    mapping = map_to_network(fitted.model.transfer_function(), parse("m1|r1|n1"), frequency)
+    for one in (fitted, fitted.model, mapping):
+        shown(one)
+    table = mapping.to_dataframe()
+    assert list(table.index) == list(mapping.elements)
+    assert table["value"]["r1"] == mapping.elements["r1"].value
+
+
+def test_no_public_class_shows_its_arrays() -> None:
+    """A dataclass with arrays has a line of its own: what dataclasses make would print every number."""
+    import bayes_impedance
+
+    rooms = sorted({module.split(".")[0] for module in bayes_impedance._MODULES.values()} | {"mcmc", "person"})
+    wrong = []
+    for room in rooms:
+        module = import_module(f"bayes_impedance.{room}")
+        for name in getattr(module, "__all__", ()):
+            one = getattr(module, name)
+            if isinstance(one, type) and is_dataclass(one) and any("ndarray" in str(f.type) for f in fields(one)):
+                wrong += [name] if one.__dataclass_params__.repr and "__repr__" not in inspect.getsource(one) else []
+    assert not wrong
 
 
 def test_comparisons_of_methods(fit: PopulationFit) -> None:

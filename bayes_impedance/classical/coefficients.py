@@ -27,6 +27,7 @@ from itertools import product
 import numpy as np
 
 from bayes_impedance.classical.levenberg_marquardt import START_SPREAD, minimise_many
+from bayes_impedance.display import Brief
 from bayes_impedance.network.notation import Network
 from bayes_impedance.network.rational import TransferFunction
 
@@ -74,8 +75,8 @@ class _Symbolic:
     __hash__ = None  # type: ignore[assignment]
 
 
-@dataclass(frozen=True)
-class CoefficientEquations:
+@dataclass(frozen=True, repr=False)
+class CoefficientEquations(Brief):
     """Coefficients of a network's impedance as polynomials in its elements.
 
     Attributes
@@ -159,8 +160,8 @@ class CoefficientEquations:
         return np.array([given.get(name, 0.0) for name in self.names]), surplus
 
 
-@dataclass(frozen=True)
-class ExactSolution:
+@dataclass(frozen=True, repr=False)
+class ExactSolution(Brief):
     """Elements with which the network is the rational function, coefficient for coefficient.
 
     Attributes

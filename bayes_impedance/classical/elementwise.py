@@ -29,6 +29,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayes_impedance.classical.levenberg_marquardt import START_SPREAD, minimise_many
+from bayes_impedance.display import Brief
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.elements import kind_of
 from bayes_impedance.network.kernel import Kernel
@@ -59,8 +60,8 @@ _STEPS = 40
 convergence."""
 
 
-@dataclass(frozen=True)
-class ElementwiseFit:
+@dataclass(frozen=True, repr=False)
+class ElementwiseFit(Brief):
     """Elements of all subjects, each fitted to that subject's curve alone.
 
     Attributes

@@ -30,8 +30,8 @@ the coefficients (those of rounding, say) are amplified.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -43,6 +43,7 @@ from bayes_impedance.classical.coefficients import (
 )
 from bayes_impedance.classical.elementwise import RUNAWAY, Curve
 from bayes_impedance.classical.levenberg_marquardt import START_SPREAD
+from bayes_impedance.display import Brief
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.elements import kind_of
 from bayes_impedance.network.kernel import Kernel
@@ -54,6 +55,9 @@ from bayes_impedance.population.natural_scales import default_prior
 from bayes_impedance.population.starting_fits import search_modes
 from bayes_impedance.recordings.files import Recordings, Subject
 from bayes_impedance.units import NORMAL_Q95
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _HELD_BY = 4
 """Number of coefficients reported for each element, those with the largest sensitivities. By choice."""
@@ -96,8 +100,8 @@ class MappedElement:
     amplification: float
 
 
-@dataclass(frozen=True, kw_only=True)
-class NetworkMapping:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class NetworkMapping(Brief):
     """The result of mapping a rational impedance onto a network.
 
     Attributes
@@ -139,6 +143,14 @@ class NetworkMapping:
     whitened_distance: float | None
     condition: float
     coefficient_ratios: dict[str, float]
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row for each element of the nearest network."""
+        import pandas as pd
+
+        return pd.DataFrame([{"element": name, **asdict(own)} for name, own in self.elements.items()]).set_index(
+            "element"
+        )
 
     def summary(self) -> dict[str, Any]:
         """For a JSON file."""

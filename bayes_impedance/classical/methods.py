@@ -34,7 +34,7 @@ from bayes_impedance.classical.normality import MINIMUM_PEOPLE, Normality, norma
 from bayes_impedance.classical.passivity import Passivity, check_passivity
 from bayes_impedance.classical.system_identification import identify
 from bayes_impedance.classical.vector_fitting import vector_fit
-from bayes_impedance.display import heading, joined, lines, short, table
+from bayes_impedance.display import Brief, heading, joined, lines, short, table
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Network, parse
@@ -53,8 +53,8 @@ FAMILIES = (MAGNITUDES, PHASES, TABLES, RATIONAL, COMPLEX, OURS)
 """Families of methods, by the data they use or the kind of model."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Method:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Method(Brief):
     """One curve for the population, and how it was found.
 
     Attributes

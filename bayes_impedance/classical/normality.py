@@ -58,6 +58,7 @@ import numpy as np
 from scipy import stats
 from scipy.special import chdtrc, ndtr
 
+from bayes_impedance.display import Brief
 from bayes_impedance.errors import InputError
 
 MINIMUM_PEOPLE = 8
@@ -84,8 +85,8 @@ _ROUNDING = 1e-12
 """Relative difference below which values count as equal. By choice: some thousand machine epsilons."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Normality:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Normality(Brief):
     """P values of every test at every frequency; NaN where a test is impossible.
 
     Attributes

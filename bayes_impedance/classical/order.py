@@ -41,6 +41,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bayes_impedance.classical.vector_fitting import number_of_unknowns, vector_fit
+from bayes_impedance.display import Brief
 from bayes_impedance.errors import InputError
 
 _BLOCKS_PER_FOLD = 8
@@ -51,8 +52,8 @@ _RELOCATIONS = 20
 nonlinear refinement afterwards brings the other poles to convergence."""
 
 
-@dataclass(frozen=True, eq=False)
-class OrderSelection:
+@dataclass(frozen=True, eq=False, repr=False)
+class OrderSelection(Brief):
     """Held-out error over the number of poles.
 
     Attributes

@@ -46,6 +46,7 @@ from scipy.optimize import nnls
 
 from bayes_impedance.classical.pole_residue import PoleResidue
 from bayes_impedance.classical.real_part import AxisPole, RealPart, on_axis, real_part
+from bayes_impedance.display import Brief
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.rational import TransferFunction
 from bayes_impedance.units import hertz
@@ -81,8 +82,8 @@ class Violation:
     relative: float
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Passivity:
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Passivity(Brief):
     """Whether an impedance is positive real, and which conditions it violates.
 
     Attributes

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from bayes_impedance.display import Brief
 from bayes_impedance.network.rational import TransferFunction
 
 _PAIRING = 1e-9
@@ -20,8 +21,8 @@ _PAIRING = 1e-9
 below the digits that are given in practice."""
 
 
-@dataclass(frozen=True, eq=False)
-class PoleResidue:
+@dataclass(frozen=True, eq=False, repr=False)
+class PoleResidue(Brief):
     """A real rational function of s with simple poles.
 
     Attributes

@@ -25,6 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayes_impedance.display import Brief
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.rational import TransferFunction
 
@@ -35,8 +36,8 @@ _LINEAR_ROUNDS = 30
 """Linearised steps from each start. By choice: the best of them is kept, so that more only cost time."""
 
 
-@dataclass(frozen=True)
-class Identification:
+@dataclass(frozen=True, repr=False)
+class Identification(Brief):
     """A rational function fitted to recordings.
 
     Attributes

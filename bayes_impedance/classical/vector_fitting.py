@@ -41,8 +41,7 @@ References
 .. [2] B. Gustavsen, "Improving the pole relocating properties of vector fitting", IEEE Trans. Power Deliv. 21(3), 2006.
 .. [3] D. Deschrijver, M. Mrozowski, T. Dhaene, D. De Zutter, "Macromodeling of multiport systems using a fast
    implementation of the vector fitting method", IEEE Microwave and Wireless Components Letters 18(6), 2008.
-.. [4] G. H. Golub, V. Pereyra, "The differentiation of pseudo-inverses and nonlinear least squares problems whose
-   variables separate", SIAM Journal on Numerical Analysis 10(2), 1973; L. Kaufman, BIT 15, 1975, leaves the term out.
+.. [4] G. H. Golub, V. Pereyra, SIAM Journal on Numerical Analysis 10(2), 1973; L. Kaufman, BIT 15, 1975, leaves it out.
 """
 
 from __future__ import annotations
@@ -56,6 +55,7 @@ from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
 from bayes_impedance.classical.pole_residue import PoleResidue
+from bayes_impedance.display import Brief
 from bayes_impedance.errors import InputError
 
 _SETTLED = 1e-6
@@ -72,8 +72,8 @@ _REFINED = 3
 """Number of different relocated models that are refined. By choice: more cost time."""
 
 
-@dataclass(frozen=True, eq=False)
-class VectorFit:
+@dataclass(frozen=True, eq=False, repr=False)
+class VectorFit(Brief):
     """A rational function fitted to one curve.
 
     Attributes

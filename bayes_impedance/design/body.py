@@ -20,6 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayes_impedance.display import Brief
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.notation import Element, Network, PowerLaw, Wrapped
 from bayes_impedance.network.tree import Parallel, Series, group_of
@@ -28,8 +29,8 @@ CHANNELS = ("delay", "highpass", "lowpass", "gain", "offset")
 """Wrappers that are of the rig if their parameter is the same for everybody."""
 
 
-@dataclass(frozen=True)
-class Body:
+@dataclass(frozen=True, repr=False)
+class Body(Brief):
     """What a device meets.
 
     Attributes

@@ -24,20 +24,25 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.stats import chi2, norm
 
 from bayes_impedance.design.users import UserPopulation, Users
+from bayes_impedance.display import Brief
 from bayes_impedance.network.kernel import Kernel
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 LEVEL = 0.95
 """Share of people whom a named user exceeds, and probability of the ellipsoid of the spanning set. By choice: the 95th
 percentile is usual in design."""
 
 
-@dataclass(frozen=True)
-class Representatives:
+@dataclass(frozen=True, repr=False)
+class Representatives(Brief):
     """Representative users.
 
     Attributes
@@ -53,6 +58,10 @@ class Representatives:
     users: Users
     rules: tuple[str, ...]
     radius: float
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row for each user: its elements, and the rule that chose it."""
+        return self.users.to_dataframe().assign(rule=list(self.rules))
 
 
 def representatives(

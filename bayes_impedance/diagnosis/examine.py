@@ -104,7 +104,8 @@ def examine(
 
 def _examine(fit: PopulationFit, effects: tuple[Effect, ...], executor: Executor) -> Adequacy:
     recordings, n = fit.recordings, len(fit.recordings.subjects)
-    far = [f"{why}, then the network with 'bayes-impedance diagnose'" for why in far_off(_error(fit), fit.noise_scale)]
+    wrong = far_off(_error(fit), fit.noise_scale, recordings.unit)
+    far = [f"{why}, then the network with 'bayes-impedance diagnose'" for why in wrong]
     gross = [*copies(recordings), *far]
     if gross:
         return Adequacy(gross=tuple(gross))

@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from bayes_impedance.display import Brief
 from bayes_impedance.mcmc.autocorrelation import autocorrelation_time
 from bayes_impedance.mcmc.chain_file import read_chain, write_chain
 from bayes_impedance.mcmc.convergence import rhat
@@ -93,8 +94,8 @@ QUICK = SamplerSettings(ensembles=2, burn_in=(80, 40), chunk=100, longest=1500, 
 """Settings of a quick fit. By choice: fewer and shorter ensembles take less time, but give fewer effective draws."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Chains:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Chains(Brief):
     """Draws and their convergence diagnostics.
 
     Attributes

@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 from numba.core import types
 
+from bayes_impedance.display import Brief
 from bayes_impedance.network.kernel import PROGRAM, Kernel, backward, compiled, forward, forward_apart, workspace
 from bayes_impedance.network.program import Program
 from bayes_impedance.runtime.compiled_functions import by_address, kept_njit
@@ -52,8 +53,8 @@ def information_share(degrees: float) -> float:
     return (degrees + 2) / (degrees + 4) if np.isfinite(degrees) else 1.0
 
 
-@dataclass(frozen=True, kw_only=True)
-class Likelihood:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Likelihood(Brief):
     """Data of one person, ready for the compiled functions.
 
     Attributes

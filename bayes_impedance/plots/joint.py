@@ -22,6 +22,7 @@ from bayes_impedance.plots.access import (
     varying,
 )
 from bayes_impedance.plots.style import BLUE, INK, RED
+from bayes_impedance.population import prior_tails
 from bayes_impedance.results.result import Result
 from bayes_impedance.units import INTERVAL, with_interval
 
@@ -60,9 +61,9 @@ def corner_central(figure: Figure, result: Result) -> Figure:
         if parameter.link != LOG:
             labels.append(f"{name}\n({scale.unit})" if scale.unit else name)
             columns.append(x)
-            priors.append(_of_parameter(parameter, normal_density(float(centre[i]), sd), scale.factor))
+            priors.append(_of_parameter(parameter, prior_density(result, i, float(centre[i]), sd), scale.factor))
             continue
-        log_prior = normal_density(float(centre[i]) + math.log(scale.factor), sd)
+        log_prior = prior_density(result, i, float(centre[i]) + math.log(scale.factor), sd)
         if high > _WIDE * low:
             labels.append(f"log10 {name}\n({scale.unit})")
             columns.append(np.log10(x))
@@ -96,6 +97,14 @@ def corner_dispersion(figure: Figure, result: Result) -> Figure:
         titles.append(f"{result.elements[i]}: ×{middle:.2f}\n({low:.2f} to {high:.2f})")
     priors = [_of_value(half_normal_density(sd)) for sd in prior_dispersion_sds(result)[seen].tolist()]
     return _corner(figure, factors, labels, titles, priors)
+
+
+def prior_density(result: Result, element: int, centre: float, scale: float) -> Density:
+    """Density of the prior of an element's central value, of its kind."""
+    told = result.summary.get("prior", {}).get("elements", {}).get(result.elements[element], {})
+    if told.get("kind") == "student_t":
+        return lambda x: np.asarray(prior_tails.density((x - centre) / scale) / scale)
+    return normal_density(centre, scale)
 
 
 def normal_density(mean: float, sd: float) -> Density:

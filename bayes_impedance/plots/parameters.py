@@ -20,7 +20,7 @@ from bayes_impedance.plots.access import (
     varying,
     who,
 )
-from bayes_impedance.plots.joint import half_normal_density, normal_density
+from bayes_impedance.plots.joint import half_normal_density, prior_density
 from bayes_impedance.plots.style import BLUE, ENSEMBLES, GREY, INK, LIGHT, ORANGE, RED, log_axis, log_limits
 from bayes_impedance.population.natural_scales import LOG_SD
 from bayes_impedance.results.result import Result
@@ -266,7 +266,6 @@ def priors(figure: Figure, result: Result) -> Figure:
     names, seen, centre = result.elements, identified(result), needed(result, "prior_centre")
     reach = 2.6 * LOG_SD
     grid = np.linspace(-reach, reach, 300)
-    prior = normal_density(0.0, LOG_SD)(grid)
     sds = prior_sds(result) / LOG_SD
     ordered = {name for own in result.summary.get("prior", {}).get("order", ()) for name in own}
     drawn = result.groups.get("prior", {}).get("mu")  # missing in results of earlier versions
@@ -276,7 +275,8 @@ def priors(figure: Figure, result: Result) -> Figure:
             density, edges = np.histogram((own - centre[row]) / sds[row], bins=25)
             _ridge(panels[0], row, np.exp((edges[1:] + edges[:-1]) / 2), density, LIGHT, "prior")
         else:
-            _ridge(panels[0], row, np.exp(grid), prior, LIGHT, "prior")
+            density = prior_density(result, row, 0.0, LOG_SD)(grid)
+            _ridge(panels[0], row, np.exp(grid), density, LIGHT, "prior")
         if seen[row]:
             density, edges = np.histogram((samples(result, "mu")[:, row] - centre[row]) / sds[row], bins=25)
             _ridge(panels[0], row, np.exp((edges[1:] + edges[:-1]) / 2), density, BLUE, "posterior")

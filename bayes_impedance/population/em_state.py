@@ -287,9 +287,9 @@ class State:
             return
         design, target = _total(part.design for part in parts), _total(part.target for part in parts)
         # Prior: centre_sd for the mean, slope_sd for the slopes, relative to the spread between persons.
-        variance = np.diag(self.covariance)
+        variance, sds = np.diag(self.covariance), self.prior.local_sds(self.mu)
         for e in range(self.mu.size):
-            ridge = variance[e] / np.r_[self.prior.centre_sds[e] ** 2, np.full(len(design) - 1, self.prior.slope_sd**2)]
+            ridge = variance[e] / np.r_[sds[e] ** 2, np.full(len(design) - 1, self.prior.slope_sd**2)]
             solution = np.linalg.solve(design + np.diag(ridge), target[e])
             self.mu[e], self.slopes[e] = self.prior.centre[e] + solution[0], solution[1:]
         # A second pass over the persons: squaring the deviations from the new mean avoids cancellation.
@@ -329,7 +329,7 @@ class State:
         if self.fixed:
             return np.asarray(np.sqrt(np.diag(np.linalg.inv(self.fits.gathered()[0].mode.precision))))
         precision = np.linalg.inv(self.covariance)
-        prior = np.eye(self.mu.size) / self.prior.centre_sd**2
+        prior = np.eye(self.mu.size) / self.prior.local_sds(self.mu) ** 2
         rows = [(precision, np.zeros_like(prior) if k else prior) for k in range(len(self.fits.parts))]
         information = _total(self.fits.ask_in_turn(information_of_means, rows))
         return np.asarray(np.sqrt(np.diag(np.linalg.inv(information))))

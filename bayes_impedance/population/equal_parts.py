@@ -42,7 +42,8 @@ def steps_of(kernel: Kernel, prior: Prior) -> list[np.ndarray]:
     for exchange in exchanges(kernel.network):
         step = np.array([position[exchange.get(name, name)] for name in kernel.elements])
         exchanged = prior.of(step)
-        if np.array_equal(exchanged.centre, prior.centre) and np.array_equal(exchanged.covariance, prior.covariance):
+        alike = np.array_equal(exchanged.centre, prior.centre) and np.array_equal(exchanged.tailed, prior.tailed)
+        if alike and np.array_equal(exchanged.covariance, prior.covariance):
             found.append(step)
     return found
 

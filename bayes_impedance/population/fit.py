@@ -338,8 +338,7 @@ def _one_person(
 
     def log_probability(u: np.ndarray) -> np.ndarray:
         theta = mode.theta + sd * u
-        offset = np.linalg.solve(prior.factor, (theta - prior.centre).T)
-        value = marginal_log_likelihood(kernel, likelihood, ridge, theta) - 0.5 * np.sum(offset**2, axis=0)
+        value = marginal_log_likelihood(kernel, likelihood, ridge, theta) + prior.log_density(theta)
         return np.where(prior.order.obeyed(theta), value, -np.inf)
 
     with clock.measure("population"):

@@ -12,6 +12,7 @@ As a file of TOML, in which everything is optional:
     unit = "kg"                # for information; checked
     scale = 0.4                # standard deviation of its natural logarithm
     dispersion = 0.3           # of this element
+    kind = "student_t"         # of the central value's prior: tails that recordings may overrule; or "normal"
 
 Of elements that could be mistaken for each other, such as those of two branches that are written alike, it may say
 which population's central value is the lowest, the next one and so on (:mod:`bayes_impedance.population.order`), before
@@ -49,7 +50,9 @@ from bayes_impedance.runtime.user_table import UserTable, hint, number_in, shown
 
 _NUMBERS = ("concentration", "dispersion", "slope")
 _KEYS = ("elements", *_NUMBERS, "order")
-_ELEMENT_KEYS = ("centre", "unit", "scale", "dispersion")
+_ELEMENT_KEYS = ("centre", "unit", "scale", "dispersion", "kind")
+KINDS = ("normal", "student_t")
+"""Distributions of a central value on the scale on which it is estimated; of an element "normal" is lognormal."""
 LARGEST_SCALE = 10.0
 """Largest standard deviation of a logarithm: a factor of twenty thousand either way. By choice: a wider prior says
 nothing, and is a mistaken unit more often than not."""
@@ -69,12 +72,16 @@ class ElementPrior:
         Standard deviation of the central value's natural logarithm (on the scale on which a parameter is estimated).
     dispersion : float, optional
         Scale of the half-normal priors of both dispersions.
+    kind : str, optional
+        Distribution of the central value's natural logarithm: ``"normal"``, the default, or ``"student_t"`` with four
+        degrees of freedom, of which `scale` is the scale. Where recordings contradict it, they decide.
     """
 
     centre: float | None = None
     unit: str | None = None
     scale: float | None = None
     dispersion: float | None = None
+    kind: str | None = None
 
     def __post_init__(self) -> None:
         if self.centre is not None:
@@ -85,6 +92,8 @@ class ElementPrior:
             value = getattr(self, name)
             if value is not None:
                 number_in(value, f"prior: {name}", above=0, at_most=LARGEST_SCALE)
+        if self.kind is not None and self.kind not in KINDS:
+            raise InputError(f"prior: kind is {shown(self.kind)}, but must be one of {', '.join(KINDS)}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,6 +150,9 @@ class GivenPrior:
         del content["file"]
         if not self.order:
             del content["order"]
+        for own in content["elements"].values():  # checkpoints of earlier versions have no kind
+            if own["kind"] is None:
+                del own["kind"]
         return json.dumps(content)
 
     @classmethod
@@ -187,6 +199,8 @@ class GivenPrior:
     def _applied(self, prior: Prior, kernel: Kernel, unit: str) -> Prior:
         centre, sd = prior.centre.copy(), prior.centre_sds.copy()
         dispersion = prior.dispersion_sds.copy() if self.dispersion is None else np.full(centre.size, self.dispersion)
+        heavy = prior.tailed.copy()
+        ordered = {name for names in self.order for name in names}
         for name, own in self.elements.items():
             if name not in kernel.elements:
                 raise InputError(
@@ -211,10 +225,16 @@ class GivenPrior:
                 if parameter.shared:
                     raise InputError(f"prior: {name} is the same for everybody and has no dispersion; leave it out")
                 dispersion[row] = own.dispersion / size
+            if own.kind == "student_t":
+                if parameter.shared or name in ordered:
+                    why = "is the same for everybody" if parameter.shared else "has an order"
+                    raise InputError(f"prior: {name} {why} and can only have a normal prior; leave out its kind")
+                heavy[row] = True
         result = replace(
             prior,
             centre=centre,
             centre_sd=sd,
+            heavy=heavy if heavy.any() else None,
             dispersion_sd=dispersion,
             concentration=self.concentration or prior.concentration,
             slope_sd=self.slope or prior.slope_sd,

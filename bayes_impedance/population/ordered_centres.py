@@ -9,15 +9,19 @@ so that every vector obeys the order and none has a density of zero. The prior i
 where the order is broken; as the Jacobian is constant, its density in the coordinates is that of the centres. As for a
 dispersion, the sign of :math:`s_k` has no meaning, and the posterior is an even function of it. The unit
 :math:`w_k`, the root mean square of the distance under the prior without the order, makes s about one at most.
+
+A centre with a Student t prior has a coordinate that is standard normal under it (:mod:`.prior_tails`), and no order.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
 
 from bayes_impedance.errors import InputError
+from bayes_impedance.population import prior_tails
 from bayes_impedance.population.prior import Prior
 
 _TRIED, _FEWEST = 20_000, 4
@@ -53,7 +57,7 @@ class Centres:
 
     def values(self, u: np.ndarray) -> np.ndarray:
         """Central values of coordinates, both (W, N)."""
-        values = np.asarray(self.prior.centre + self.prior.centre_sds * u)
+        values = np.asarray(self.prior.centre + self.prior.centre_sds * self._standard(u, prior_tails.from_standard))
         for chain in self.order.chains:
             own = list(chain)
             apart = self.unit[own[1:]] * np.abs(u[:, own[1:]])
@@ -62,15 +66,26 @@ class Centres:
 
     def coordinates(self, values: np.ndarray) -> np.ndarray:
         """Coordinates of central values, both (..., N); where these are not in order, of the nearest above."""
-        u = np.asarray((values - self.prior.centre) / self.prior.centre_sds)
+        u = self._standard((values - self.prior.centre) / self.prior.centre_sds, prior_tails.to_standard)
         for chain in self.order.chains:
             own = list(chain)
             u[..., own[1:]] = np.maximum(np.diff(values[..., own], axis=-1), 0.0) / self.unit[own[1:]]
         return u
 
-    def scale(self, sds: np.ndarray) -> np.ndarray:
-        """Rough standard deviations of the coordinates for those of the central values, both (N,)."""
-        scale = np.asarray(sds / self.prior.centre_sds)
+    def _standard(self, rows: np.ndarray, change: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        """Rows (..., N) with the columns of Student t priors changed."""
+        result = np.array(rows, dtype=float)
+        if self.prior.heavy is not None:
+            result[..., self.prior.heavy] = change(result[..., self.prior.heavy])
+        return result
+
+    def _stretch(self, u: np.ndarray) -> np.ndarray:
+        """Derivative of central values with respect to their coordinates (..., N), without the order."""
+        return np.asarray(self.prior.centre_sds * np.where(self.prior.tailed, prior_tails.slope(u), 1.0))
+
+    def scale(self, sds: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Rough standard deviations of the coordinates for those of the central values at `values`, all (N,)."""
+        scale = np.asarray(sds / self._stretch(self.coordinates(values)))
         for chain in self.order.chains:
             own = list(chain)
             scale[own[1:]] = np.hypot(sds[own[1:]], sds[own[:-1]]) / self.unit[own[1:]]
@@ -80,7 +95,8 @@ class Centres:
         """Log prior density of coordinates (W, N), up to a constant: shape (W,)."""
         if not self.order:
             return np.asarray(-0.5 * np.sum(u**2, axis=-1))
-        return np.asarray(-0.5 * np.sum(((self.values(u) - self.prior.centre) / self.prior.centre_sds) ** 2, axis=-1))
+        z = self._standard((self.values(u) - self.prior.centre) / self.prior.centre_sds, prior_tails.to_standard)
+        return np.asarray(-0.5 * np.sum(z**2, axis=-1))
 
     def slope(self, u: np.ndarray, gradient: np.ndarray) -> np.ndarray:
         """Gradient of a log posterior density with respect to the coordinates.
@@ -96,7 +112,10 @@ class Centres:
         ndarray, shape (W, N)
         """
         sds = self.prior.centre_sds
-        result = np.asarray(gradient * sds - u)
+        if self.prior.heavy is None:
+            result = np.asarray(gradient * sds - u)
+        else:
+            result = np.asarray(gradient * self._stretch(u) - u)
         if self.order:
             on_values = gradient - (self.values(u) - self.prior.centre) / sds**2
             for chain in self.order.chains:
@@ -128,7 +147,7 @@ class Centres:
         u = rng.normal(size=(n, self.unit.size))
         if not self.order:
             return u
-        values = np.asarray(self.prior.centre + self.prior.centre_sds * u)
+        values = np.asarray(self.prior.centre + self.prior.centre_sds * self._standard(u, prior_tails.from_standard))
         for k, chain in enumerate(self.order.chains):
             kept: list[np.ndarray] = []
             while sum(map(len, kept)) < n:

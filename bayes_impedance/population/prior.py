@@ -12,8 +12,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bayes_impedance.errors import InputError
+from bayes_impedance.population import prior_tails
 from bayes_impedance.population.order import Order
 from bayes_impedance.runtime.user_table import number_in
+
+DEFAULT_SD = 3.0
+"""Standard deviation of a log element's default prior: :mod:`.natural_scales`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,17 +41,21 @@ class Prior:
     informed : ndarray of bool, shape (P,), optional
         Parameters of which the prior is knowledge from other recordings, such as calibration runs: they are estimated
         whatever these recordings say of them. None if not given.
+    heavy : ndarray of bool, shape (P,), optional
+        Parameters whose prior mean has a Student t distribution (:mod:`.prior_tails`), with `centre_sd` as its scale.
+        None if not given: all are normal.
     order : Order
         Which prior means are below which others: where they are not, the density is zero.
     """
 
     centre: np.ndarray
-    centre_sd: float | np.ndarray = 3.0
+    centre_sd: float | np.ndarray = DEFAULT_SD
     dispersion_sd: float | np.ndarray = 1.0
     concentration: float = 2.0
     slope_sd: float = 1.0
     correlation: np.ndarray | None = None
     informed: np.ndarray | None = None
+    heavy: np.ndarray | None = None
     order: Order = field(default_factory=Order)
 
     def __post_init__(self) -> None:
@@ -80,6 +88,7 @@ class Prior:
             dispersion_sd=self.dispersion_sds[columns],
             correlation=None if self.correlation is None else self.correlation[np.ix_(columns, columns)],
             informed=None if self.informed is None else self.informed[columns],
+            heavy=None if self.heavy is None else self.heavy[columns],
             order=self.order.of(columns),
         )
 
@@ -106,7 +115,32 @@ class Prior:
         sds = self.centre_sds
         return np.diag(sds**-2.0) if self.correlation is None else np.linalg.inv(self.correlation) / np.outer(sds, sds)
 
+    @property
+    def tailed(self) -> np.ndarray:
+        """Which parameters have a Student t prior, shape (P,)."""
+        return np.zeros(self.centre.size, dtype=bool) if self.heavy is None else self.heavy
+
+    @property
+    def starting_sds(self) -> np.ndarray:
+        """Standard deviations (P,) for first fits: a Student t is as wide as the default, which recordings overrule."""
+        return np.where(self.tailed, np.maximum(self.centre_sds, DEFAULT_SD), self.centre_sds)
+
+    def local_sds(self, centre: np.ndarray) -> np.ndarray:
+        """Standard deviations (P,) of the normal prior that draws as this one does at centres (P,)."""
+        z = (centre - self.centre) / self.centre_sds
+        return np.where(self.tailed, self.centre_sds / np.sqrt(prior_tails.weight(z)), self.centre_sds)
+
+    def log_density(self, centre: np.ndarray) -> np.ndarray:
+        """Log density of centres (W, P), whatever their order, up to a constant: shape (W,)."""
+        offset = np.linalg.solve(self.factor, (centre - self.centre).T)
+        terms = -0.5 * offset**2
+        if self.heavy is not None:
+            terms[self.heavy] = prior_tails.log_density(offset[self.heavy])
+        return np.asarray(np.sum(terms, axis=0))
+
     def misfit(self, centre: np.ndarray) -> float:
-        """Half the squared distance of centres (P,) from the prior's, in its standard deviations."""
+        """Negative log density of centres (P,): of normal ones half the squared distance in standard deviations."""
+        if self.heavy is not None:
+            return -float(self.log_density(centre[None])[0])
         offset = centre - self.centre
         return 0.5 * float(offset @ self.precision @ offset)

@@ -161,7 +161,7 @@ def first_fits(
         return whole
     subjects = recordings.subjects
     n_elements = len(kernel.elements)
-    precision = np.eye(n_elements) / prior.centre_sd**2
+    precision = np.eye(n_elements) / prior.starting_sds**2
     searched = np.unique(np.linspace(0, len(subjects) - 1, _SEARCHED_PERSONS).round().astype(int))
     n_starts = _RANDOM_STARTS // len(searched)
     # Each person's own: a valley that one set of starts misses would be missed for everybody.
@@ -264,7 +264,7 @@ def search_modes(kernel: Kernel, likelihood: Likelihood, starts: np.ndarray, pri
     ndarray, shape (n, P)
         The best first; the best repeated if fewer ends differ.
     """
-    precision = np.eye(prior.centre.size) / prior.centre_sd**2
+    precision = np.eye(prior.centre.size) / prior.starting_sds**2
     starts = starts.copy()
     starts[::2] = bounded_search(kernel, likelihood, starts[::2], prior.centre, precision)
     ends, objectives, _ = all_modes(kernel, likelihood, starts, prior.centre, precision, _FIRST_STEPS)

@@ -64,7 +64,7 @@ def starting_scale(
     few = 1 / np.sqrt(repetitions.size + 4)
     between = 1 / np.sqrt(np.sum(repetitions - 1) + 4)
     sizes, prior, free = coordinates.sizes, coordinates.prior, list(coordinates.free)
-    centre = coordinates.centres.scale(point.mu_sd[free])
+    centre = coordinates.centres.scale(point.mu_sd[free], point.mu[free])
     widths = (few, between, few / prior.slope_sd, few, 1.0, 2 * few, 0.5)  # of tails the prior's, of groups rough
     blocks = [np.full(k, w) for k, w in zip(sizes[1:-1], widths, strict=True)]
     if coordinates.shared_prior is not None:

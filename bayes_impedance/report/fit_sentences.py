@@ -21,8 +21,8 @@ _RARE = 0.05
 is called larger than the model explains. By choice: the usual level of 5 %."""
 
 
-def answer(result: Result) -> list[str]:
-    """The whole result in a few sentences."""
+def headline(result: Result) -> list[str]:
+    """What was described, and whether it is: two sentences."""
     summary, n = result.summary, len(subjects(result))
     f = frequency(result)
     repetitions = int(summary["repetitions"])
@@ -37,14 +37,22 @@ def answer(result: Result) -> list[str]:
     if result.problems:
         return [*text, "The computation did not reach the required accuracy, so no number is given here."]
     if network_misfits(summary):
-        text.append(
+        return [
+            *text,
             "It leaves out something that the recordings show: the residuals are "
             f"{misfit_words(summary['noise_scale'], n, who(result))}, and all numbers are those of the closest network "
-            "of this form."
-        )
-    text += _values_in_words(result, n)
-    text += _quality_in_words(result, n)
-    return text
+            "of this form.",
+        ]
+    return [*text, *_quality_in_words(result, n)[:1]]
+
+
+def details(result: Result) -> list[str]:
+    """The values, and how well they describe everybody, where numbers may be used."""
+    if result.problems:
+        return []
+    n = len(subjects(result))
+    quality = _quality_in_words(result, n)
+    return [*_values_in_words(result, n), *(quality if network_misfits(result.summary) else quality[1:])]
 
 
 def _values_in_words(result: Result, n: int) -> list[str]:

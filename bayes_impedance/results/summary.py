@@ -171,6 +171,7 @@ def _prior(fit: PopulationFit) -> dict[str, Any]:
             parameter.name: {
                 "centre": float(parameter.value(prior.centre[i])),
                 "scale": float(prior.centre_sds[i]),
+                "kind": "student_t" if prior.tailed[i] else "normal",
                 "dispersion": None if parameter.shared or fit.one_person else float(prior.dispersion_sds[i]),
             }
             for i, parameter in enumerate(parameters)

@@ -15,7 +15,7 @@ from said_and_recorded import FITS, NUMBER, contradictions, is_rounded, numbers,
 
 from bayes_impedance.commands.cli import main
 from bayes_impedance.report import write_report
-from bayes_impedance.report.fit_sentences import answer, chance_in_words, replication_sentence
+from bayes_impedance.report.fit_sentences import chance_in_words, details, headline, replication_sentence
 from bayes_impedance.report.fit_tables import correlation_rows, element_rows, slope_rows
 from bayes_impedance.results.misfit import MISFIT_SCALE, network_misfits, noise_scale_summary
 from bayes_impedance.results.result import Result
@@ -45,15 +45,26 @@ def test_numbers_of_the_answer_are_recorded(variant: str) -> None:
         MISFIT_SCALE,
         90,
     ]
-    for sentence in (*answer(result), replication_sentence(result)):
+    for sentence in (*headline(result), *details(result), replication_sentence(result)):
         for text in NUMBER.findall(sentence):
             assert recorded(text, known), (text, sentence)
 
 
 @pytest.mark.parametrize("variant", ALL)
+def test_a_headline_is_two_sentences(variant: str) -> None:
+    result = make_result(**ALL[variant])
+    said = headline(result)
+    assert len(said) == 2
+    assert all(re.search(r"[.!?] [A-Z]", sentence) is None for sentence in said)
+    assert not set(said) & set(details(result))
+    if result.problems:
+        assert details(result) == []
+
+
+@pytest.mark.parametrize("variant", ALL)
 def test_a_value_is_its_elements_and_lies_in_its_interval(variant: str) -> None:
     result = make_result(**ALL[variant])
-    said = " ".join(answer(result)).replace("\u00a0", " ")
+    said = " ".join([*headline(result), *details(result)]).replace("\u00a0", " ")
     for row in element_rows(result):
         entry = result.summary["elements"][row.name]
         if not entry["identified"] or result.problems:
@@ -92,7 +103,7 @@ def test_nothing_on_the_page_or_in_the_terminal_contradicts_another(
 @pytest.mark.parametrize("variant", MISFITS)
 def test_a_misfit_is_said_with_the_numbers_of_those_whom_it_concerns(variant: str) -> None:
     result = make_result(**MISFITS[variant])
-    scale, said = result.summary["noise_scale"], " ".join(answer(result))
+    scale, said = result.summary["noise_scale"], " ".join([*headline(result), *details(result)])
     if not network_misfits(result.summary):
         assert "times the noise" not in said
         return

@@ -37,6 +37,7 @@ from bayes_impedance.design.circuits.fractional import (
 )
 from bayes_impedance.design.circuits.state_space import Realisation, realise
 from bayes_impedance.design.users import Users
+from bayes_impedance.display import Brief
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.extensions import RADIAN_PER_SECOND
 from bayes_impedance.network.notation import Element, Network, Parallel, PowerLaw, Series, Wrapped
@@ -62,8 +63,8 @@ class NotRealisableError(InputError):
     """The network is not made of passive elements, and no network of passive elements is near to it."""
 
 
-@dataclass(frozen=True)
-class Equivalent:
+@dataclass(frozen=True, repr=False)
+class Equivalent(Brief):
     """Users of a network of masses, compliances and dampers.
 
     Attributes

@@ -29,6 +29,7 @@ import numpy as np
 
 from bayes_impedance.design.circuits.expressions import of
 from bayes_impedance.design.circuits.fractional import Found, Names, Terms, line_ladder, power_ladder, together
+from bayes_impedance.display import Brief
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Element, Network, Parallel, Place, Series
@@ -49,8 +50,8 @@ _CHECKED = 301
 """Frequencies at which that error is computed. By choice: 100 per decade over the usual three decades."""
 
 
-@dataclass(frozen=True)
-class Built:
+@dataclass(frozen=True, repr=False)
+class Built(Brief):
     """A network of elements that replaces a network with operations.
 
     Attributes

@@ -34,12 +34,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from bayes_impedance.display import Brief
 from bayes_impedance.network.elements import kind_of
 from bayes_impedance.network.notation import Element, Network, Parallel, Series
 
 
-@dataclass(frozen=True, kw_only=True)
-class Realisation:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Realisation(Brief):
     """An impedance (or a mobility, with the roles of force and velocity exchanged) of U users in state space.
 
     Attributes

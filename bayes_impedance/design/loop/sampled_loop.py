@@ -37,6 +37,7 @@ from scipy.linalg import expm
 from bayes_impedance.design.circuits.state_space import Realisation
 from bayes_impedance.design.loop.device import Device
 from bayes_impedance.design.loop.hessenberg import all_inside, reduced
+from bayes_impedance.display import Brief
 from bayes_impedance.errors import InputError
 
 MARGIN = 1e-9
@@ -53,8 +54,8 @@ _BISECTIONS = 40
 """Bisections of the interval that was found: its width falls below 1e-12 in ln K."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class SampledLoop:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class SampledLoop(Brief):
     """Discrete-time model of a device held by each of U users.
 
     Attributes

@@ -30,6 +30,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -38,7 +39,11 @@ from bayes_impedance.design.loop.device import Device
 from bayes_impedance.design.loop.population_limit import POPULATIONS, limits_of_populations
 from bayes_impedance.design.loop.sampled_loop import SampledLoop, largest_stiffness, sampled_loop, stable
 from bayes_impedance.design.users import UserPopulation, Users, values_of
+from bayes_impedance.display import Brief
 from bayes_impedance.units import INTERVAL
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _STEPS = 8
 """Points of the midpoint rule along the line to the worst user. By choice: few, as the gradient varies slowly."""
@@ -48,8 +53,8 @@ _DIFFERENCE = 1e-3
 and the bisected limits are much more accurate than the step."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class StabilityMap:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class StabilityMap(Brief):
     """Share of users with whom the loop is stable.
 
     Attributes
@@ -84,9 +89,27 @@ class StabilityMap:
     classical: np.ndarray
     effective_users: float
 
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row for each pair of gains: share of users with its 90 % interval, and whether the centre is stable."""
+        import pandas as pd
 
-@dataclass(frozen=True, kw_only=True)
-class Limit:
+        damping, stiffness = np.meshgrid(self.damping, self.stiffness, indexing="ij")
+        frame = pd.DataFrame(
+            {
+                "damping": damping.ravel(),
+                "stiffness": stiffness.ravel(),
+                "share": self.probability.ravel(),
+                "share_q05": self.low.ravel(),
+                "share_q95": self.high.ravel(),
+                "mean_user_stable": self.mean_user.ravel(),
+            }
+        )
+        frame.attrs["units"] = {"damping": "N s/m", "stiffness": "N/m"}
+        return frame
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Limit(Brief):
     """Stiffness up to which the loop is stable for a share of the users, at one virtual damping.
 
     Attributes
@@ -119,8 +142,8 @@ class Limit:
     worst: int
 
 
-@dataclass(frozen=True)
-class Reason:
+@dataclass(frozen=True, repr=False)
+class Reason(Brief):
     """Attribution to the elements of the difference between a user's limit and the centre's.
 
     Attributes

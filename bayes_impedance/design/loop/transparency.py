@@ -19,6 +19,7 @@ on the user.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,11 +29,16 @@ from bayes_impedance.design.loop.stability import loop_of
 from bayes_impedance.design.loop.two_port import of_device
 from bayes_impedance.design.percentiles import PERCENTILES
 from bayes_impedance.design.users import Users
+from bayes_impedance.display import Brief
 from bayes_impedance.errors import InputError
+from bayes_impedance.units import INTERVAL
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
-@dataclass(frozen=True, kw_only=True)
-class Transparency:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Transparency(Brief):
     """Transmitted against desired impedance.
 
     Attributes
@@ -57,6 +63,20 @@ class Transparency:
     transmitted: np.ndarray
     velocity_error: np.ndarray
     share: float
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row for each frequency: desired magnitude, and median and 90 % interval over stable users of the rest."""
+        import pandas as pd
+
+        columns = {"frequency_hz": self.frequency_hz, "desired": np.abs(self.desired)}
+        for name, of_users in (("transmitted", np.abs(self.transmitted)), ("velocity_error", self.velocity_error)):
+            none = np.full((len(INTERVAL), self.frequency_hz.size), np.nan)
+            ends = np.quantile(of_users, INTERVAL, axis=0) if len(of_users) else none
+            columns |= {f"{name}{end}": row for end, row in zip(("_q05", "", "_q95"), ends, strict=True)}
+        frame = pd.DataFrame(columns)
+        magnitudes = [name for name in columns if name.startswith(("desired", "transmitted"))]
+        frame.attrs["units"] = {"frequency_hz": "Hz"} | dict.fromkeys(magnitudes, "N s/m")
+        return frame
 
     def band(self, probabilities: tuple[float, ...] = PERCENTILES) -> tuple[np.ndarray, np.ndarray]:
         """Percentiles over users of abs(transmitted/desired) and of the velocity error, each (len, F)."""

@@ -19,11 +19,12 @@ import numpy as np
 import numpy.typing as npt
 
 from bayes_impedance.design.loop.device import Device, Section
+from bayes_impedance.display import Brief
 from bayes_impedance.network.notation import parse
 
 
-@dataclass(frozen=True)
-class TwoPort:
+@dataclass(frozen=True, repr=False)
+class TwoPort(Brief):
     """A linear two-port at F frequencies.
 
     Attributes

@@ -14,6 +14,7 @@ import numpy as np
 from bayes_impedance.quality.curve_anomalies import duplicates, suspect_units
 from bayes_impedance.quality.negative_real_part import explain
 from bayes_impedance.recordings.files import Recordings
+from bayes_impedance.units import ELECTRICAL_UNIT
 
 GROSS_ERROR = 0.3
 """Relative error of each person's best network from which results must not be used: neither magnitude (30 %) nor phase
@@ -31,7 +32,7 @@ _MOST_NAMED = 5
 """Largest number of people named in a sentence. By choice."""
 
 
-def far_off(error: np.ndarray, noise_scale: np.ndarray) -> list[str]:
+def far_off(error: np.ndarray, noise_scale: np.ndarray, unit: str) -> list[str]:
     """Whether the network is grossly wrong for the people as a whole.
 
     Parameters
@@ -40,14 +41,17 @@ def far_off(error: np.ndarray, noise_scale: np.ndarray) -> list[str]:
         Relative root mean square error of each person's best network.
     noise_scale : ndarray, shape (N,)
         Ratio of each person's residuals to the estimated noise.
+    unit : str
+        Of the impedance: its quantity is named in the words of its field.
     """
     middle, factor = _usual(error), _usual(noise_scale)
     if middle < GROSS_ERROR or factor < GROSS_NOISE:
         return []
+    quantity = "voltage over current" if unit == ELECTRICAL_UNIT else "force over velocity"
     return [
         f"the network does not describe the recordings: each subject's own best fit deviates by {100 * middle:.0f} % "
         f"(median of the relative rms error), and the residuals are {factor:.2g} times the noise; check the quantity "
-        "(force over velocity), the unit and the sign of the phase with 'bayes-impedance check'"
+        f"({quantity}), the unit and the sign of the phase with 'bayes-impedance check'"
     ]
 
 

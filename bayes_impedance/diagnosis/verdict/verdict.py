@@ -287,7 +287,8 @@ def _shortcomings(recordings: Recordings, final: Refit, remains: bool) -> tuple[
     for i, s in enumerate(recordings.subjects):
         model = final.model.kernel.impedance(final.u[final.owner == i], s.frequency_hz)
         error.append(float(relative_rms(model.mean(axis=0), s.mean)))
-    gross = [*copies(recordings), *far_off(np.array(error), scale), *no_impedance(recordings, remains)]
+    gross = [*copies(recordings), *far_off(np.array(error), scale, recordings.unit)]
+    gross += no_impedance(recordings, remains)
     return gross, badly_described(recordings.names, scale)
 
 

@@ -66,9 +66,12 @@ def test_copies_of_one_person_allow_no_conclusion() -> None:
 
 def test_large_noise_is_no_gross_misfit() -> None:
     """Recordings with noise of 100 % differ from every network by as much."""
-    assert far_off(np.full(5, 1.0), np.full(5, 1.0)) == []
-    assert far_off(np.full(5, 1.0), np.full(5, 30.0)) != []
-    assert far_off(np.full(5, 0.9 * GROSS_ERROR), np.full(5, 30.0)) == []  # a precise spectrum, a rough network
+    assert far_off(np.full(5, 1.0), np.full(5, 1.0), "N s/m") == []
+    assert "(force over velocity)" in far_off(np.full(5, 1.0), np.full(5, 30.0), "N s/m")[0]
+    assert "(voltage over current)" in far_off(np.full(5, 1.0), np.full(5, 30.0), "ohm")[0]
+    assert (
+        far_off(np.full(5, 0.9 * GROSS_ERROR), np.full(5, 30.0), "N s/m") == []
+    )  # a precise spectrum, a rough network
 
 
 def test_one_copy_among_many_is_no_gross_fault() -> None:
