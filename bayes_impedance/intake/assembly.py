@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from bayes_impedance.errors import InputError
+from bayes_impedance.intake.shorter_files import remarks_on_short_files
 from bayes_impedance.intake.spectrum import FloatArray, Spectrum
 from bayes_impedance.recordings import frequency_scale
 from bayes_impedance.recordings.dataset import Subject
@@ -61,7 +62,7 @@ def assemble(
     short = shorter_grids([(one.source, one.frequency_hz) for one in spectra], downwards)
     if short and STOPPED not in believed:
         raise InputError(f"{short[0][0]}: {short[0][1]}, or give --stopped-sweeps if it was stopped there")
-    notes = [f"{source}: {what}" for source, what in short]
+    notes = [f"{source}: {what}" for source, what in short] + remarks_on_short_files(spectra)
     people: dict[str, list[Spectrum]] = {}
     for spectrum in spectra:
         people.setdefault(spectrum.subject, []).append(spectrum)

@@ -188,6 +188,7 @@ def spectrum_of(records: Sequence[Record], who: Who, settings: SignalSettings) -
         coherence=z[3],
         facts={**who.facts, **ratio.facts},
         frequency_tolerance=FREQUENCY_TOLERANCE if excitation == "stepped sine" else SAME_FREQUENCY,
+        samples=first.force.samples.size if len(records) == 1 else None,
     )
     if spectrum.frequency_hz.size < MINIMUM_POINTS:
         raise InputError(
