@@ -143,7 +143,8 @@ def _frequency(
     if column is None:
         raise InputError(
             f"{contents.file}: no column is clearly the frequency (found: {', '.join(contents.names[:12])}); say which "
-            "with --columns frequency=NAME"
+            "with --columns frequency=NAME, or, if these are signals over time, name force and motion by "
+            "--force NAME[UNIT] and --motion NAME[UNIT]"
         )
     unit = settings.frequency_unit or column.unit or "Hz"
     factor = hertz_factor(unit)
