@@ -33,6 +33,15 @@ def test_a_wrong_sign_is_refused(load: str, chain: Chain, seed: int, tmp_path: P
         read_recordings(write_recordings(recorded(load, chain, seed), tmp_path))
 
 
+@pytest.mark.parametrize("angle_deg", [-5, 5])
+@pytest.mark.parametrize("load", ["finger", "oscillator", "skin", "two inertias"])
+def test_a_wrong_sign_beside_a_small_angle_is_refused(load: str, angle_deg: int, tmp_path: Path) -> None:
+    """Not of a load without damping: Re z is then positive, if the angle turns it so."""
+    turned = recorded(load, lambda _, z: -z * np.exp(1j * np.deg2rad(angle_deg)))
+    with pytest.raises(InputError, match='write sign = "passive negative"'):
+        read_recordings(write_recordings(turned, tmp_path))
+
+
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("load", LOADS)
 def test_a_lag_is_named_with_its_size(load: str, seed: int, tmp_path: Path) -> None:
