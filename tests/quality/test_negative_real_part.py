@@ -12,6 +12,7 @@ from lagged_recordings import LOADS, Chain, delayed, filtered_motion, recorded
 
 from bayes_impedance.commands.cli import main
 from bayes_impedance.errors import InputError
+from bayes_impedance.quality.curve_anomalies import suspect_units
 from bayes_impedance.quality.negative_real_part import explain
 from bayes_impedance.recordings.files import read_recordings, write_recordings
 from bayes_impedance.recordings.phase_relation import excess_phase
@@ -155,3 +156,12 @@ def test_few_points_are_refused_only_if_nearly_all_are_negative(tmp_path: Path) 
 def test_a_narrow_band_says_nothing() -> None:
     f = np.linspace(10.0, 39.0, 50)
     assert excess_phase(f, 2j * np.pi * f) is None
+
+
+@pytest.mark.parametrize("load", LOADS)
+def test_channels_that_were_exchanged_are_no_conjugates(load: str) -> None:
+    """Acceleration over the integral of force, s^2/z: the phase is beyond 180 degrees, and is written as negative."""
+    exchanged = recorded(load, lambda s, z: s**2 / z)
+    assert "phase_conjugated" not in suspect_units(exchanged.subjects, polar=False)
+    conjugated = recorded(load, lambda s, z: (s**2 / z).conj())
+    assert suspect_units(conjugated.subjects, polar=False) == ("phase_conjugated",)
