@@ -13,10 +13,11 @@ from dataclasses import replace
 import numpy as np
 
 from bayes_impedance.errors import InputError
+from bayes_impedance.intake.shorter_files import remarks_on_short_files
 from bayes_impedance.intake.spectrum import FloatArray, Spectrum
 from bayes_impedance.recordings import frequency_scale
 from bayes_impedance.recordings.dataset import Subject
-from bayes_impedance.recordings.driving_point import sentence, verdict_of
+from bayes_impedance.recordings.driving_point import doubts, sentence, verdict_of
 from bayes_impedance.recordings.metadata import DRIVING_POINT, HERTZ
 from bayes_impedance.recordings.plausibility import is_conjugate, is_turned
 from bayes_impedance.recordings.repetitions import MINIMUM_COMMON, MINIMUM_POINTS
@@ -61,7 +62,7 @@ def assemble(
     short = shorter_grids([(one.source, one.frequency_hz) for one in spectra], downwards)
     if short and STOPPED not in believed:
         raise InputError(f"{short[0][0]}: {short[0][1]}, or give --stopped-sweeps if it was stopped there")
-    notes = [f"{source}: {what}" for source, what in short]
+    notes = [f"{source}: {what}" for source, what in short] + remarks_on_short_files(spectra)
     people: dict[str, list[Spectrum]] = {}
     for spectrum in spectra:
         people.setdefault(spectrum.subject, []).append(spectrum)
@@ -88,14 +89,15 @@ def assemble(
             raise InputError(f"{own[0].source}: {error}") from None
     if HERTZ not in believed:
         notes += _required_hertz(spectra[0], subjects)
-    places = [] if DRIVING_POINT in believed else [verdict_of(one.frequency_hz, one.mean) for one in subjects]
-    if places.count("transfer") > 0.5 * len(subjects):
+    believed_place = DRIVING_POINT in believed
+    places = {} if believed_place else {one.name: verdict_of(one.frequency_hz, one.mean) for one in subjects}
+    if list(places.values()).count("transfer") > 0.5 * len(subjects):
         raise InputError(
             f"{spectra[0].source}: {sentence(surely=True)}; import those of the force's own place, or give "
             "--driving-point if these are"
         )
-    if unsure := len(places) - places.count("driving"):
-        notes.append(f"{unsure} of {len(subjects)} subjects: {sentence(surely='transfer' in places)}")
+    if said := doubts(places):
+        notes.append(said)
     conjugate = [one.name for one in subjects if is_conjugate(one)]
     if len(conjugate) > 0.5 * len(subjects):
         raise InputError(

@@ -33,7 +33,7 @@ def covariates_of_subjects(file: Path, names: Sequence[str], how: TableFormat) -
         If there is no column of subjects, a subject is there twice, or none of the dataset's is there.
     """
     (contents, *_) = read_file(file, replace(how, of_words=True))
-    found, notes = columns_of(contents, {})
+    found, _ = columns_of(contents, {})  # its remark says that other columns are not used, and here they are
     if "subject" not in found:
         raise InputError(
             f"{file}: no column is clearly the subject (found: {', '.join(contents.names[:12])}); name one subject"
@@ -65,4 +65,5 @@ def covariates_of_subjects(file: Path, names: Sequence[str], how: TableFormat) -
     writer.writerows([[name, *rows.get(name, [""] * len(cells))] for name in names])
     content = text.getvalue().encode()
     parse_covariates(content, str(file))  # refuses what a dataset could not have
-    return content, [*notes, *contents.notes, *told]
+    guess = f"{file}: guessed from the names: {found['subject'].told}, and the other columns are covariates"
+    return content, [guess, *contents.notes, *told]

@@ -188,6 +188,7 @@ def spectrum_of(records: Sequence[Record], who: Who, settings: SignalSettings) -
         coherence=z[3],
         facts={**who.facts, **ratio.facts},
         frequency_tolerance=FREQUENCY_TOLERANCE if excitation == "stepped sine" else SAME_FREQUENCY,
+        samples=first.force.samples.size if len(records) == 1 else None,
     )
     if spectrum.frequency_hz.size < MINIMUM_POINTS:
         raise InputError(
@@ -362,7 +363,8 @@ def _hammer(records: Sequence[Record], settings: SignalSettings) -> tuple[Ratio,
     told = ", ".join(f"{count} {what}" for what, count in left_out.items() if count)
     if not len(force):
         raise InputError(f"{first.file}: no hit can be used ({told or 'none was found'}); hit again, or give --segment")
-    notes = [f"{len(force)} hits of {size / first.rate_hz:g} s are used{f'; left out: {told}' if told else ''}"]
+    used = f"{len(force)} hits of {size / first.rate_hz:g} s are" if len(force) > 1 else "one hit is"
+    notes = [f"{used} used{f'; left out: {told}' if told else ''}"]
     if len(force) == 1:
         notes.append("one hit gives neither coherence nor noise; record several")
     ratio = ratio_of(averaged_spectra(force, motion, first.rate_hz, "boxcar"), settings.estimator)

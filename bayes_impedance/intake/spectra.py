@@ -32,6 +32,9 @@ from bayes_impedance.intake.unit_notation import same_unit
 from bayes_impedance.recordings.repetitions import MINIMUM_POINTS
 from bayes_impedance.runtime.user_table import shown
 
+_LISTED = 12
+"""Most columns that a message lists, arrays of complex numbers first. By choice: a line or two."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class SpectraSettings:
@@ -143,7 +146,8 @@ def _frequency(
     if column is None:
         raise InputError(
             f"{contents.file}: no column is clearly the frequency (found: {', '.join(contents.names[:12])}); say which "
-            "with --columns frequency=NAME"
+            "with --columns frequency=NAME, or, if these are signals over time, name force and motion by "
+            "--force NAME[UNIT] and --motion NAME[UNIT]"
         )
     unit = settings.frequency_unit or column.unit or "Hz"
     factor = hertz_factor(unit)
@@ -177,10 +181,12 @@ def _measured(contents: Contents, columns: dict[str, Column]) -> tuple[ComplexAr
     if "magnitude" in columns and "phase" in columns:
         return _polar(contents, columns["magnitude"], columns["phase"]), [columns["magnitude"]]
     have = [role for role in ("real", "imaginary", "magnitude", "phase") if role in columns]
+    names = [v.name for v in sorted(contents.variables, key=lambda v: not np.iscomplexobj(v.values))]
+    more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
     raise InputError(
-        f"{contents.file}: the values are not clear (columns: {', '.join(contents.names[:12])}"
+        f"{contents.file}: the values are not clear (columns: {', '.join(names[:_LISTED])}{more}"
         f"{'; found only ' + ' and '.join(have) if have else ''}){_of_unknown_units(contents)}; say which are real and "
-        "imaginary, or magnitude and phase, with --columns real=NAME imaginary=NAME"
+        "imaginary, magnitude and phase, or complex, with --columns real=NAME imaginary=NAME, or complex=NAME"
     )
 
 

@@ -45,6 +45,8 @@ class Spectrum:
         Relative difference of what is one frequency in two repetitions.
     downwards : bool
         Whether the file goes from the highest frequency to the lowest.
+    samples : int or None
+        Length of the signals that it was estimated of, if they are one record.
     """
 
     subject: str
@@ -60,3 +62,4 @@ class Spectrum:
     facts: dict[str, str | float] = field(default_factory=dict)
     frequency_tolerance: float = SAME_FREQUENCY
     downwards: bool = False
+    samples: int | None = None

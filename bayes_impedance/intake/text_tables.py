@@ -76,7 +76,10 @@ def decoded(data: bytes, file: str, encoding: str | None = None) -> tuple[str, t
             raise InputError(f"{file}: encoding {shown(name)} is unknown; write for instance cp1252") from None
         except UnicodeError:
             if encoding or marked:
-                raise InputError(f"{file}: the text is not {name}; name its encoding with --encoding") from None
+                raise InputError(
+                    f"{file}: the text is not {name}; if the file was cut, copy it again, else name its encoding with "
+                    "--encoding"
+                ) from None
             continue
         break
     beginning = text[:_SAMPLED]
@@ -114,7 +117,7 @@ def read_text_table(data: bytes, file: str, how: TableFormat | None = None) -> C
     width = len(split(lines[first]))
     columns, rows = _columns(lines, first, width, split, SEPARATORS[name], file)
     if not text.endswith(("\n", "\r")):
-        notes += _cut_short(columns[-1], f"{file}, row {rows[-1]}")
+        notes += cut_short(columns[-1], f"{file}, row {rows[-1]}")
     decimal = how.decimal or _decimal(columns, file)
     header, units = _header(lines[:first], width, split)
     if header is None and any(2 * len(split(line)) == width for line in lines[:first]):  # every number is two cells
@@ -256,8 +259,20 @@ def _require_points(one: str, other: str, split: Splitter, file: str) -> None:
         )
 
 
-def _cut_short(cells: Sequence[str], where: str) -> tuple[str, ...]:
-    """A remark if a file seems to end in the middle of a number, or an error if it surely does."""
+def cut_short(cells: Sequence[str], where: str) -> tuple[str, ...]:
+    """A remark if a file seems to end in the middle of a number, or an error if it surely does.
+
+    Parameters
+    ----------
+    cells : sequence of str
+        The last column of a text that has no end of the line after its last cell.
+    where : str
+        File and last row, for the message.
+
+    Raises
+    ------
+    InputError
+    """
     *others, last = map(len, cells)
     *places, own = map(_decimals, cells)
     if len(others) < _FEWEST_ROWS:

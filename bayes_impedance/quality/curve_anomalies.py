@@ -251,8 +251,8 @@ def suspect_units(subjects: Sequence[Subject], polar: bool = True) -> tuple[str,
         return ()
     phase, from_linear, from_decibel = (np.rad2deg(np.median(rows, axis=0)) for rows in (phases, linear, decibel))
     misfit: dict[tuple[str, ...], float] = {
-        (): _rms(phase - from_linear),
-        ("phase_conjugated",): _rms(phase + from_linear),
+        (): _rms(_without_turns(phase - from_linear)),
+        ("phase_conjugated",): _rms(_without_turns(phase + from_linear)),
     }
     if polar:
         misfit["magnitude_in_db",] = _rms(phase - from_decibel)
@@ -264,6 +264,12 @@ def suspect_units(subjects: Sequence[Subject], polar: bool = True) -> tuple[str,
         misfit["phase_in_radians", "magnitude_in_db"] = _rms(in_radians - from_decibel)
     best = min(misfit, key=lambda suspects: misfit[suspects])
     return best if misfit[()] > max(BODE_MINIMUM_DEG, BODE_CONTRAST * misfit[best]) else ()
+
+
+def _without_turns(difference_deg: FloatArray) -> FloatArray:
+    """Without the whole turns that all points have: where a measured phase begins at -144 degrees, it is 216 too."""
+    shifted: FloatArray = difference_deg - 360.0 * np.round(np.median(difference_deg) / 360.0)
+    return shifted
 
 
 def conjugated_repetitions(subject: Subject) -> tuple[str, ...]:

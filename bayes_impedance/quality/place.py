@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bayes_impedance.recordings.dataset import Recordings
-from bayes_impedance.recordings.driving_point import sentence, verdict_of
+from bayes_impedance.recordings.driving_point import doubts, verdict_of
 
 
 def doubts_of_place(recordings: Recordings) -> tuple[str | None, str] | None:
@@ -11,10 +11,9 @@ def doubts_of_place(recordings: Recordings) -> tuple[str | None, str] | None:
     if recordings.place is not None:
         return None
     verdicts = {one.name: verdict_of(one.frequency_hz, one.mean) for one in recordings.subjects}
-    found = [name for name, verdict in verdicts.items() if verdict != "driving"]
-    if not found:
+    said = doubts(verdicts)
+    if said is None:
         return None
+    found = [name for name, verdict in verdicts.items() if verdict != "driving"]
     one = found[0] if len(found) == 1 else None
-    who = f"{len(found)} of {len(verdicts)} subjects" if one is None else f'subject "{one}"'
-    surely = any(verdicts[name] == "transfer" for name in found)
-    return one, f"{who}: {sentence(surely)}; check that force and motion are of one place"
+    return one, f"{said}; check that force and motion are of one place"

@@ -42,12 +42,14 @@ lag or a filter on a driving point: it cannot be told by itself.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
 
 from bayes_impedance.recordings.csv_table import ComplexArray, FloatArray
 from bayes_impedance.recordings.phase_relation import comparable
+from bayes_impedance.runtime.user_table import shown
 
 TURN_DEG, LARGE_TURN_DEG = 270.0, 300.0
 """Turns of the phase above which a curve may be, or is, no driving point: derived above."""
@@ -82,6 +84,24 @@ def sentence(surely: bool) -> str:
         f"assumed: {'these are' if surely else 'these may be'} transfer functions, with force and motion of two "
         "different places, of which no network is fitted"
     )
+
+
+def doubts(verdicts: Mapping[str, Verdict]) -> str | None:
+    """Who is surely of no driving point and who may be of none, without what to do; None if nobody.
+
+    Parameters
+    ----------
+    verdicts : mapping of str to {"driving", "maybe", "transfer"}
+        Of every subject by its name.
+    """
+    sure = [name for name, verdict in verdicts.items() if verdict == "transfer"]
+    unsure = [name for name, verdict in verdicts.items() if verdict == "maybe"]
+    first = sure or unsure
+    if not first:
+        return None
+    who = f"subject {shown(first[0])}" if len(first) == 1 else f"{len(first)} of {len(verdicts)} subjects"
+    rest = f"; {len(unsure)} of the other {len(verdicts) - len(sure)} may be of this kind too"
+    return f"{who}: {sentence(bool(sure))}{rest if sure and unsure else ''}"
 
 
 def verdict_of(frequency_hz: FloatArray, z: ComplexArray) -> Verdict:

@@ -112,6 +112,9 @@ def excess_phase(frequency_hz: FloatArray, z: ComplexArray) -> ExcessPhase | Non
     size: dict[Cause, float] = {"lag": float(lags[best]), "angle": float(np.rad2deg(angle))}
     # Half a turn is an angle too, which fits a little better than exactly half a turn.
     cause = min(misfit, key=lambda c: misfit[c] * (1.5 if c in size else 1.0))
+    # A wrong sign beside a small angle, as of a delay that no calibration has removed, is a wrong sign.
+    if cause == "angle" and 180.0 - abs(size["angle"]) < BODE_MINIMUM_DEG:
+        cause = "sign"
     if none > max(BODE_MINIMUM_DEG, BODE_CONTRAST * misfit[cause]):
         return ExcessPhase(cause, size.get(cause, 0.0))
     return ExcessPhase("none" if sign > BODE_CONTRAST * none else None)

@@ -47,24 +47,39 @@ def shorter_grids(
     if size < 2 or count < LEAST_OTHERS:
         return []
     whole = np.median([grid for _, grid in grids if grid.size == size], axis=0)
-    nearest = SAME * np.diff(np.log(whole)).min()
-
-    def same(grid: FloatArray, part: FloatArray) -> bool:
-        return bool(np.abs(np.log(grid / part)).max() <= nearest)
-
-    count = sum(grid.size == size and same(grid, whole) for _, grid in grids)
+    count = sum(grid.size == size and _same(grid, whole, whole) for _, grid in grids)
     if count < LEAST_OTHERS or count <= MOST * len(grids):
         return []
     found = []
     for name, grid in grids:
-        if grid.size >= size:
-            continue
-        if same(grid, whole[: grid.size]):
-            ends, goes_on = f"end at {grid[-1]:g}", whole[-1]
-        elif name in downwards and same(grid, whole[-grid.size :]):
-            ends, goes_on = f"end at {grid[0]:g}", whole[0]
-        else:
-            continue
-        clause = f"the frequencies {ends} Hz after {grid.size}, where {count} others have the same and go on, "
-        found.append((name, f"{clause}{size} to {goes_on:g} Hz; if the file was cut, export or copy it again"))
+        ends = ends_early(grid, whole, name in downwards)
+        if ends is not None:
+            clause = f"the frequencies end at {ends[0]:g} Hz after {grid.size}, where {count} others have the same and "
+            found.append(
+                (name, f"{clause}go on, {size} to {ends[1]:g} Hz; if the file was cut, export or copy it again")
+            )
     return found
+
+
+def ends_early(grid: FloatArray, whole: FloatArray, downwards: bool = False) -> tuple[float, float] | None:
+    """Where a grid ends that is a first part of a whole one, and where that ends, in Hz; else None.
+
+    Parameters
+    ----------
+    grid, whole : ndarray of float, shapes (F,) and (G,)
+        Ascending, in Hz.
+    downwards : bool
+        Whether the file of the grid goes from the highest frequency to the lowest, and was cut at its lowest.
+    """
+    if grid.size >= whole.size:
+        return None
+    if _same(grid, whole[: grid.size], whole):
+        return float(grid[-1]), float(whole[-1])
+    if downwards and _same(grid, whole[-grid.size :], whole):
+        return float(grid[0]), float(whole[0])
+    return None
+
+
+def _same(grid: FloatArray, part: FloatArray, whole: FloatArray) -> bool:
+    """Whether two grids have the same lines, as far as the lines of the whole one are apart."""
+    return bool(np.abs(np.log(grid / part)).max() <= SAME * np.diff(np.log(whole)).min())

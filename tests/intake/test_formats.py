@@ -182,3 +182,14 @@ def test_structures_and_matrices_of_matlab(tmp_path: Path, capsys: pytest.Captur
     columns = ("--columns", "frequency=result.M 1", "real=result.M 2", "imaginary=result.M 3", "--unit", "m/(N s)")
     np.testing.assert_allclose(imported(tmp_path, tmp_path / "a.mat", *columns).z[0], Z)
     assert "no arrays of numbers" in refused(capsys, tmp_path / "a.mat", "--record", "other")
+
+
+def test_complex_arrays_are_named_first_where_none_is_clear(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    other = {f"channel_{i}": F for i in range(20)}
+    np.savez(tmp_path / "a.npz", f=F, **other, answer=Z)
+    said = refused(capsys, tmp_path / "a.npz")
+    assert "(columns: answer, f, channel_0" in said
+    assert "and 10 more)" in said
+    assert "or complex=NAME" in said
+    columns = ("--columns", "frequency=f", "complex=answer", "--unit", "N s/m")
+    np.testing.assert_allclose(imported(tmp_path, tmp_path / "a.npz", *columns).z[0], Z)

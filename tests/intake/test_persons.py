@@ -30,7 +30,10 @@ def test_covariates_come_along(people: list[str], tmp_path: Path, capsys: pytest
     assert found["01"] == {"Alter": 23.5, "Hand=rechts": 0.0}
     assert found["03"] == {"Alter": 31.0, "Hand=rechts": 1.0}
     assert np.isnan(found["04"]["Alter"])
-    assert "no recordings of 1 of its 5 subjects" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "no recordings of 1 of its 5 subjects" in said
+    assert 'people.txt: guessed from the names: subject from "Person", and the other columns are covariates' in said
+    assert "not used" not in said
 
 
 @pytest.mark.parametrize(

@@ -158,6 +158,11 @@ REFUSED = {
         (),
         "no column is clearly the frequency",
     ),
+    "signals without units": (
+        table({"t": F, "force": Z.real, "velocity": Z.imag}).encode(),
+        (),
+        "if these are signals over time, name force and motion by --force NAME[UNIT] and --motion NAME[UNIT]",
+    ),
     "two real parts": (table({"f": F, "z_re": F, "Re(Z)": F, "z_im": F}).encode(), (), "may each be the real"),
     "two-sided": (
         table({"f": F - 100, "z_re": Z.real, "z_im": Z.imag}).encode(),

@@ -64,6 +64,59 @@ def test_damaged_files_are_refused_in_one_sentence(
     assert not (tmp_path / "out").exists()
 
 
+# Text of a row that is cut off between two rows is whole; test_cut_files.py has it among files that are longer.
+BY_ROWS = ("Touchstone",)
+
+
+@pytest.mark.parametrize("name", [name for name in BINARY if name not in BY_ROWS])
+@pytest.mark.parametrize("part", [0.3, 0.77, 0.97])
+def test_binary_files_and_those_with_counts_are_refused_wherever_they_are_cut(
+    name: str, part: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kind = KINDS[name]
+    file = tmp_path / kind.file
+    kind.write(file)
+    whole = file.read_bytes()
+    file.write_bytes(whole[: int(len(whole) * part)])
+    assert main(["import", str(file), "-o", str(tmp_path / "out"), *kind.options]) == 2
+    said = capsys.readouterr().err
+    assert len(said.splitlines()) == 1
+    assert re.search("cut short|damaged", said)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_sound_of_unknown_length_is_read(tmp_path: Path) -> None:
+    kind = KINDS["sound"]
+    file = tmp_path / kind.file
+    kind.write(file)
+    whole = file.read_bytes()
+    file.write_bytes(whole[:4] + b"\xff\xff\xff\xff" + whole[8:])
+    assert imported(tmp_path, file, *kind.options).z.size == len(SINES.lines)
+
+
+def test_a_touchstone_that_ends_inside_of_a_number_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "a.s1p"
+    KINDS["Touchstone"].write(file)
+    text = file.read_text(encoding="utf-8").rstrip("\n")
+    row = text.count("\n") + 1
+    file.write_text(text[: text.rindex(" ") + 4], encoding="utf-8")
+    assert main(["import", str(file), "-o", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert f"a.s1p, row {row}: the file ends with" in said
+    assert "it is cut short" in said
+
+
+def test_labview_rows_beyond_those_that_the_header_counts_are_read(tmp_path: Path) -> None:
+    kind = KINDS["LabVIEW"]
+    file = tmp_path / kind.file
+    kind.write(file)
+    text = file.read_text(encoding="utf-8")
+    file.write_text(text.replace("Samples\t4000\t4000", "Samples\t1000\t1000"), encoding="utf-8")
+    assert imported(tmp_path, file, *kind.options).z.size == len(SINES.lines)
+
+
 LIBRARIES = {"xlsx": "openpyxl", "uff": "pyuff", "tdms": "nptdms", "wav": "soundfile"}
 
 

@@ -12,6 +12,7 @@ from lagged_recordings import LOADS, Chain, delayed, filtered_motion, recorded
 
 from bayes_impedance.commands.cli import main
 from bayes_impedance.errors import InputError
+from bayes_impedance.quality.curve_anomalies import suspect_units
 from bayes_impedance.quality.negative_real_part import explain
 from bayes_impedance.recordings.files import read_recordings, write_recordings
 from bayes_impedance.recordings.phase_relation import excess_phase
@@ -31,6 +32,15 @@ def _said(load: str, chain: Chain, seed: int, folder: Path) -> str:
 def test_a_wrong_sign_is_refused(load: str, chain: Chain, seed: int, tmp_path: Path) -> None:
     with pytest.raises(InputError, match='write sign = "passive negative"'):
         read_recordings(write_recordings(recorded(load, chain, seed), tmp_path))
+
+
+@pytest.mark.parametrize("angle_deg", [-5, 5])
+@pytest.mark.parametrize("load", ["finger", "oscillator", "skin", "two inertias"])
+def test_a_wrong_sign_beside_a_small_angle_is_refused(load: str, angle_deg: int, tmp_path: Path) -> None:
+    """Not of a load without damping: Re z is then positive, if the angle turns it so."""
+    turned = recorded(load, lambda _, z: -z * np.exp(1j * np.deg2rad(angle_deg)))
+    with pytest.raises(InputError, match='write sign = "passive negative"'):
+        read_recordings(write_recordings(turned, tmp_path))
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -146,3 +156,12 @@ def test_few_points_are_refused_only_if_nearly_all_are_negative(tmp_path: Path) 
 def test_a_narrow_band_says_nothing() -> None:
     f = np.linspace(10.0, 39.0, 50)
     assert excess_phase(f, 2j * np.pi * f) is None
+
+
+@pytest.mark.parametrize("load", LOADS)
+def test_channels_that_were_exchanged_are_no_conjugates(load: str) -> None:
+    """Acceleration over the integral of force, s^2/z: the phase is beyond 180 degrees, and is written as negative."""
+    exchanged = recorded(load, lambda s, z: s**2 / z)
+    assert "phase_conjugated" not in suspect_units(exchanged.subjects, polar=False)
+    conjugated = recorded(load, lambda s, z: (s**2 / z).conj())
+    assert suspect_units(conjugated.subjects, polar=False) == ("phase_conjugated",)

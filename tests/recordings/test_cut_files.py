@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from datasets import HEADER, dataset
+from simulated_signals import Multisine
 
 from bayes_impedance.commands.cli import main
 from bayes_impedance.errors import InputError
@@ -104,3 +105,42 @@ def test_import_refuses_it_unless_sweeps_were_stopped(tmp_path: Path, capsys: py
     assert main(["import", *files, "-o", str(tmp_path / "out"), "--stopped-sweeps"]) == 0
     said = capsys.readouterr()
     assert "B.csv: the frequencies end at 40 Hz after 4" in said.out + said.err
+
+
+@pytest.mark.parametrize("downwards", [False, True])
+def test_of_two_files_the_shorter_one_is_remarked_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture, downwards: bool
+) -> None:
+    order = FREQUENCIES[::-1] if downwards else FREQUENCIES
+    for who, count in (("A", 6), ("B", 4)):
+        lines = (HEADER + rows(who, *order[:count])).splitlines()
+        text = "\n".join(",".join(line.split(",")[2:]) for line in lines) + "\n"
+        (tmp_path / f"{who}.csv").write_text(text, encoding="utf-8")
+    assert main(["import", str(tmp_path), "-o", str(tmp_path.parent / f"two{downwards}")]) == 0
+    ends, last = (20, 5) if downwards else (40, 160)
+    said = capsys.readouterr().out
+    assert f"B.csv: the frequencies end at {ends} Hz after 4, where those of {tmp_path / 'A.csv'} are the same" in said
+    assert f"go on, 6 to {last} Hz; if the file was cut, export or copy it again" in said
+
+
+@pytest.mark.parametrize(
+    ("periods", "told"),
+    [
+        ((6, 4), "B.npz: the signals have 4000 samples, where the other file has 6000"),
+        ((6, 4, 6), "B.npz: the signals have 4000 samples, where 2 others have 6000"),
+        ((6, 4, 5), None),  # stopped by hand
+        ((6, 6), None),
+    ],
+)
+def test_shorter_signals_are_remarked_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture, periods: tuple[int, ...], told: str | None
+) -> None:
+    sines = Multisine()
+    for i, count in enumerate(periods):
+        force, x = sines.periods(count, i, noise=1e-3)
+        scale = 1 + 0.2 * i
+        np.savez(tmp_path / f"{'ABC'[i]}.npz", force=scale * force.ravel(), x=x.ravel(), fs=sines.rate_hz)
+    channels = ["--force", "force[N]", "--motion", "x[m]"]
+    assert main(["import", str(tmp_path), "-o", str(tmp_path.parent / "signals_out"), *channels, "--overwrite"]) == 0
+    said = capsys.readouterr().out
+    assert (told in said) if told else ("samples, where" not in said)

@@ -187,3 +187,18 @@ def test_a_doubt_is_said_and_not_refused(tmp_path: Path, capsys: pytest.CaptureF
     assert main(["import", str(file), "-o", str(out)]) == 0
     assert "these may be transfer functions" in capsys.readouterr().out
     assert [finding.id for finding in check_recordings(read_recordings(out))].count("transfer") == 1
+
+
+def test_those_who_may_be_are_told_from_those_who_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    doubtful = maybe()
+    for name, curve in (("a", surely()), ("b", doubtful), ("c", (doubtful[0], 1.3 * doubtful[1]))):
+        write(tmp_path / f"{name}.csv", curve)
+    out = tmp_path.parent / "told_apart"
+    assert main(["import", str(tmp_path), "-o", str(out), "--subject-from-name", "(?P<subject>.+)"]) == 0
+    said = capsys.readouterr().out
+    assert 'subject "a": the phase turns on' in said
+    assert "these are transfer functions" in said
+    assert "; 2 of the other 2 may be of this kind too" in said
+    assert "2 of the other 2 may be of this kind too" in str(
+        [f.message for f in check_recordings(read_recordings(out))]
+    )

@@ -1,19 +1,21 @@
 """LabVIEW measurement files (.lvm): a header for the file, one for each segment, columns of samples.
 
 A segment begins with the header that names its channels, units, start and step (``X0``, ``Delta_X``, one for each
-channel) and ends with the next one; triggered hits are segments. ``X_Columns`` says whether there is a column of times:
-``No`` or ``One`` (first column; empty in ``No``), or ``Multi`` (one before every channel).
+channel) and ends with the next one; triggered hits are segments. ``Samples`` is the number of rows, or of those that
+were there when the header was written, if more have been appended. ``X_Columns`` says whether there is a column of
+times: ``No`` or ``One`` (first column; empty in ``No``), or ``Multi`` (one before every channel).
 """
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 
 from bayes_impedance.errors import InputError
 from bayes_impedance.intake.contents import Contents, Variable
-from bayes_impedance.intake.text_tables import decoded
+from bayes_impedance.intake.text_tables import cut_short, decoded
 from bayes_impedance.runtime.input_files import read_bytes
 from bayes_impedance.runtime.user_table import shown
 
@@ -39,7 +41,10 @@ def read(file: Path, record: str | None) -> list[Contents]:
     segments = _segments(lines, start + 1, separator, str(file))
     found = []
     for i, (own, names, first, last) in enumerate(segments):
-        variables = _variables(own, names, lines[first:last], separator, decimal, columns, f"{file}, row {first + 1}")
+        _require_rows(own, first, last, str(file))
+        if last == len(lines) > first and not text.endswith(("\n", "\r")):
+            notes += cut_short([line.rsplit(separator, 1)[-1] for line in lines[first:]], f"{file}, row {last}")
+        variables = _variables(own, names, lines[first:last], separator, decimal, columns, str(file), first + 1)
         part = str(i + 1) if len(segments) > 1 else ""
         if record in (None, part):
             found.append(Contents(file=str(file), variables=variables, part=part, notes=notes))
@@ -71,6 +76,16 @@ def _segments(
     return found
 
 
+def _require_rows(header: dict[str, list[str]], first: int, last: int, file: str) -> None:
+    """Refuse a segment with fewer rows than its header says."""
+    expected = max((int(cell) for cell in header.get("Samples", []) if re.fullmatch("[0-9]{1,15}", cell)), default=0)
+    if last - first < expected:
+        raise InputError(
+            f"{file}: from row {first + 1} on there are {last - first} rows of samples, but the header above says "
+            f"{expected}: the file is cut short; export or copy it again"
+        )
+
+
 def _variables(
     header: dict[str, list[str]],
     names: list[str],
@@ -78,8 +93,11 @@ def _variables(
     separator: str,
     decimal: str,
     x_columns: str,
-    where: str,
+    file: str,
+    row: int,
 ) -> tuple[Variable, ...]:
+    """Channels of a segment, of which the first samples are in `row`."""
+    where = f"{file}, row {row}"
     channels = [(i, name) for i, name in enumerate(names) if name not in ("", "Comment", "X_Value")]
     if not lines or not channels:
         raise InputError(f"{where}: the segment has no samples; export the file again")
@@ -92,7 +110,8 @@ def _variables(
             cells = line.split(separator)
             if len(cells) <= i:
                 raise InputError(
-                    f"{where} and {j} more: there are {len(cells)} cells, but {i + 1} are needed; complete it"
+                    f"{file}, row {row + j}: there are {len(cells)} cells, but {i + 1} are needed; complete the row, "
+                    "or, if the file was cut, export or copy it again"
                 )
             text.append(cells[i].strip())
         try:

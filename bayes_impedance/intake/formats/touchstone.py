@@ -12,7 +12,7 @@ import numpy as np
 
 from bayes_impedance.errors import InputError
 from bayes_impedance.intake.contents import Contents, Variable
-from bayes_impedance.intake.text_tables import decoded
+from bayes_impedance.intake.text_tables import cut_short, decoded
 from bayes_impedance.runtime.input_files import read_bytes
 from bayes_impedance.runtime.user_table import shown
 
@@ -25,7 +25,7 @@ def read(file: Path, record: str | None) -> list[Contents]:  # noqa: ARG001  (ha
     """Impedance in ohm; the file is refused if it has more than one port."""
     text, notes = decoded(read_bytes(file), str(file))
     unit, parameter, form, reference = 1e9, "s", "ma", 50.0
-    rows, lines = [], []
+    rows, lines, last_cells = [], [], []
     seen = False
     for number, raw in enumerate(text.splitlines(), 1):
         line = raw.partition("!")[0].strip().lower()
@@ -49,8 +49,11 @@ def read(file: Path, record: str | None) -> list[Contents]:  # noqa: ARG001  (ha
                 )
             rows.append(values)
             lines.append(number)
+            last_cells.append(cells[-1])
     if not rows:
         raise InputError(f"{file}: there are no rows of numbers in it; export it again")
+    if not text.endswith(("\n", "\r")) and lines[-1] == text.count("\n") + 1:
+        notes += cut_short(last_cells, f"{file}, row {lines[-1]}")
     frequency, first, second = np.array(rows).T
     if form == "ri":
         value = first + 1j * second

@@ -8,6 +8,7 @@ reference at the same node and in the same direction (the sign of the direction 
 
 from __future__ import annotations
 
+import os
 import warnings
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,10 @@ from bayes_impedance.intake.formats.optional_libraries import damaged, library
 from bayes_impedance.intake.quantities import channel_of, is_response_unit
 from bayes_impedance.runtime.user_table import shown
 
+_MARK = b"    -1"
+"""Line before and after every data set."""
+_SEARCHED = 4096
+"""Bytes at both ends of a file in which marks are looked for. By choice: more than a header and blank lines have."""
 _TIME, _RESPONSE, _COHERENCE = 1, 4, 6
 """Function types of dataset 58: time response, frequency response function, coherence."""
 _SI = {8: "m", 9: "N", 11: "m/s", 12: "m/s^2", 13: "N"}
@@ -28,6 +33,7 @@ _SI = {8: "m", 9: "N", 11: "m/s", 12: "m/s^2", 13: "N"}
 def read(file: Path, record: str | None) -> list[Contents]:
     """One record for each driving point, or one with all signals if the file has signals of time only."""
     pyuff = library("pyuff", "pyuff", file)
+    _require_end(file)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about data sets that are not needed
@@ -46,6 +52,16 @@ def read(file: Path, record: str | None) -> list[Contents]:
         variables = [_signal(s, i) for i, s in enumerate(signals)]
         return [Contents(file=str(file), variables=tuple(variables))]
     raise InputError(f"{file}: it has neither frequency responses nor signals of time; export one of them")
+
+
+def _require_end(file: Path) -> None:
+    """Refuse a file that does not end with the mark of a data set's end: pyuff leaves its last data set out."""
+    with file.open("rb") as stream:
+        beginning = stream.read(_SEARCHED)
+        stream.seek(max(0, stream.seek(0, os.SEEK_END) - _SEARCHED))
+        end = stream.read()
+    if _MARK in beginning and not end.rstrip(b" \r\n\t\x00\x1a").endswith(_MARK):
+        raise InputError(f"{file}: its last data set has no end: the file is cut short; export or copy it again")
 
 
 def _driving_points(
