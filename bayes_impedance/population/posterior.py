@@ -44,8 +44,7 @@ _MORE_DRAWS = (1, 4, 8, 8)
 reference is moved to the posterior between attempts. By choice: the largest factors are needed for difficult data only,
 elsewhere the first or the second attempt is the last."""
 _WIDER = 2.0
-"""Factor on the reference population's standard deviations if the effective number of draws is too small: the
-populations not covered are wider than the reference. By choice."""
+"""Factor on the reference's standard deviations where populations wider than it are not covered. By choice."""
 _BEYOND_CHAIN = 2.0
 """Factor on the standard deviations of the reference population that follows from a chain, along valleys. Measured in a
 band of 100 to 101 Hz: the smallest effective number of draws (5 % quantile of populations) was 37 with 1, 57 with 1.5,
@@ -73,8 +72,8 @@ _PILOTS = 64
 """Populations at which the Monte-Carlo variance is computed. By choice: they cost as much as a step of an ensemble."""
 _ROUGH_VARIANCE, _FEWEST_ROUGH = 0.25, 64
 """Monte-Carlo variance of the log likelihood whose gradient is taken, by fewer draws, and least number of them. By
-choice: the error of the energy along a trajectory is then half a unit. Measured: with a variance of 0.3 about 0.53 of
-the proposals are accepted, with 1.3 only 0.1."""
+choice: the error of the energy along a trajectory is then half a unit. With a variance of 0.3 about 0.53 of the
+proposals are accepted, with 1.3 only 0.1."""
 _FEWER = 4
 """Divisor of the number of draws with which the shared parameters are centred. By choice: with a quarter of the draws
 their mode is known to a fraction of a standard deviation, and most of the time goes into the draws."""
@@ -228,16 +227,16 @@ class Posterior:
             lacking = FEWEST_DRAWS / float(np.quantile(self.marginal.effective(populations), RARELY))
             if (noise < 1 and lacking <= 1) or step == len(_MORE_DRAWS) - 1:
                 return
-            at_home = np.quantile(self.marginal.effective_at_home(), RARELY) >= FEWEST_DRAWS
             # People are covered, other populations are not: draws are chosen for these, and no more than are needed.
-            around = bool(at_home) and not anchor.along_valley
+            at_home = float(np.quantile(self.marginal.effective_at_home(), RARELY))
+            around = at_home >= FEWEST_DRAWS and not anchor.along_valley
             step += not around or self.redrawn > 0
             if not around:
                 n_draws = _MORE_DRAWS[step] * self.n_draws * few
                 reach *= _WIDER if lacking > 1 else 1.0
             elif self.redrawn > 0:
-                needed = n_draws * 2 ** int(np.ceil(np.log2(max(noise, lacking))))
-                n_draws = min(needed, max(_MORE_DRAWS) * self.n_draws * few)
+                n_draws *= 2 ** int(np.ceil(np.log2(max(noise, lacking))))
+                n_draws = min(n_draws, max(_MORE_DRAWS) * self.n_draws * few)
             chains = sample(
                 self.log_probability,
                 self.mode,
