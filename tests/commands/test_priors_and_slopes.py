@@ -45,7 +45,8 @@ def test_a_prior_and_a_covariate_reach_summary_and_terminal(
     summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
     assert summary["prior"]["given"]
     assert summary["prior"]["slope"] == 0.3
-    assert summary["prior"]["elements"]["r1"] == {"centre": pytest.approx(3.0), "scale": 0.5, "dispersion": 1.0}
+    expected = {"centre": pytest.approx(3.0), "scale": 0.5, "dispersion": 1.0, "kind": "normal"}
+    assert summary["prior"]["elements"]["r1"] == expected
     slope = summary["elements"]["r1"]["slopes"]["age_y"]
     assert slope["q05"] < slope["median"] < slope["q95"]
     assert summary["covariates"]["age_y"] == {"mean": pytest.approx(42.5), "sd": pytest.approx(15.37, abs=0.01)}

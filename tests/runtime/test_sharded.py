@@ -25,13 +25,14 @@ from bayes_impedance.person.marginal_likelihood import LEAST_RHO
 from bayes_impedance.population import sharded_likelihood
 from bayes_impedance.population.contrasts import Contrasts
 from bayes_impedance.population.draw_error import noise_within
-from bayes_impedance.population.fit import FitSettings, PopulationFit, _kept_sets, fit_population
+from bayes_impedance.population.fit import FitSettings, PopulationFit, fit_population
 from bayes_impedance.population.importance_likelihood import ImportanceLikelihood
 from bayes_impedance.population.likelihood_gradient import likelihood_gradient
 from bayes_impedance.population.moved_dispersions import DispersionRange
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.person_densities import constants_of, log_densities
 from bayes_impedance.population.person_draws import DrawingPlan, PersonDraws
+from bayes_impedance.population.sampling import kept_sets
 from bayes_impedance.population.sharded_likelihood import KeptDraws
 from bayes_impedance.population.simulate import simulate_recordings
 from bayes_impedance.recordings.files import Recordings
@@ -299,7 +300,7 @@ def test_a_result_of_many_persons_keeps_fewer_sets(people: int, kept: int) -> No
         steps=300,
         walkers=104,
     )
-    chosen = _kept_sets(chains, 8 * people)
+    chosen = kept_sets(chains, 8 * people)
     assert len(chosen) == kept
     assert (chosen[0], chosen[-1]) == (0, 499)
 
