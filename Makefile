@@ -10,12 +10,13 @@ OUT ?= out/demo
 PYTHON ?= $(shell for p in python3 python3.11 python3.12 python3.13 python; do \
   if $$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then echo $$p; break; fi; done)
 
-.PHONY: demo test test-ci test-all bench lint docs format clean help
+.PHONY: demo test test-long test-ci test-all bench lint docs format clean help
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make demo      estimate the shipped population of 71 virtual fingertips; the report goes to $(OUT)"
-	@echo "make test      run the tests"
+	@echo "make test      run the tests, but for those that take long (about a quarter of an hour)"
+	@echo "make test-long run those (about as long)"
 	@echo "make test-ci   run the slow statistical checks that CI runs after them"
 	@echo "make test-all  run every slow check too (about an hour)"
 	@echo "make bench     speed against peers, in one run (about an hour; leave the machine alone)"
@@ -62,7 +63,10 @@ demo: $(VENV)/.run
 	@echo "open it: file://$(abspath $(OUT))/report.html"
 
 test: $(VENV)/.test
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow" $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow and not long" $(PYTEST_ARGS)
+
+test-long: $(VENV)/.test
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "long and not slow" $(PYTEST_ARGS)
 
 test-ci: $(VENV)/.test
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "slow and ci" $(PYTEST_ARGS)

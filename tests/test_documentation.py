@@ -85,6 +85,7 @@ def test_the_scan_sees_blocks_and_refuses_wrong_ones() -> None:
         require_commands("bayes-impedance check mine --nonsense")
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
 def test_python_of_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     monkeypatch.chdir(tmp_path)
@@ -128,6 +129,7 @@ def test_every_public_name_is_documented() -> None:
                 assert not own.startswith(f"{name}("), f"{room}.{name} has only the docstring that dataclasses make"
 
 
+@pytest.mark.long
 def test_generated_pages_name_every_command_and_effect(tmp_path: Path) -> None:
     from bayes_impedance.diagnosis import registered
 

@@ -157,6 +157,7 @@ def test_blocks_run(page: str, place: Path) -> None:
                     execute(line)
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
 @pytest.mark.parametrize("page", ["docs/how_to/datasets.md", "docs/how_to/paper_methods.md"])
 def test_python_that_takes_seconds_runs(page: str, place: Path) -> None:

@@ -33,6 +33,7 @@ def case() -> dict[str, Any]:
     return {"kernel": kernel, "order": order, "theta": theta, "frequency": frequency, "z": z, "sd": 0.01 * np.abs(z)}
 
 
+@pytest.mark.long
 def test_numpy_and_the_package_agree_on_value_and_gradient(case: dict[str, Any]) -> None:
     theta, order, omega = case["theta"], case["order"], 2 * np.pi * case["frequency"]
     likelihood = Likelihood.make(case["frequency"], case["z"][None], case["sd"][None], np.zeros((1, 8)))

@@ -61,6 +61,7 @@ def test_the_rival_has_the_same_impedance(name: str) -> None:
     np.testing.assert_allclose(np.asarray(theirs), ours, rtol=1e-10)
 
 
+@pytest.mark.long
 def test_a_fit_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sampling, "ERROR_WANTED", np.inf)  # so few draws would be made again
     short = SamplerSettings(ensembles=2, burn_in=(20, 20), chunk=20, longest=40, effective=np.inf)

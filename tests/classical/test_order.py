@@ -26,6 +26,7 @@ def noisy(z, relative, seed, n=None):
     return z * (1 + relative * (rng.normal(size=shape) + 1j * rng.normal(size=shape)))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("n", [None, 12])
 @pytest.mark.parametrize(
     ("truth", "poles", "terms"), [(THREE, 3, {}), (FOUR, 4, {}), (SPRING, 3, {"pole_at_zero": True})]
@@ -36,6 +37,7 @@ def test_finds_the_true_order(truth, poles, terms, n):
     assert max(chosen) <= poles + 1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("n", [None, 8])
 def test_does_not_run_away_with_noise(n):
     chosen = [select_order(FREQUENCY, noisy(np.full(61, 5.0), 0.1, seed, n), range(5)).chosen for seed in range(3)]

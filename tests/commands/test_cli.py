@@ -99,6 +99,7 @@ def test_compare_prints_and_writes_the_table(
     assert ours["delta_magnitude"] == pytest.approx(fitted["errors"]["population_network"]["delta_magnitude"])
 
 
+@pytest.mark.long
 def test_compare_fits_by_itself(dataset: Path, tmp_path: Path) -> None:
     names = [name for i in (1, 2, 3) for name in ("--subject", f"V{i:02}")]
     arguments = ["compare", str(dataset), "-o", str(tmp_path), "--network", "m2|r1|n1", *names]
@@ -144,6 +145,7 @@ def test_the_result_is_an_ordinary_arviz_file(finished: Path) -> None:
     assert len(figure.axes) == 25
 
 
+@pytest.mark.long
 def test_the_same_seed_gives_the_same_bytes_with_processes(dataset: Path, finished: Path, tmp_path: Path) -> None:
     assert main(["run", str(dataset), "-o", str(tmp_path), "--quick", "--seed", "4", "--workers", "1"]) == 0
     assert (tmp_path / "result.nc").read_bytes() == (finished / "result.nc").read_bytes()
@@ -169,6 +171,7 @@ def test_what_is_saved_is_what_is_loaded(finished: Path) -> None:
         assert result.element_unit(element) == result.summary["elements"][element]["unit"]
 
 
+@pytest.mark.long
 def test_fit_writes_no_pictures_and_simulate_takes_its_summary(
     dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -189,6 +192,7 @@ def test_fit_writes_no_pictures_and_simulate_takes_its_summary(
     assert (again / name).read_bytes() == (virtual / name).read_bytes()
 
 
+@pytest.mark.long
 def test_one_subject_of_the_published_curves(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", str(DATA / "appendix_a" / "vf_median"), "-o", str(tmp_path), "--quick"]) == 0
     text = capsys.readouterr().out
@@ -204,6 +208,7 @@ def test_one_subject_of_the_published_curves(tmp_path: Path, capsys: pytest.Capt
     assert "n3    m/N      not determined" in text
 
 
+@pytest.mark.long
 def test_killed_and_resumed_gives_the_same_bytes(dataset: Path, finished: Path, tmp_path: Path) -> None:
     """The process is really killed, in the middle of sampling, without a chance to tidy up."""
     script = (

@@ -93,6 +93,7 @@ def test_people_are_refitted_where_the_weights_cannot_be_believed(place: Path, o
         np.testing.assert_allclose(np.array(row["persons"]["elpd"])[~again], smoothed.elpd[~again], rtol=1e-12)
 
 
+@pytest.mark.long
 def test_resume_takes_what_is_finished(place: Path, out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = (out / "networks.json").read_bytes()
 
@@ -236,6 +237,7 @@ def test_a_network_and_a_fit_of_it_have_labels_of_their_own() -> None:
     assert (summary["best_folder"], summary["as_good_folders"]) == ("other/own", ["2"])
 
 
+@pytest.mark.long
 def test_distributions_of_people_are_compared(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A finished fit of a normal population beside a Student t population of the same network."""
     out = place / "distributions"
@@ -250,6 +252,7 @@ def test_distributions_of_people_are_compared(place: Path, capsys: pytest.Captur
     assert abs(rows["normal"]["elpd"] - rows["student_t"]["elpd"]) < 5
 
 
+@pytest.mark.long
 def test_distributions_of_noise_are_compared(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Normal noise: both predict as well. The finished fit is known to be that of normal noise."""
     out = place / "noise"
@@ -267,6 +270,7 @@ def test_distributions_of_noise_are_compared(place: Path, capsys: pytest.Capture
     assert "noise_distribution" not in load_result(out / "1").summary
 
 
+@pytest.mark.long
 def test_two_groups_are_compared_with_one(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, own = place / "groups", ["compare", str(place / "data"), "--network", "m1|r1|n1"]
     assert main([*own, "-o", str(place / "no"), *OPTIONS, "--distributions", "normal", "mixture"]) == 2

@@ -66,6 +66,7 @@ def test_its_page_names_it(fitted: Path) -> None:
     assert (fitted / "pictures").is_dir()
 
 
+@pytest.mark.long
 def test_its_pages_are_made_again(fitted: Path, dataset: Path) -> None:
     assert main(["report", str(fitted), "--dataset", str(dataset)]) == 0
 
@@ -83,6 +84,7 @@ def test_the_verdict_says_the_network(verdict: Path) -> None:
     assert record["extended_network"] == NETWORK
 
 
+@pytest.mark.long
 def test_run_with_a_verdict(verdict: Path, dataset: Path, fitted: Path, tmp_path: Path) -> None:
     """It is the same as by hand, where the dataset's own network is the one before."""
     out = tmp_path / "with"
@@ -92,6 +94,7 @@ def test_run_with_a_verdict(verdict: Path, dataset: Path, fitted: Path, tmp_path
     assert proposed == by_hand
 
 
+@pytest.mark.long
 def test_a_run_shows_before_and_after(fitted: Path, verdict: Path) -> None:
     """Bands, eq. 5 and coverage of both networks, those before as the diagnosis has them."""
     summary, proposal = (json.loads(f.read_text()) for f in (fitted / "summary.json", verdict / "verdict.json"))
@@ -112,6 +115,7 @@ def test_a_run_shows_before_and_after(fitted: Path, verdict: Path) -> None:
     assert 'value="before"' in (fitted / "report.html").read_text()
 
 
+@pytest.mark.long
 def test_a_diagnosis_leaves_the_fit_of_what_it_found(dataset: Path, tmp_path: Path) -> None:
     """A result like any other, whose page shows before and after, and which `report` and `export` take."""
     assert main(["diagnose", str(dataset), "-o", str(tmp_path)]) == 0

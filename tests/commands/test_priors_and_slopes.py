@@ -108,6 +108,7 @@ def test_a_diagnosis_tests_the_named_covariates_only(
     assert '"weight" is not in the dataset' in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_each_network_of_a_comparison_has_the_prior_of_its_own_elements(dataset: Path, tmp_path: Path) -> None:
     prior = tmp_path / "prior.toml"
     prior.write_text("dispersion = 0.7\n[elements.n1]\nscale = 0.5\n", encoding="utf-8")

@@ -93,6 +93,7 @@ def test_options_are_looked_at_before_anything_is_touched(wrong: list[str], tiny
     assert {p.name for p in (out / "checkpoint").iterdir()} == {"mine.txt"}
 
 
+@pytest.mark.long
 def test_a_new_fit_takes_away_the_pages_of_the_old_one(tiny: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     shutil.copytree(tiny / "out", out)
@@ -104,6 +105,7 @@ def test_a_new_fit_takes_away_the_pages_of_the_old_one(tiny: Path, tmp_path: Pat
     assert made(out) == {"result.nc", "summary.json", "seconds.json"}
 
 
+@pytest.mark.long
 def test_an_interruption_while_drawing_says_that_the_fit_is_there(
     tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -118,6 +120,7 @@ def test_an_interruption_while_drawing_says_that_the_fit_is_there(
     assert main(["report", str(tmp_path / "out")]) == 0
 
 
+@pytest.mark.long
 def test_a_diagnosis_stands_beside_a_fit_and_is_resumed_to_the_same_verdict(tiny: Path, tmp_path: Path) -> None:
     out, again = tmp_path / "out", tmp_path / "again"
     shutil.copytree(tiny / "out", out)
@@ -157,6 +160,7 @@ def test_the_command_that_is_shown_is_quoted_and_complete() -> None:
     assert (options.covariance, options.seed, options.quick) == ("diagonal", 7, True)
 
 
+@pytest.mark.long
 def test_a_selection_of_subjects_is_in_the_result(tiny: Path, tmp_path: Path) -> None:
     chosen = [word for name in ("V1", "V3") for word in ("--subject", name)]
     assert main(fit_arguments(tiny / "data", tmp_path, *chosen)) in (0, 1)

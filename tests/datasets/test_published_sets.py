@@ -80,6 +80,7 @@ def test_what_is_not_the_same_thing_is_not_compared(network: str, unit: str) -> 
     assert beside_lines({}) == []
 
 
+@pytest.mark.long
 def test_terminal_summary_and_page_show_them(tiny: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     assert main([*fit_arguments(tiny / "data", out), "--beside", "pen_grip_x"]) == 0

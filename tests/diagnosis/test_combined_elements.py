@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from conftest import THREE_ELEMENTS
 
 from bayes_impedance.diagnosis import diagnose, registered
@@ -13,6 +14,7 @@ from bayes_impedance.population.simulate import simulate_recordings
 PEOPLE = replace(THREE_ELEMENTS, between_repetitions={})
 
 
+@pytest.mark.long
 def test_a_bypass_beside_a_damper_ends_with_a_remark() -> None:
     """A second path to ground has a spring and a damper; the network has a damper there and lacks the spring.
 

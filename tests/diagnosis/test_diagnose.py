@@ -101,6 +101,7 @@ def test_where_nothing_is_missing_it_says_so_with_limits(clean: Diagnosis) -> No
     assert from_json(json.loads(json.dumps(to_json(verdict), allow_nan=False))) == verdict
 
 
+@pytest.mark.long
 def test_the_limit_is_where_effects_begin_to_be_found(clean: Diagnosis) -> None:
     limit = next(r for r in clean.verdict.detectable if (r.id, r.place) == ("rig.delay", "port")).above
     weak, strong = (
@@ -122,6 +123,7 @@ def test_a_gain_error_is_never_claimed() -> None:
     assert not diagnose(changed(people(16, 5), lambda s, z: 1.05 * z), seed=1, quick=True).verdict.mismatch
 
 
+@pytest.mark.long
 def test_one_recording_is_diagnosed_and_its_limits_are_told() -> None:
     one = changed(people(1, 4, repetitions=1), lambda s, z: z * np.exp(-s * 3e-5))
     verdict = diagnose(one, seed=1).verdict
@@ -147,6 +149,7 @@ def test_a_claimed_simulation_is_compared_by_parameters_before_structure() -> No
     assert {d.element for d in diagnosis.verdict.parameters_differ} == {"r3"}
 
 
+@pytest.mark.long
 def test_physics_that_the_simulation_has_already_is_not_called_missing() -> None:
     both = [changed(people(16, seed), lambda s, z: z * np.exp(-s * DELAY)) for seed in (10, 11)]
     diagnosis = diagnose(both[0], simulation=both[1], seed=1, quick=True)
@@ -158,6 +161,7 @@ def rippled(recordings: Recordings) -> Recordings:
     return changed(recordings, lambda s, z: z * (1 + 0.05 * np.sin(2.5 * np.log(np.abs(s)))))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("same_people", [True, pytest.param(False, marks=[pytest.mark.slow, pytest.mark.ci])])
 def test_what_the_simulation_leaves_of_itself_is_no_difference(same_people: bool) -> None:
     """Both have the same ripple; the recordings have a skew as well, and that is all there is to say."""
@@ -184,6 +188,7 @@ def test_people_are_the_same_if_their_curves_are_and_not_only_their_names() -> N
     assert not claim.is_of(replace(one, subjects=tuple(replace(s, name=f"X{s.name}") for s in one.subjects)))
 
 
+@pytest.mark.long
 def test_physics_outside_of_the_candidates_is_unknown_and_realised_by_a_passive_network() -> None:
     def layer(s: np.ndarray, z: np.ndarray) -> np.ndarray:
         return z + 1 / (1 / 20.0 + s * 2e-5)  # a relaxation at 400 Hz, which the candidates below do not have
@@ -218,6 +223,7 @@ def test_names_that_only_together_come_near_are_no_names() -> None:
 # -------------------------------------------------------------------- the command
 
 
+@pytest.mark.long
 def test_the_command_writes_verdict_report_and_says_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     dataset, out = tmp_path / "data", tmp_path / "out"
     write_recordings(changed(people(12, 3), lambda s, z: z * np.exp(-s * DELAY)), dataset)

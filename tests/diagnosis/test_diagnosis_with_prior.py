@@ -18,6 +18,7 @@ KNOWN = 1.15 * THREE_ELEMENTS.central["r1"]
 """Damper that the prior claims to 0.5 %: 15 % off, some standard errors of ten people."""
 
 
+@pytest.mark.long
 def test_the_posterior_of_what_was_found_holds_the_prior() -> None:
     case, without = CASES["shared"], diagnosis_of("shared")
     allowed = [effect for effect in registered() if effect.id in case.candidates]

@@ -53,6 +53,7 @@ def examined(change: str) -> Adequacy:
     return examine(fit_population(recordings(CHANGES[change]), NETWORK, settings=SHORT))
 
 
+@pytest.mark.long
 def test_good_populations_are_not_marked() -> None:
     """The screening alone speaks in one of a hundred by its level: of six, one may, and no element is marked."""
     all_found = [
@@ -63,6 +64,7 @@ def test_good_populations_are_not_marked() -> None:
     assert all(not found.bent and not found.gross for found in all_found)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "change", ["conjugated", "accelerance", pytest.param("mobility", marks=[pytest.mark.slow, pytest.mark.ci])]
 )
@@ -85,6 +87,7 @@ def test_missing_physics_is_said_with_the_elements_that_it_bends(change: str, sp
     assert found.effects
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("change", ["one flipped", "one a hundred times", "one far away"])
 def test_one_person_who_does_not_belong_is_named(change: str) -> None:
     found = examined(change)
@@ -99,6 +102,7 @@ def test_two_groups_are_not_one_population() -> None:
     assert set(found.bent) == set(CENTRAL)
 
 
+@pytest.mark.long
 def test_copies_are_not_people() -> None:
     one = recordings(CHANGES["nothing"], n=1)
     same = tuple(replace(one.subjects[0], name=f"P{i}") for i in range(6))

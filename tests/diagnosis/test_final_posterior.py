@@ -35,6 +35,7 @@ def test_intervals_are_those_of_the_population_of_the_extended_network() -> None
     assert said_of(delayed, "delay")[0] < TRUE_DELAY < said_of(delayed, "delay")[2]
 
 
+@pytest.mark.long
 def test_two_effects_of_the_body_and_the_rig_have_one_posterior(monkeypatch: pytest.MonkeyPatch) -> None:
     """A time constant is the product of two elements; its spread and the correlations are those of the posterior."""
     fits = []
@@ -66,6 +67,7 @@ def test_two_effects_of_the_body_and_the_rig_have_one_posterior(monkeypatch: pyt
     assert verdict.joint.correlation[i][k] == pytest.approx(np.corrcoef(delay, np.log(time))[0, 1], abs=2e-3)
 
 
+@pytest.mark.long
 def test_a_posterior_that_is_not_reliable_gives_no_intervals(monkeypatch: pytest.MonkeyPatch) -> None:
     def failed(*arguments: Any, **options: Any) -> PopulationFit:
         fit = fit_population(*arguments, **{**options, "settings": SHORT})

@@ -74,6 +74,7 @@ def require_one_line(said: str, begin: str) -> None:
     assert not lines[0].startswith("error: :")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("fault", "number"), cases("kill"))
 def test_killed(fault: str, number: int, folder: Folder, moments: int) -> None:
     script = [sys.executable, faulty_command.__file__, str(chosen(fault, moments, number)), *folder.arguments]
@@ -120,6 +121,7 @@ def test_read_only_output(
     folder.require_same_when_resumed()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("fault", "number"), cases("disappearing input"))
 def test_disappearing_input(
     fault: str, number: int, folder: Folder, moments: int, tiny: Path, capsys: pytest.CaptureFixture[str]
@@ -133,6 +135,7 @@ def test_disappearing_input(
     folder.require_same_when_resumed()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("fault", "number"), cases("two writers"))
 def test_two_writers(fault: str, number: int, folder: Folder, moments: int) -> None:
     said: list[subprocess.CompletedProcess[str]] = []

@@ -74,6 +74,7 @@ def test_overlapping_segments_count_less() -> None:
     assert 1.9 < independent_averages(np.ones(1000), 3, 0.5) < 3
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("window", "overlap"), [("hann", 0.0), ("hann", 0.5), ("boxcar", 0.0)])
 def test_intervals_hold_the_truth(window: str, overlap: float) -> None:
     share = []

@@ -37,6 +37,7 @@ def _record(
     return replace(likelihood, count=float(z.size))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("noise", [0.02, 0.3])
 def test_ranks_of_the_truth_are_uniform(noise: float) -> None:
     """Simulation-based calibration: theta from the prior, data from theta, and theta's rank in its posterior.

@@ -35,6 +35,7 @@ def expected(variant: str) -> set[str]:
     return names
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_every_variant_is_drawn_without_a_warning(variant: str) -> None:
     result = make_result(**VARIANTS[variant])
@@ -45,6 +46,7 @@ def test_every_variant_is_drawn_without_a_warning(variant: str) -> None:
             picture.figure(result).draw_without_rendering()
 
 
+@pytest.mark.long
 def test_writes_both_formats_and_the_same_bytes_again(tmp_path: Path) -> None:
     first = write_pictures(make_result(), tmp_path / "new" / "folder")
     second = write_pictures(make_result(), tmp_path / "again")

@@ -61,6 +61,7 @@ def spread(fit: PopulationFit, name: str) -> float:
     return float(fit.parameters.mu[:, fit.kernel.elements.index(name)].std())
 
 
+@pytest.mark.long
 def test_an_uncertain_gain_is_in_the_interval_of_every_element() -> None:
     """All elements of the network scale with the gain: that is their only error in common with it."""
     exact, carried = fitted(None), fitted(gain_alone(0.03))
@@ -131,6 +132,7 @@ def test_one_person_has_the_calibrations_error_too() -> None:
     assert spread(fit, "m1") > 0.09
 
 
+@pytest.mark.long
 def test_what_the_network_has_beside_the_rig_is_as_uncertain_as_the_calibration() -> None:
     """A delay of the load, beside one of the rig: only their sum is seen, and the rig's is known to 10 us."""
     error = CommonError(

@@ -13,6 +13,7 @@ rho, and quadrature over every s_i, give the posterior without any of the approx
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
@@ -91,6 +92,7 @@ def moments_on_grid(recordings: Recordings, centre: float) -> dict[str, tuple[fl
     return moments
 
 
+@pytest.mark.long
 def test_population_of_dampers_agrees_with_quadrature() -> None:
     """Means within 0.05 and spreads within 5 % of a standard deviation, plus three Monte-Carlo errors."""
     recordings = recordings_of_dampers(seed=5)

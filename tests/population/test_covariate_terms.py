@@ -128,6 +128,7 @@ def test_an_effect_that_differs_between_groups_is_found() -> None:
     assert sample_prior(recordings, settings=settings, n=5).parameters.slopes.shape == (5, 3, 3)
 
 
+@pytest.mark.long
 def test_a_diagnosis_finds_an_interaction_among_the_covariates_that_are_named(tmp_path: Path) -> None:
     recordings, slope = with_an_interaction()
     write_recordings(recordings, tmp_path / "data")
@@ -140,6 +141,7 @@ def test_a_diagnosis_finds_an_interaction_among_the_covariates_that_are_named(tm
     assert "age_y:sex=m" in (out / "verdict.json").read_text(encoding="utf-8")
 
 
+@pytest.mark.long
 def test_whoever_is_left_out_has_the_interaction_of_everybody() -> None:
     recordings = people()
     fit = fit_population(recordings, settings=replace(SHORT, covariates=("age_y:group=b",)), seed=1)
@@ -152,6 +154,7 @@ def test_whoever_is_left_out_has_the_interaction_of_everybody() -> None:
     assert np.all(np.isfinite(refitted.elpd))
 
 
+@pytest.mark.long
 def test_the_command_line_takes_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recordings = people()
     write_recordings(recordings, tmp_path / "data")

@@ -159,6 +159,7 @@ def test_draws_made_anew_are_compared_by_densities_that_do_not_depend_on_them(
     assert np.ptp(relative) > 0.3
 
 
+@pytest.mark.long
 def test_an_interrupted_repetition_is_continued(
     six: Recordings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -39,6 +39,7 @@ def test_few_people_get_more_and_shared_parameters_fewer() -> None:
     assert DrawsAgain(first=512, last=2048, n_persons=71, shared=False).number(9.0, False, False) == 4096
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("at_home", "along_valley"), [(1000.0, False), (10.0, True)])
 def test_a_valley_is_followed_only_where_the_draws_do_not_hold_under_the_reference(
     small_simulation: Simulation, monkeypatch: pytest.MonkeyPatch, at_home: float, along_valley: bool

@@ -70,6 +70,7 @@ def test_noise_is_estimated_for_those_whose_recordings_come_without(small_simula
     assert np.all(noise_of(subjects[0], first.model) < given.max())
 
 
+@pytest.mark.long
 def test_same_seed_same_numbers_whatever_the_threads(small_simulation: Simulation) -> None:
     recordings = small_simulation.recordings.select(small_simulation.recordings.names[:6])
     one, two, other = (
@@ -210,6 +211,7 @@ def test_no_network_and_too_few_points_are_said(small_simulation: Simulation) ->
         FitSettings(covariance="half")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [1, 2])
 def test_the_population_settles_in_the_right_one_of_two_optima(seed: int) -> None:
     """Measured before solutions were compared as populations: n3 came out 17 or 2 times too large, with no warning."""
@@ -228,6 +230,7 @@ def test_the_population_settles_in_the_right_one_of_two_optima(seed: int) -> Non
     assert np.median(fit.parameters.between_persons[:, 0]) < 0.9
 
 
+@pytest.mark.long
 def test_equal_parts_that_change_places_are_no_rival_solution() -> None:
     """Two arcs of one shape: each order fits equally well, and everybody must use the same one."""
     arcs = replace(
@@ -248,6 +251,7 @@ def test_equal_parts_that_change_places_are_no_rival_solution() -> None:
     assert found == pytest.approx([0.5, 1.5], rel=0.3)
 
 
+@pytest.mark.long
 def test_two_persons_get_no_correlations(small_simulation: Simulation) -> None:
     recordings = small_simulation.recordings.select(small_simulation.recordings.names[:2])
     fit = fit_population(recordings, settings=SHORT, seed=1)

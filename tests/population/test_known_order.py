@@ -145,6 +145,7 @@ def test_a_sample_of_the_prior_obeys_it(branches: Recordings) -> None:
 # -------------------------------------------------------------------- fits
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("order", [("n1", "n2"), ("n2", "n1")])
 def test_equal_branches_end_in_the_order_that_was_given(
@@ -193,6 +194,7 @@ def test_an_order_that_the_recordings_contradict_is_refused(tmp_path: Path) -> N
         fit_population(springs, settings=replace(SHORT, prior=read_prior(file)), seed=1)
 
 
+@pytest.mark.long
 def test_the_posterior_is_that_without_the_order_cut_off() -> None:
     """Two compliances that cannot be exchanged and are equal: the order cuts off about half of the posterior."""
     population = replace(TWO_SPRINGS, central={"n1": 3e-4, "m1": 1e-3, "r1": 1.0, "n2": 3e-4})

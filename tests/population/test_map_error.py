@@ -122,6 +122,7 @@ def test_noise_holds_the_error_once() -> None:
     assert with_map_noise(exact) is exact
 
 
+@pytest.mark.long
 def test_a_fit_has_the_error_in_its_centre_and_not_in_its_dispersions() -> None:
     alike = dict.fromkeys(("m1", "r1", "n1"), 0.05)
     population = replace(THREE_ELEMENTS, between_persons=alike, between_repetitions=alike, noise=0.01)

@@ -146,6 +146,7 @@ def test_the_likelihood_does_not_depend_on_where_the_range_was_at_first(
         assert np.ptp(change) > 1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("factored", [False, True])
 def test_likelihood_equals_that_with_everything_integrated_together(factored, monkeypatch):
     """And does not if the contrasts are taken at the modes alone: the draws' responses are needed."""

@@ -132,6 +132,7 @@ def test_points_far_off_are_no_missing_physics(fits: Fits) -> None:
     assert examine(fits[TAILS, "student_t"], workers=1).misfit == ()
 
 
+@pytest.mark.long
 def test_same_seed_same_numbers_and_interrupted_fits_continue(tmp_path) -> None:
     recordings, _ = people_with_noise(6, TAILS, 4)
     first, second = (fit_population(recordings, settings=STUDENT, seed=7, workers=w) for w in (1, 2))

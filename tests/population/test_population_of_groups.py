@@ -117,6 +117,7 @@ def test_page_names_the_groups_and_their_members(saved, tmp_path):
     assert "Two groups" not in other
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore")
 def test_functions_of_arviz_take_the_result(two, tmp_path):
     import arviz as az
@@ -223,6 +224,7 @@ def test_somebody_left_out_of_the_smaller_group_is_less_improbable(two):
     assert np.all(np.abs(np.concatenate(list(found.values()))) < 0.3)
 
 
+@pytest.mark.long
 def test_same_seed_same_numbers_and_an_interrupted_fit_continues(tmp_path):
     recordings, _ = people_of_groups(10, TRUE, 4)
     whole = fit_population(recordings, settings=MIXTURE, seed=7, workers=1)
@@ -238,6 +240,7 @@ def test_same_seed_same_numbers_and_an_interrupted_fit_continues(tmp_path):
     assert np.array_equal(whole.person_draws, continued.person_draws)
 
 
+@pytest.mark.long
 def test_covariates_and_parameters_that_are_shared_go_with_groups():
     recordings, _ = people_of_groups(30, TRUE, 8)
     age = np.random.default_rng(1).normal(size=30)

@@ -112,6 +112,7 @@ def test_users_are_drawn_from_the_t_distribution(saved):
     assert population_of(saved["normal"]).note == ""
 
 
+@pytest.mark.long
 def test_somebody_held_out_far_away_is_less_improbable(outlying):
     """Held-out density of an outlying person from fits of people without any."""
     recordings = outlying["normal"].recordings
@@ -126,6 +127,7 @@ def test_somebody_held_out_far_away_is_less_improbable(outlying):
     assert found["student_t"] > found["normal"] + 3
 
 
+@pytest.mark.long
 def test_same_seed_same_numbers():
     recordings = people_with_tails(8, 3.0, 4)
     first, second = (fit_population(recordings, settings=UNCORRELATED, seed=7, workers=w) for w in (1, 2))
@@ -133,6 +135,7 @@ def test_same_seed_same_numbers():
     assert np.array_equal(first.person_draws, second.person_draws)
 
 
+@pytest.mark.long
 def test_interrupted_fit_continues_with_its_weights(tmp_path):
     recordings = people_with_tails(8, 3.0, 4)
     whole = fit_population(recordings, settings=UNCORRELATED, seed=7, workers=1)

@@ -258,6 +258,7 @@ def directions(size: int) -> np.ndarray:
     return np.vstack([far * [1, 0], far * [0, 1], far * [0.6, 0.8], far * [0.6, -0.8]])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("repetitions", [1, 2])
 @pytest.mark.parametrize("network", [ONE, TWO])
 def test_moved_draws_equal_fresh_draws(network: str, repetitions: int) -> None:
@@ -350,6 +351,7 @@ def errors(draws: np.ndarray, effective: np.ndarray) -> tuple[np.ndarray, np.nda
     return mean, np.hypot(of_sd, of_weights / np.sqrt(2))
 
 
+@pytest.mark.long
 def test_held_at_the_true_value_gives_the_same_persons() -> None:
     """Two people recorded 500 times more precisely fix the delay; for the others it is as good as known."""
     noise = (1e-4, 1e-4, *[0.05] * 8)

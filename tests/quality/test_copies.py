@@ -53,6 +53,7 @@ def test_copied_repetitions_are_named() -> None:
         require_distinct(change(simulate(1), 5, edit))
 
 
+@pytest.mark.long
 def test_one_person_71_times_is_refused_by_every_command(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     (one,) = simulate(1, subjects=1).subjects
     data = replace(simulate(1), subjects=tuple(replace(one, name=f"P{i:02d}") for i in range(71)))

@@ -273,6 +273,7 @@ def test_check_finds_the_same(dataset: Path) -> None:
 SETTINGS = FitSettings(draws=64, sampler=SamplerSettings(ensembles=2, burn_in=(20,), chunk=20, longest=20))
 
 
+@pytest.mark.long
 def test_fits_of_all_kinds_of_files_are_the_same(tmp_path: Path) -> None:
     """On threads of this process, and on a cluster whose workers read the files."""
     people = simulate_recordings(THREE_ELEMENTS, 7, 2, np.geomspace(5, 5000, 41), 4).recordings

@@ -150,6 +150,7 @@ def test_every_picture_says_what_is_seen(tmp_path: Path) -> None:
         assert sum(bool(re.search(r"\d", words)) for words in said) >= 0.7 * len(said)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["fit", "diagnosis"])
 def test_pages_of_as_many_recordings_as_the_shipped_stay_below_6_mb(kind: str, tmp_path: Path) -> None:
     """71 people x 3 x 401, pictures included."""

@@ -100,6 +100,7 @@ def test_results_of_earlier_versions_are_refused(folders: dict[str, Path]) -> No
         leave_one_out(replace(result, attributes=before))
 
 
+@pytest.mark.long
 def test_a_fit_without_a_person_gives_what_the_weights_promise() -> None:
     mu = np.array([-5.0, 0.7])
     recordings = recordings_of(mass_and_damper, "m1|r1", mu, [2] * 7 + [1] * 7, 12, seed=8)

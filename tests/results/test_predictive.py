@@ -84,6 +84,7 @@ def test_replicates_contain_the_observed_error_of_a_true_network(predictive: Pre
     assert np.all((r.magnitude_rank > 0) & (r.magnitude_rank <= 1))
 
 
+@pytest.mark.long
 def test_replicates_show_that_a_wrong_network_is_wrong(small_simulation: Simulation) -> None:
     fit = fit_population(small_simulation.recordings, "r3-(m2|r1|n1)", settings=SHORT, seed=1)
     good = predict(fit_population(small_simulation.recordings, settings=SHORT, seed=1), seed=1)

@@ -77,6 +77,7 @@ def test_a_diagnosis_does_not_depend_on_threads(alone: Diagnosis) -> None:
     _require_same(alone, diagnose(delayed(), effects=CANDIDATES, quick=True, seed=1, workers=1))
 
 
+@pytest.mark.long
 def test_a_diagnosis_by_processes_of_which_one_is_killed_is_the_same(alone: Diagnosis) -> None:
     with Processes(2) as executor:
         progress = Killing(lambda: pids(executor))
@@ -87,6 +88,7 @@ def test_a_diagnosis_by_processes_of_which_one_is_killed_is_the_same(alone: Diag
         assert progress.killed[0] not in pids(executor)
 
 
+@pytest.mark.long
 def test_a_diagnosis_by_the_standard_library_s_processes_is_the_same(alone: Diagnosis) -> None:
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as executor:
         _require_same(alone, diagnose(delayed(), effects=CANDIDATES, quick=True, seed=1, executor=executor))
@@ -103,6 +105,7 @@ def local_cluster(workers: int) -> Iterator[Any]:
             yield cluster
 
 
+@pytest.mark.long
 def test_a_diagnosis_by_a_cluster_that_loses_a_worker_is_the_same(alone: Diagnosis) -> None:
     distributed = pytest.importorskip("distributed", reason="distributed is not installed (extra: dask)")
     with local_cluster(2) as cluster, distributed.Client(cluster, set_as_default=False) as client:
@@ -116,6 +119,7 @@ def test_a_diagnosis_by_a_cluster_that_loses_a_worker_is_the_same(alone: Diagnos
 # -------------------------------------------------------------------- the commands
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("command", ["fit", "diagnose"])
 def test_processes_that_die_again_and_again_are_one_sentence(
     command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
@@ -152,6 +156,7 @@ def test_workers_of_the_command_are_processes_and_threads_without(monkeypatch: p
         assert pids(executor) == ()  # they start when they are needed
 
 
+@pytest.mark.long
 def test_the_command_diagnoses_the_same_with_processes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys.modules[diagnose.__module__], "registered", lambda: CANDIDATES)
     write_recordings(delayed(), tmp_path / "data")

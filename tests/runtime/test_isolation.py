@@ -82,6 +82,7 @@ def module(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.long
 def test_what_was_compiled_is_taken_up_and_what_is_damaged_is_compiled_anew(module: Path) -> None:
     kept = module / "cache"
 
@@ -106,6 +107,7 @@ def test_what_was_compiled_is_taken_up_and_what_is_damaged_is_compiled_anew(modu
         assert result() == "3.0 1\n", (suffix, damage)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("before", "after"), [("other + b", "b - other"), ("other + b", "other + b + constant"), ("= 1.0", "= 5.0")]
 )

@@ -136,6 +136,7 @@ def verdict_of(name: str) -> tuple[Verdict, np.ndarray]:
     return diagnose(made, quick=True, workers=1).verdict, factors
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", HIDDEN)
 def test_it_is_named_or_left_undecided_with_its_usual_rival(name: str) -> None:
     hidden = HIDDEN[name]
@@ -161,6 +162,7 @@ def test_its_parameters_are_recovered(name: str) -> None:
         assert found.q95 - found.q05 < abs(true)
 
 
+@pytest.mark.long
 def test_what_no_network_contains_is_measured_without_one() -> None:
     """Not a quick diagnosis, which ends with the posterior of the network with what was found, if there is one."""
     made, _ = recordings(HIDDEN["amplitude"])

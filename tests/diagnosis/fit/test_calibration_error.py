@@ -79,6 +79,7 @@ def test_a_larger_error_is_found_and_said_to_be_the_calibrations() -> None:
     assert any("take the calibration as exact" in remark for remark in carried.verdict.remarks)
 
 
+@pytest.mark.long
 def test_what_the_calibration_cannot_explain_is_found_alone() -> None:
     """Alone, the rig takes up a part of the relaxation, which a search that held it there would find as a delay."""
     taken = corrected(people("relaxation", left(DELAY)))

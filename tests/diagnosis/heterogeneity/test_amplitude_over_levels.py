@@ -78,6 +78,7 @@ def test_an_element_that_follows_the_level_is_found_with_its_exponent(noisier: f
     assert mostly(inside, trials, 0.85)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("noisier", [0.0, 0.03])
 def test_levels_without_effect_raise_no_alarm(noisier: float) -> None:
     """Four families of tests at 0.003 each, in 24 populations; two alarms would be 1 in 30."""

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from populations_of_likelihoods import covariance, informations, mostly, observed, population, rarely
 
 from bayes_impedance.diagnosis.heterogeneity.subgroups import find_subgroup
 
 
+@pytest.mark.long
 def test_subgroups_raise_no_false_alarms():
     # Full correlations, persons fourfold different, an element that every other person does not see.
     rng = np.random.default_rng(24)

@@ -44,6 +44,7 @@ def people(seed: int, line: float = 0.0, size: float = 0.0, periods: float = 5.0
     return found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("line", "periods"), [(50.0, 5.0), (60.0, 5.0), (50.0, 10.0)])
 def test_hum_is_found_with_its_line_and_size(line: float, periods: float) -> None:
     covered = []
@@ -75,6 +76,7 @@ def once(some: list[PersonResiduals]) -> list[PersonResiduals]:
     return [replace(p, model=p.model[:1], sd=p.sd[:1], white=p.white[:1], basis=p.basis[:1]) for p in some]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("line", "periods", "size", "n"), [(50.0, 5.0, 0.25, 36), (60.0, 10.0, 0.25, 36), (50.0, 5.0, 0.6, 12)]
 )
@@ -87,6 +89,7 @@ def test_hum_is_found_where_everybody_was_recorded_once(line: float, periods: fl
     assert sum(hum.q05 <= amplitude <= hum.q95 for hum in hums) >= 4
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("n", [9, 18, 36])
 def test_uneven_noise_and_bumps_elsewhere_are_no_hum_where_everybody_was_recorded_once(n: int) -> None:
     assert sum(find_skirts(once(people(400 + seed, n=n))) is not None for seed in range(30)) <= 1

@@ -114,6 +114,7 @@ def test_a_point_of_a_few_people_that_is_far_off_is_no_hum(line: float, far_off:
     assert find_mains(everybody) is not None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("coherent", [False, True])
 def test_interval_of_the_amplitude_covers_the_truth(coherent: bool) -> None:
     true = 0.012

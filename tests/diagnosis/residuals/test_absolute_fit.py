@@ -35,6 +35,7 @@ def test_a_good_population_has_no_shortcoming() -> None:
     assert verdict.summary.startswith("Nothing is missing")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("n", [2, 4, 12])
 def test_one_flipped_person_is_not_described_to_within_the_noise(n: int) -> None:
     made = recordings(n)
@@ -46,6 +47,7 @@ def test_one_flipped_person_is_not_described_to_within_the_noise(n: int) -> None
     assert verdict.shortcomings
 
 
+@pytest.mark.long
 def test_conjugated_recordings_allow_no_conclusion() -> None:
     made = recordings(12)
     turned = replace(made, subjects=tuple(replace(s, z=s.z.conj()) for s in made.subjects))
@@ -56,6 +58,7 @@ def test_conjugated_recordings_allow_no_conclusion() -> None:
     assert verdict.remarks[0] == verdict.shortcomings[0]
 
 
+@pytest.mark.long
 def test_copies_of_one_person_allow_no_conclusion() -> None:
     made = recordings(1)
     same = replace(made, subjects=tuple(replace(made.subjects[0], name=f"P{i}") for i in range(12)))

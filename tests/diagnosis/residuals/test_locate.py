@@ -143,6 +143,7 @@ def test_tail_of_the_null_is_smooth_and_bounded_by_bonferroni() -> None:
     assert null.p_value(null.threshold(0.003)) == pytest.approx(0.003, rel=1e-6)
 
 
+@pytest.mark.long
 def test_false_alarms_are_as_rare_as_promised() -> None:
     rng = np.random.default_rng(11)
     people = population(11)

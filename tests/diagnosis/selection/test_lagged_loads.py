@@ -31,6 +31,7 @@ def test_a_lag_of_a_drive_is_named() -> None:
     assert found == {"rig.delay": pytest.approx(-1e-4, rel=0.1)}
 
 
+@pytest.mark.long
 def test_a_low_pass_and_a_lag_of_one_recording_are_both_named() -> None:
     recordings = drive(_both)
     assert (recordings.subjects[0].z.real < 0).mean() > 0.8
@@ -40,6 +41,7 @@ def test_a_low_pass_and_a_lag_of_one_recording_are_both_named() -> None:
     assert found["rig.delay"] == pytest.approx(-1e-4, rel=0.1)
 
 
+@pytest.mark.long
 def test_against_recordings_with_the_lag_the_low_pass_alone_is_named() -> None:
     found = _medians(drive(_both), drive(delayed(1e-4), seed=4))
     assert set(found) == {"rig.lowpass"}
@@ -50,6 +52,7 @@ def test_nothing_is_named_without_lag() -> None:
     assert _medians(drive(lambda s, z: z)) == {}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("lag", [0.0, pytest.param(1e-5, marks=[pytest.mark.slow, pytest.mark.ci])])
 def test_a_low_pass_within_the_band_of_a_population(small_simulation: Simulation, lag: float) -> None:
     """The derivatives of the network's fit do not show it: the search begins far from the network."""

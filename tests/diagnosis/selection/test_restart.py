@@ -103,6 +103,7 @@ def strong_high_pass() -> tuple[Experiment, Recordings]:
     )
 
 
+@pytest.mark.long
 def test_a_verdict_without_a_name_is_looked_at_again() -> None:
     experiment, recordings = strong_high_pass()
     candidates = [entry(name) for name in ("rig.highpass", "body.relaxation")]

@@ -131,6 +131,7 @@ def test_with_the_right_addition_no_other_coefficient_seems_to_vary() -> None:
 # What is taken out again, and when it ends
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [1, 2])
 def test_what_took_the_place_of_two_things_is_exchanged_for_one_of_them(seed: int) -> None:
     """A relaxation explains most while the mass is still missing."""
@@ -148,6 +149,7 @@ def test_what_took_the_place_of_two_things_is_exchanged_for_one_of_them(seed: in
 SUM = ("rig.delay", "body.relaxation", "body.springpot/beside_power")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_what_later_additions_make_superfluous_is_taken_out_again(seed: int) -> None:
     """A power law is the best single explanation of a delay and a relaxation together, and of neither alone."""

@@ -34,6 +34,7 @@ def outline(value: Any) -> Any:
     return type(value).__name__
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", QUICKEST)
 def test_each_kind_keeps_its_keys_and_texts(name: str) -> None:
     made, kept = record_of(name), RECORDS[name]
