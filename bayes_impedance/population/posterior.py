@@ -227,16 +227,15 @@ class Posterior:
             lacking = FEWEST_DRAWS / float(np.quantile(self.marginal.effective(populations), RARELY))
             if (noise < 1 and lacking <= 1) or step == len(_MORE_DRAWS) - 1:
                 return
-            # People are covered, other populations are not: draws are chosen for these, and no more than are needed.
+            # People are covered, other populations are not: draws are chosen for these, as many as are needed, if so
+            # many can be. Draws along a ridge that reach too short leave far more to wish for.
             at_home = float(np.quantile(self.marginal.effective_at_home(), RARELY))
+            needed = n_draws * 2 ** int(np.ceil(np.log2(max(noise, lacking, 1.0)))) if self.redrawn else n_draws
             around = at_home >= FEWEST_DRAWS and not anchor.along_valley
+            around = around and needed <= max(_MORE_DRAWS) * self.n_draws * few
             step += not around or self.redrawn > 0
-            if not around:
-                n_draws = _MORE_DRAWS[step] * self.n_draws * few
-                reach *= _WIDER if lacking > 1 else 1.0
-            elif self.redrawn > 0:
-                n_draws *= 2 ** int(np.ceil(np.log2(max(noise, lacking))))
-                n_draws = min(n_draws, max(_MORE_DRAWS) * self.n_draws * few)
+            n_draws = needed if around else _MORE_DRAWS[step] * self.n_draws * few
+            reach *= _WIDER if lacking > 1 and not around else 1.0
             chains = sample(
                 self.log_probability,
                 self.mode,
