@@ -175,7 +175,8 @@ def draw(
 
 
 def _tempered(log_weight: np.ndarray, least: float) -> np.ndarray:
-    """Weights made more equal until enough draws are effective to estimate a covariance."""
+    """Weights made more equal until enough draws are effective to estimate a covariance, or half of them are."""
+    least = min(least, 0.5 * log_weight.size)  # of fewer draws than are enough not even equal weights would do
     while np.exp(-np.logaddexp.reduce(2 * log_weight)) < least:
         log_weight = 0.7 * log_weight
         log_weight = log_weight - np.logaddexp.reduce(log_weight)

@@ -209,7 +209,8 @@ class Posterior:
         collapses if a person's posterior is a curved valley of which one t distribution covers only a part. The
         proposals then follow the valley (:mod:`bayes_impedance.person.valley`) under a wider reference, until the
         draws suffice for all populations near the mode. But if everybody has enough draws under the reference itself,
-        it is only that these populations differ: then draws are chosen for them from many, before more are kept.
+        it is only that these populations differ: draws are then chosen for them from many, and more are kept, unless
+        more are needed than may be: then the draws reach too short along a ridge, which is a valley again.
         """
         few, repetitions = self._few, self.repetitions  # persons times draws is kept about constant
         reach, step = widening(repetitions.size), 0
@@ -227,8 +228,7 @@ class Posterior:
             lacking = FEWEST_DRAWS / float(np.quantile(self.marginal.effective(populations), RARELY))
             if (noise < 1 and lacking <= 1) or step == len(_MORE_DRAWS) - 1:
                 return
-            # People are covered, other populations are not: draws are chosen for these, as many as are needed, if so
-            # many can be. Draws along a ridge that reach too short leave far more to wish for.
+            # Few draws under the reference mean a valley, as do more to be wished for than there may be (57 times).
             at_home = float(np.quantile(self.marginal.effective_at_home(), RARELY))
             needed = n_draws * 2 ** int(np.ceil(np.log2(max(noise, lacking, 1.0)))) if self.redrawn else n_draws
             around = at_home >= FEWEST_DRAWS and not anchor.along_valley

@@ -162,3 +162,16 @@ def test_same_seed_same_draws() -> None:
     )
     assert np.array_equal(one.theta, two.theta)
     assert not np.array_equal(one.theta, other.theta)
+
+
+def test_few_draws_of_many_elements_come_to_an_end() -> None:
+    """Weights of fewer draws than a covariance needs were made more equal without end."""
+    kernel = Kernel(parse("(n3|r3)-(m2|r1|n1)"))
+    mean = np.log([8e-6, 60, 8e-4, 3, 1e-3])
+    reference = Reference(mean, 0.1 * np.eye(5))
+    likelihood = _record(kernel, mean, 0.02, np.random.default_rng(1))
+    mode = find_mode(kernel, likelihood, mean[None], mean, np.linalg.inv(reference.covariance))
+    ridge, seed = _ridge(kernel, likelihood, mode), np.random.SeedSequence(1)
+    draws = draw(kernel, likelihood, mode, ridge, reference, 16, seed)
+    assert draws.theta.shape == (16, 5)
+    assert np.all(np.isfinite(draws.log_weight))
