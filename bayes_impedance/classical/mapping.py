@@ -54,6 +54,7 @@ from bayes_impedance.population.em import DETERMINED_SD
 from bayes_impedance.population.natural_scales import default_prior
 from bayes_impedance.population.starting_fits import search_modes
 from bayes_impedance.recordings.files import Recordings, Subject
+from bayes_impedance.runtime.atomic_files import finite_or_none
 from bayes_impedance.units import NORMAL_Q95
 
 if TYPE_CHECKING:
@@ -161,7 +162,7 @@ class NetworkMapping(Brief):
             "exact_solutions": [s.values for s in self.exact],
             "distance": self.distance,
             "worst": {"frequency_hz": self.worst_hz, "relative": self.worst_relative},
-            "condition": _finite(self.condition),
+            "condition": finite_or_none(self.condition),
             "elements": {
                 name: {
                     "unit": e.unit,
@@ -169,13 +170,13 @@ class NetworkMapping(Brief):
                     "value": e.value,
                     "q05": e.q05,
                     "q95": e.q95,
-                    "standard_error_log": _finite(e.standard_error),
-                    "amplification": _finite(e.amplification),
+                    "standard_error_log": finite_or_none(e.standard_error),
+                    "amplification": finite_or_none(e.amplification),
                     "held_by": dict(e.held_by),
                 }
                 for name, e in self.elements.items()
             },
-            "coefficient_ratios": {k: _finite(v) for k, v in self.coefficient_ratios.items()},
+            "coefficient_ratios": {k: finite_or_none(v) for k, v in self.coefficient_ratios.items()},
         }
 
 
@@ -321,11 +322,6 @@ def _described(
             amplification=amplification,
         )
     return elements
-
-
-def _finite(value: float) -> float | None:
-    """The value, or None if it is not finite, which JSON cannot represent."""
-    return value if np.isfinite(value) else None
 
 
 def _ratios(names: tuple[str, ...], wanted: np.ndarray, value: np.ndarray) -> dict[str, float]:

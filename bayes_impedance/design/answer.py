@@ -21,6 +21,7 @@ from bayes_impedance.design.loop.stability import (
 from bayes_impedance.design.loop.transparency import Transparency, transparency
 from bayes_impedance.design.users import UserPopulation, Users
 from bayes_impedance.display import heading, joined, lines, number, short, table
+from bayes_impedance.runtime.atomic_files import finite_or_none
 from bayes_impedance.runtime.progress import Progress
 from bayes_impedance.runtime.user_table import number_in, whole_number_in
 from bayes_impedance.units import rounded
@@ -115,7 +116,7 @@ class DesignAnswer:
             "worst_user": {
                 "name": m.users.names[limit.worst],
                 "limit": float(limit.each[limit.worst]),
-                "oscillation_hz": _finite(limit.each_hz[limit.worst]),
+                "oscillation_hz": finite_or_none(limit.each_hz[limit.worst]),
                 "elements": worst,
                 "units": m.users.units,
                 "because": [
@@ -209,7 +210,3 @@ def gains(population: UserPopulation, device: Device, grid: int, lowest: float) 
     highest = max(1.2 * max(limits), 1.0)
     low = min(lowest, limits[0] / 2) if lowest > 0 else _GRID_LOW * highest
     return np.geomspace(max(low, 1e-4 * highest), highest, grid), damping
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

@@ -302,18 +302,19 @@ _ORDINAL = {1: "second", 2: "third"}
 
 def checks(result: Result) -> list[Check]:
     """The table of diagnostics."""
-    s = result.summary["sampler"]
+    # None stands for what is not finite, which meets no limit.
+    s = {name: float("nan") if value is None else value for name, value in result.summary["sampler"].items()}
     return [
         Check(
             "R-hat, worst",
-            f"{s['rhat_max']:.3f}",
+            _finite(s["rhat_max"], ".3f"),
             f"below {_RHAT_WANTED}; refused above {RHAT_LIMIT}",
             s["rhat_max"] <= _RHAT_WANTED,
             "Compares ensembles that start and adapt independently. At 1 they have the same distribution.",
         ),
         Check(
             "Effective sample size, worst",
-            f"{s['ess_min']:.0f}",
+            _finite(s["ess_min"], ".0f"),
             f"above {_ESS_WANTED}; refused below {FEWEST_EFFECTIVE:g}",
             s["ess_min"] >= _ESS_WANTED,
             f"Number of independent draws with the same information as the correlated ones; {_ESS_WANTED} suffice for "
@@ -321,7 +322,7 @@ def checks(result: Result) -> list[Check]:
         ),
         Check(
             "Acceptance",
-            f"{s['acceptance']:.2f}",
+            _finite(s["acceptance"], ".2f"),
             f"{_ACCEPTANCE[0]} to {_ACCEPTANCE[1]}",
             _ACCEPTANCE[0] <= s["acceptance"] <= _ACCEPTANCE[1],
             "Share of proposed steps that were accepted. Near 0 the sampler does not move; near 1 its steps are too "
@@ -329,7 +330,7 @@ def checks(result: Result) -> list[Check]:
         ),
         Check(
             "Variance of the log-likelihood",
-            f"{s['log_likelihood_variance']:.2g}",
+            _finite(s["log_likelihood_variance"], ".2g"),
             f"below {VARIANCE_WANTED}; refused above {VARIANCE_LIMIT:g}",
             s["log_likelihood_variance"] <= VARIANCE_WANTED,
             f"The likelihood is a Monte-Carlo average over each {who(result, 1)}'s draws; this is its Monte-Carlo "
@@ -337,7 +338,7 @@ def checks(result: Result) -> list[Check]:
         ),
         Check(
             "Pareto k, worst",
-            f"{s['pareto_k_max']:.2f}",
+            _finite(s["pareto_k_max"], ".2f"),
             f"below {PARETO_LIMIT}",
             s["pareto_k_max"] <= PARETO_LIMIT,
             f"Shape of the tail of a {who(result, 1)}'s importance weights. Above {PARETO_LIMIT}, few draws carry most "
@@ -345,12 +346,16 @@ def checks(result: Result) -> list[Check]:
         ),
         Check(
             "Effective draws, worst",
-            f"{s['effective_draws_min']:.0f}",
+            _finite(s["effective_draws_min"], ".0f"),
             f"above {_DRAWS_WANTED}",
             s["effective_draws_min"] >= _DRAWS_WANTED,
             f"Number of equally weighted draws with the same information as a {who(result, 1)}'s weighted ones.",
         ),
     ]
+
+
+def _finite(value: float, digits: str) -> str:
+    return format(value, digits) if math.isfinite(value) else "not finite"
 
 
 def provenance_rows(result: Result) -> list[tuple[str, str]]:

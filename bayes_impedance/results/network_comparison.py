@@ -22,6 +22,7 @@ from bayes_impedance.network.spellings import in_both
 from bayes_impedance.population.heavy_tails import NORMAL
 from bayes_impedance.results.leave_one_out import LeftOut
 from bayes_impedance.results.result import Result
+from bayes_impedance.runtime.atomic_files import finite_or_none
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -154,7 +155,7 @@ class NetworkComparison:
             "delta_phase_deg": errors["population_network"]["delta_phase_deg"],
             "relative_rms_median": errors["subjects"]["relative_rms_median"],
         }
-        return {name: _finite(value) for name, value in row.items()}
+        return {k: finite_or_none(v) if isinstance(v, float) else v for k, v in row.items()}
 
     def summary(self) -> dict[str, Any]:
         """Contents of ``networks.json``."""
@@ -174,8 +175,8 @@ class NetworkComparison:
                     "problems": entry.result.problems,
                     "misfit": list(entry.result.summary["adequacy"]["misfit"]),
                     "persons": {
-                        "elpd": [_finite(float(v)) for v in entry.left_out.elpd],
-                        "pareto_k": [_finite(float(v)) for v in entry.left_out.pareto_k],
+                        "elpd": [finite_or_none(v) for v in entry.left_out.elpd],
+                        "pareto_k": [finite_or_none(v) for v in entry.left_out.pareto_k],
                         "refitted": entry.left_out.refitted.tolist(),
                     },
                 }
@@ -190,7 +191,3 @@ class NetworkComparison:
         writer.writeheader()
         writer.writerows(rows)
         return text.getvalue()
-
-
-def _finite(value: Any) -> Any:
-    return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -25,6 +25,7 @@ from bayes_impedance.results.distribution import (
 )
 from bayes_impedance.results.misfit import coverage_by_frequency, misfit_words, network_misfits, noise_scale_summary
 from bayes_impedance.results.predictive import Predictive
+from bayes_impedance.runtime.atomic_files import finite_or_none
 from bayes_impedance.units import INTERVAL
 
 SCHEMA = 1
@@ -148,13 +149,13 @@ def summary_of(
             "ensembles": d.ensembles,
             "steps": d.steps,
             "walkers": d.walkers,
-            "rhat_max": d.rhat_max,
-            "ess_min": d.effective_min,
-            "tau_max": d.autocorrelation_max,
-            "acceptance": d.acceptance,
-            "log_likelihood_variance": d.log_likelihood_variance,
-            "pareto_k_max": float(np.max(d.pareto_k)),
-            "effective_draws_min": float(np.min(d.effective_draws)),
+            "rhat_max": finite_or_none(d.rhat_max),
+            "ess_min": finite_or_none(d.effective_min),
+            "tau_max": finite_or_none(d.autocorrelation_max),
+            "acceptance": finite_or_none(d.acceptance),
+            "log_likelihood_variance": finite_or_none(d.log_likelihood_variance),
+            "pareto_k_max": finite_or_none(np.max(d.pareto_k)),
+            "effective_draws_min": finite_or_none(np.min(d.effective_draws)),
             "reference_moved": d.redrawn,
         },
         "versions": dict(versions),

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import errno
 import json
+import math
 import os
 import secrets
 import socket
@@ -124,6 +125,11 @@ def write_text(file: Path, text: str) -> Path:
     with replacing(file) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return file
+
+
+def finite_or_none(value: float) -> float | None:
+    """The number, or None if it is not finite, which JSON cannot represent."""
+    return float(value) if math.isfinite(value) else None
 
 
 def write_json(file: Path, content: Any, *, indent: int = 2) -> Path:

@@ -16,7 +16,7 @@ from said_and_recorded import FITS, NUMBER, contradictions, is_rounded, numbers,
 from bayes_impedance.commands.cli import main
 from bayes_impedance.report import write_report
 from bayes_impedance.report.fit_sentences import chance_in_words, details, headline, replication_sentence
-from bayes_impedance.report.fit_tables import correlation_rows, element_rows, slope_rows
+from bayes_impedance.report.fit_tables import checks, correlation_rows, element_rows, slope_rows
 from bayes_impedance.results.misfit import MISFIT_SCALE, network_misfits, noise_scale_summary
 from bayes_impedance.results.result import Result
 from bayes_impedance.units import excludes_zero, scale_for, signed
@@ -176,3 +176,11 @@ def test_an_element_that_is_not_determined_has_no_number_even_if_the_record_has(
     assert line is not None
     assert not NUMBER.findall(line.group(0))
     json.dumps(result.summary)
+
+
+def test_diagnostics_that_are_not_finite_are_said_and_meet_no_limit() -> None:
+    result = make_result(**ALL[next(iter(ALL))])
+    result.summary["sampler"] |= {"pareto_k_max": None, "rhat_max": None}
+    shown = {check.name: check for check in checks(result)}
+    for name in ("Pareto k, worst", "R-hat, worst"):
+        assert (shown[name].value, shown[name].good) == ("not finite", False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from typing import Any
 
@@ -262,3 +263,12 @@ def test_errors_and_coverage_are_means_over_frequency_and_people() -> None:
     assert summary["sampler"]["pareto_k_max"] == pytest.approx(0.3)
     assert summary["sampler"]["effective_draws_min"] == pytest.approx(100.0)
     assert (summary["seed"], summary["seconds"], summary["findings"]) == (7, {"modes": 1.235}, ["odd"])
+
+
+def test_what_is_not_finite_in_the_diagnostics_is_null_and_can_be_written() -> None:
+    fit = fit_of("m1|r1")
+    hopeless = replace(fit.diagnostics, pareto_k=np.array([0.3, np.inf]), log_likelihood_variance=float("nan"))
+    summary = told(replace(fit, diagnostics=hopeless))
+    assert summary["sampler"]["pareto_k_max"] is None
+    assert summary["sampler"]["log_likelihood_variance"] is None
+    json.dumps(summary, allow_nan=False)
