@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
@@ -15,6 +15,7 @@ from bayes_impedance.diagnosis.catalogue.offered import offered
 from bayes_impedance.diagnosis.claimed_simulation import Claim, claim_of
 from bayes_impedance.diagnosis.extended_network import ExtendedNetwork, extended_network, no_networks
 from bayes_impedance.diagnosis.extended_posterior import extended_posterior
+from bayes_impedance.diagnosis.extended_start import extended_start
 from bayes_impedance.diagnosis.findings import Findings, find
 from bayes_impedance.diagnosis.first_fit import FirstFit, fit_without_hum
 from bayes_impedance.diagnosis.fit.baseline import Fitted
@@ -75,6 +76,10 @@ _WITH_PRIOR = (
 _COMBINED = (
     "elements of what was found and of the network together: the intervals of what was found are those of a normal "
     "approximation."
+)
+_IN_SOME = (
+    "is in some subjects only, and the population of a network has it in all: the intervals of what was found are "
+    "those of a normal approximation"
 )
 _NOT_IN_NETWORK = (
     "cannot be written as a network, and without it the posterior of a network does not describe the recordings: the "
@@ -208,7 +213,7 @@ def _diagnose(inside: Corrected, claimed: Claim | None, job: _Job, clock: Clock)
     if extended is not None and not job.quick:
         with clock.measure("posterior"):
             measured = inside.as_given(first.clean)
-            evidence, fit = _measured(evidence, extended, measured, job)
+            evidence, fit = _measured(evidence, extended, measured, first.fitted.shared, job)
     with clock.measure("verdict"):
         verdict = make_verdict(inside.recordings, first.fitted, evidence, extended, job.seed)
         verdict = replace(verdict, detectable=beyond_calibration(inside, verdict.detectable))
@@ -306,7 +311,7 @@ def _confirm(first: FirstFit, look: Findings, claimed: Claim | None, job: _Job) 
 
 
 def _measured(
-    evidence: Evidence, extended: ExtendedNetwork, recordings: Recordings, job: _Job
+    evidence: Evidence, extended: ExtendedNetwork, recordings: Recordings, held: Mapping[str, float], job: _Job
 ) -> tuple[Evidence, PopulationFit | None]:
     """Evidence with parameters from the posterior of the population of the extended network; and that posterior."""
     known = None if job.prior is None else job.prior.only(extended.network.elements)
@@ -314,10 +319,14 @@ def _measured(
     if without := no_networks(evidence.final.model):
         because = f"{', '.join(without)} {_NOT_IN_NETWORK}."
         return replace(evidence, remarks=(*evidence.remarks, because)), None
+    if some := sorted({a.effect.id for a in evidence.final.model.additions if a.only_in_some}):
+        because = f"{', '.join(some)} {_IN_SOME}."
+        return replace(evidence, remarks=(*evidence.remarks, because)), None
     try:
         fit = fit_population(
             recordings,
             extended.network,
+            start=extended_start(evidence.final, extended, recordings, held),
             settings=settings,
             seed=job.seed,
             progress=job.progress,

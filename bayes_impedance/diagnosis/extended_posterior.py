@@ -23,6 +23,7 @@ from bayes_impedance.diagnosis.extended_network import ExtendedNetwork
 from bayes_impedance.diagnosis.fit.coefficient_posterior import CoefficientPosterior
 from bayes_impedance.diagnosis.fit.model import Model
 from bayes_impedance.network.extensions import PowerLaw
+from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.parameters import quantity_of
 from bayes_impedance.population.fit import PopulationFit
 
@@ -47,7 +48,7 @@ def extended_posterior(model: Model, extended: ExtendedNetwork, fit: PopulationF
     fit : PopulationFit
         Of the extended network.
     """
-    read = _Reading(model, extended, fit)
+    read = Reading(model, extended, fit.kernel)
     mu = fit.parameters.mu
     values, sign = read(mu)
     tau = np.nan_to_num(fit.parameters.between_persons)  # of one person there is none
@@ -75,18 +76,17 @@ def extended_posterior(model: Model, extended: ExtendedNetwork, fit: PopulationF
     return CoefficientPosterior(central, relative, covariance, not fit.diagnostics.problems, read.elements(mu))
 
 
-class _Reading:
+class Reading:
     """The unbounded parameters u of a model's additions, from those of the extended network.
 
     Of a linear coefficient: the logarithm of its absolute value, and its sign.
     """
 
-    def __init__(self, model: Model, extended: ExtendedNetwork, fit: PopulationFit) -> None:
+    def __init__(self, model: Model, extended: ExtendedNetwork, kernel: Kernel) -> None:
         self.model, self.extended = model, extended
-        self.kernel = fit.kernel
-        self.column = {name: k for k, name in enumerate(fit.kernel.elements)}
-        self.by_name = {p.name: p for p in fit.kernel.parameters}
-        self.laws = {n.size.name: n for _, n in fit.kernel.network.walk() if isinstance(n, PowerLaw)}
+        self.column = {name: k for k, name in enumerate(kernel.elements)}
+        self.by_name = {p.name: p for p in kernel.parameters}
+        self.laws = {n.size.name: n for _, n in kernel.network.walk() if isinstance(n, PowerLaw)}
 
     def __call__(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """From sets (S, P) to u and signs, each (S, A)."""

@@ -40,8 +40,9 @@ from bayes_impedance.population.covariate_terms import with_terms
 from bayes_impedance.population.dependence import dependent
 from bayes_impedance.population.diagnostics import Diagnostics, assess
 from bayes_impedance.population.em import Estimate, estimate, with_groups
+from bayes_impedance.population.given_start import Start, unbounded_start
 from bayes_impedance.population.heavy_tails import NORMAL, STUDENT_T
-from bayes_impedance.population.map_error import moved, response, with_map_noise
+from bayes_impedance.population.map_error import with_map_error, with_map_noise
 from bayes_impedance.population.noise_tails import likelihoods_of, weights_kept
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.posterior import Posterior
@@ -164,6 +165,7 @@ def fit_population(
     progress: Progress = lambda *_: None,
     checkpoint: str | os.PathLike[str] | None = None,
     executor: Executor | None = None,
+    start: Start | None = None,
 ) -> PopulationFit:
     """Estimate the elements of a population from its recordings.
 
@@ -186,6 +188,9 @@ def fit_population(
     executor : Executor, optional
         Runs the computations for single persons: processes, a cluster's workers, or any standard executor. Threads of
         this process if not given; the result is the same.
+    start : mapping of str to float or ndarray, optional
+        Values of all parameters of the network in their units, one for all people or one for each, (N,): a population
+        from which the fit begins too (:mod:`~bayes_impedance.population.given_start`).
 
     Returns
     -------
@@ -196,7 +201,7 @@ def fit_population(
     ------
     InputError
         If there is no network, a covariate is unknown, incomplete or collinear with others, a person has fewer points
-        than elements, or `checkpoint` belongs to another fit.
+        than elements, `checkpoint` belongs to another fit, or `start` does not suit the network.
     """
     from threadpoolctl import threadpool_limits
 
@@ -220,10 +225,11 @@ def fit_population(
     if too_few_for_correlations(len(recordings.subjects), pooling.varying.size):
         settings = replace(settings, covariance="diagonal")
     prior = prior_for(kernel, recordings, settings)
+    begin = None if start is None else unbounded_start(start, kernel, len(recordings.subjects))
     seeds = np.random.SeedSequence(seed).spawn(6)
     if checkpoint is not None:
         same_for_any = replace(settings, sampler=replace(settings.sampler, workers=0))
-        taken = covariates.tolist(), *known_of(recordings)
+        taken = covariates.tolist(), *known_of(recordings), *(() if begin is None else begin.tolist())
         others = version("bayes_impedance"), str(kernel.network), same_for_any, seed, *taken
         claim(checkpoint, (s.digest for s in recordings.subjects), *others)
     clock = Clock()
@@ -232,7 +238,7 @@ def fit_population(
     with threadpool_limits(1), own as executor:
         with clock.measure("modes"):
             tails = settings.noise_distribution == STUDENT_T
-            first = first_fits(kernel, recordings, prior, seeds[0], executor, progress, checkpoint, tails)
+            first = first_fits(kernel, recordings, prior, seeds[0], executor, progress, checkpoint, tails, begin)
             point = estimate(
                 pooling,
                 likelihoods_of(kernel, recordings, first, pooling.varying.size, executor),
@@ -251,7 +257,7 @@ def fit_population(
             alone = _one_person(
                 recordings, whole, model, prior, settings, seed, point, first, seeds[2], clock, progress, checkpoint
             )
-            return _with_map_error(alone, seeds[5])
+            return with_map_error(alone, seeds[5], IDENTIFIED_SD)
         repetitions = np.array([len(s.repetitions) for s in recordings.subjects])
         full = settings.covariance == "full"
         posterior = Posterior(repetitions, prior, full, settings.draws, point, covariates)
@@ -296,23 +302,7 @@ def fit_population(
         noise_tail=first.tail,
         noise_weights=weights,
     )
-    return _with_map_error(fit, seeds[5])
-
-
-def _with_map_error(fit: PopulationFit, seed: np.random.SeedSequence) -> PopulationFit:
-    """The posterior with the error of a calibration at each frequency; as it is without one."""
-    if fit.recordings.calibration_map is None:
-        return fit
-    elements = fit.person_draws.mean(axis=(0, 1))
-    follows = response(fit.recordings, fit.kernel, elements, fit.effective_noise, fit.parameters, fit.prior)
-    flat = fit.person_draws.reshape(-1, *elements.shape)
-    parameters, persons = moved(follows, fit.parameters, flat, seed)
-    return replace(
-        fit,
-        parameters=parameters,
-        person_draws=persons.reshape(fit.person_draws.shape),
-        identified=fit.identified & (parameters.mu.std(axis=0) < IDENTIFIED_SD),
-    )
+    return with_map_error(fit, seeds[5], IDENTIFIED_SD)
 
 
 def _one_person(

@@ -34,6 +34,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -44,6 +45,9 @@ from bayes_impedance.recordings.calibration_map import CalibrationMap
 from bayes_impedance.recordings.dataset import Subject
 from bayes_impedance.recordings.files import Recordings
 
+if TYPE_CHECKING:
+    from bayes_impedance.population.fit import PopulationFit
+
 
 def with_map_noise(recordings: Recordings) -> Recordings:
     """Recordings whose noise holds the error of the calibration's map; as they are without one, or if it does."""
@@ -52,6 +56,29 @@ def with_map_noise(recordings: Recordings) -> Recordings:
         return recordings
     noisier = tuple(_noisier(error, one) for one in recordings.subjects)
     return replace(recordings, subjects=noisier, calibration_map=replace(error, in_noise=True))
+
+
+def with_map_error(fit: PopulationFit, seed: np.random.SeedSequence, most: float) -> PopulationFit:
+    """The posterior with the error of a calibration at each frequency; as it is without one.
+
+    Parameters
+    ----------
+    fit : PopulationFit
+    seed : SeedSequence
+    most : float
+        Standard deviation from which a central value is not identified any more.
+    """
+    if fit.recordings.calibration_map is None:
+        return fit
+    elements = fit.person_draws.mean(axis=(0, 1))
+    follows = response(fit.recordings, fit.kernel, elements, fit.effective_noise, fit.parameters, fit.prior)
+    parameters, persons = moved(follows, fit.parameters, fit.person_draws.reshape(-1, *elements.shape), seed)
+    return replace(
+        fit,
+        parameters=parameters,
+        person_draws=persons.reshape(fit.person_draws.shape),
+        identified=fit.identified & (parameters.mu.std(axis=0) < most),
+    )
 
 
 def without_map_noise(recordings: Recordings) -> Recordings:

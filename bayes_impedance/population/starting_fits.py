@@ -138,6 +138,7 @@ def first_fits(
     progress: Progress,
     checkpoint: Path | None = None,
     heavy: bool = False,
+    start: np.ndarray | None = None,
 ) -> FirstFits:
     """Fit each person under the broad prior and estimate the noise.
 
@@ -156,6 +157,8 @@ def first_fits(
         Folder where the fits are saved as they are computed, and from which an interrupted run continues.
     heavy : bool
         Whether the noise may have heavier tails than the normal.
+    start : ndarray, shape (N, P), optional
+        Another common solution; its median is a candidate for everybody too.
     """
     if checkpoint is not None and (whole := FirstFits.load(checkpoint / _WHOLE)) is not None:
         return whole
@@ -182,16 +185,17 @@ def first_fits(
 
     search = partial(_searched, kernel, prior)
     found = everybody("searching", search, [thinned(subjects[i], n_elements) for i in searched], random_starts)
-    candidates = np.vstack([own for (own,) in found])
+    given = [] if start is None else [np.median(start, axis=0)[None]]
+    candidates = np.vstack([*(own for (own,) in found), *given])
     tried = everybody("first fits", partial(_try_all, kernel, candidates, prior.centre, precision), subjects)
     ends, objectives, alternatives = (np.array(column) for column in zip(*tried, strict=True))
     regret = np.minimum(objectives - objectives.min(axis=1, keepdims=True), _REGRET)
     common = int(np.argmin(regret.sum(axis=0)))
     own = np.where(regret[:, common] < 8, common, np.argmin(regret, axis=1))
     exchanged = steps_of(kernel, prior)
-    start = named_alike(ends[np.arange(len(subjects)), own], exchanged)
+    best = named_alike(ends[np.arange(len(subjects)), own], exchanged)
 
-    provisional = everybody("noise", partial(_provisional, kernel, prior.centre, precision), subjects, start)
+    provisional = everybody("noise", partial(_provisional, kernel, prior.centre, precision), subjects, best)
     theta = np.array([own for (own,) in provisional])
     unknown = [i for i, subject in enumerate(subjects) if subject.noise_sd is None]
     tail, degrees = None, np.inf
@@ -202,6 +206,7 @@ def first_fits(
         degrees = 1 / tail[0] if tail[0] else np.inf
     model = shaped(degrees) if unknown else None
     solutions = [named_alike(solution, exchanged) for solution in _common_solutions(ends, regret)]
+    solutions += [] if start is None else [start]
     fits = FirstFits(theta, alternatives, np.array(solutions), model, tail)
     if checkpoint is not None:
         fits.save(checkpoint / _WHOLE)

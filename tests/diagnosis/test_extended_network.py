@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 from bayes_impedance.diagnosis.catalogue.effect import Effect, registered, shape_grid
 from bayes_impedance.diagnosis.extended_network import extended_network, no_networks
 from bayes_impedance.diagnosis.extended_posterior import extended_posterior
+from bayes_impedance.diagnosis.extended_start import values_of
 from bayes_impedance.diagnosis.fit.model import Addition, build
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
@@ -118,6 +119,11 @@ def test_every_effect_is_a_network(effect: Effect, pooling: str) -> None:
         assert difference < 1e-6
         expected = [0.3 if p.is_coefficient else p.start for p in model.parameters]
         np.testing.assert_allclose(read_back(model, extended, u), expected, rtol=1e-3, atol=1e-4)
+        everybody = np.tile([*own, *expected], (2, 1))
+        values = values_of(model, everybody, extended, Kernel(network), {})
+        assert values is not None
+        start = [p.u(values[p.name][1]) for p in Kernel(network).parameters]
+        np.testing.assert_allclose(Kernel(network).impedance(np.array(start), F), z, rtol=1e-5)
 
 
 def test_several_effects_at_one_place_and_inside_of_others() -> None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 
@@ -64,8 +65,8 @@ class Fitted:
     refitter : Refitter
     determined : ndarray of bool, shape (P,)
     remarks : tuple of str
-    shared : tuple of str
-        Parameters of the network that are the same for everybody: the search holds them at their estimates.
+    shared : mapping of str to float
+        Estimates of the network's parameters that are the same for everybody, at which the search holds them.
     """
 
     recordings: Recordings
@@ -73,7 +74,7 @@ class Fitted:
     refitter: Refitter
     determined: np.ndarray
     remarks: tuple[str, ...]
-    shared: tuple[str, ...] = ()
+    shared: Mapping[str, float] = field(default_factory=dict)
 
 
 def fit_network(
@@ -114,7 +115,7 @@ def fit_network(
         refitter=refitter,
         determined=point.determined,
         remarks=_trust(fit, point),
-        shared=tuple(held),
+        shared=held,
     )
 
 
