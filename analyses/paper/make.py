@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from bayes_impedance.commands.comparison import compare_dataset
-from bayes_impedance.commands.jobs import FitOptions
+from bayes_impedance.commands.fit_options import FitOptions
 
 ROOT = Path(__file__).parents[2]
 OUT = Path(__file__).parent / "results"

@@ -131,7 +131,7 @@ def _compare_networks(options: argparse.Namespace) -> int:
 
 def _covariates(options: argparse.Namespace) -> int:
     from bayes_impedance.commands.covariate_search import lines_of, search_dataset
-    from bayes_impedance.commands.jobs import FitOptions
+    from bayes_impedance.commands.fit_options import FitOptions
 
     chosen = FitOptions(
         network=options.network,
@@ -151,7 +151,8 @@ def _covariates(options: argparse.Namespace) -> int:
 
 
 def _diagnose(options: argparse.Namespace) -> int:
-    from bayes_impedance.commands.jobs import FitOptions, diagnose_dataset
+    from bayes_impedance.commands.fit_options import FitOptions
+    from bayes_impedance.commands.jobs import diagnose_dataset
     from bayes_impedance.population.given_prior import read_prior
 
     chosen = FitOptions(
@@ -320,20 +321,21 @@ _JOBS = {
 
 
 def _fit_options(options: argparse.Namespace) -> Any:
-    from bayes_impedance.commands.jobs import FitOptions
-    from bayes_impedance.commands.proposed_network import plain_in, proposed_network
+    from bayes_impedance.commands.fit_options import FitOptions
+    from bayes_impedance.commands.proposed_network import plain_in, proposed_network, start_in
     from bayes_impedance.population.given_prior import read_prior
 
-    network, proposed, plain = options.network, getattr(options, "proposed", None), None
+    network, proposed, plain, start = options.network, getattr(options, "proposed", None), None, None
     if proposed is not None:
         if network is not None:
             raise InputError(
                 "--network and --with exclude each other, because each names the network to fit; leave one out"
             )
-        network, plain = proposed_network(proposed), plain_in(proposed)
+        network, plain, start = proposed_network(proposed), plain_in(proposed), start_in(proposed)
         tell(f"network: {network}")
     return FitOptions(
         network=network,
+        start=start,
         covariance=options.covariance,
         covariates=tuple(options.covariate),
         subjects=tuple(options.subject),

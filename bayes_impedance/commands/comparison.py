@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bayes_impedance.commands.checking import distinct
-from bayes_impedance.commands.jobs import FitOptions, fit_dataset, selected
+from bayes_impedance.commands.fit_options import FitOptions
+from bayes_impedance.commands.jobs import fit_dataset, selected
 from bayes_impedance.commands.result_folders import PICTURE_KINDS
 from bayes_impedance.errors import InputError
 from bayes_impedance.runtime.atomic_files import write_json, write_text

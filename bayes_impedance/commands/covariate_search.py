@@ -8,7 +8,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bayes_impedance.commands.jobs import FitOptions, selected
+from bayes_impedance.commands.fit_options import FitOptions
+from bayes_impedance.commands.jobs import selected
 from bayes_impedance.runtime.atomic_files import write_json, write_text
 from bayes_impedance.runtime.output_folder import output_folder
 

@@ -14,7 +14,7 @@ from bayes_impedance.runtime.output_folder import output_folder
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from bayes_impedance.commands.jobs import FitOptions
+    from bayes_impedance.commands.fit_options import FitOptions
     from bayes_impedance.diagnosis import Diagnosis
     from bayes_impedance.population.fit import PopulationFit
     from bayes_impedance.quality.findings import Finding

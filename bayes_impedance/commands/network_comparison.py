@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayes_impedance.commands.checking import distinct
-from bayes_impedance.commands.jobs import FitOptions, fit_dataset, selected, with_terms_of
+from bayes_impedance.commands.fit_options import FitOptions
+from bayes_impedance.commands.jobs import fit_dataset, selected, with_terms_of
 from bayes_impedance.commands.proposed_network import proposed_network
 from bayes_impedance.commands.result_folders import FIT_FILES, interrupted, remove
 from bayes_impedance.errors import InputError

@@ -10,7 +10,7 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.runtime.input_files import read_json
 
 if TYPE_CHECKING:
-    from bayes_impedance.commands.jobs import FitOptions
+    from bayes_impedance.commands.fit_options import FitOptions
     from bayes_impedance.diagnosis.verdict_types import Verdict
     from bayes_impedance.recordings.files import Recordings
 
@@ -39,6 +39,18 @@ def proposed_network(file: Path) -> str:
             "without --with"
         )
     return after
+
+
+def start_in(file: Path) -> dict[str, float] | None:
+    """Values of the proposed network's parameters near which a fit begins; None if the verdict has none.
+
+    Raises
+    ------
+    InputError
+        If it is no verdict of this version.
+    """
+    verdict = _read(file)
+    return None if verdict.start is None else dict(verdict.start)
 
 
 def plain_in(file: Path) -> str | None:

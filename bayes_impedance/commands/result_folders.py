@@ -11,7 +11,7 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.runtime.output_folder import output_folder
 
 if TYPE_CHECKING:
-    from bayes_impedance.commands.jobs import FitOptions
+    from bayes_impedance.commands.fit_options import FitOptions
     from bayes_impedance.recordings.files import Recordings
 
 CHECKPOINT_FOLDER, PICTURE_FOLDER = "checkpoint", "pictures"

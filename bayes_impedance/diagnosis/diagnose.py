@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
@@ -15,7 +15,7 @@ from bayes_impedance.diagnosis.catalogue.offered import offered
 from bayes_impedance.diagnosis.claimed_simulation import Claim, claim_of
 from bayes_impedance.diagnosis.extended_network import ExtendedNetwork, extended_network, no_networks
 from bayes_impedance.diagnosis.extended_posterior import extended_posterior
-from bayes_impedance.diagnosis.extended_start import extended_start
+from bayes_impedance.diagnosis.extended_start import extended_start, medians
 from bayes_impedance.diagnosis.findings import Findings, find
 from bayes_impedance.diagnosis.first_fit import FirstFit, fit_without_hum
 from bayes_impedance.diagnosis.fit.baseline import Fitted
@@ -39,6 +39,7 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.network.notation import Network
 from bayes_impedance.population.fit import FitSettings, PopulationFit, fit_population
 from bayes_impedance.population.given_prior import GivenPrior
+from bayes_impedance.population.given_start import Start
 from bayes_impedance.recordings.dataset import require_recordings
 from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.results.curve_errors import on_grid
@@ -209,13 +210,16 @@ def _diagnose(inside: Corrected, claimed: Claim | None, job: _Job, clock: Clock)
         if instead and job.quick:
             evidence = replace(evidence, remarks=(*evidence.remarks, _QUICK_IS_EXACT))
     extended = extended_network(evidence.final.model, first.fitted.shared) if evidence.changed else None
-    fit = None
-    if extended is not None and not job.quick:
-        with clock.measure("posterior"):
-            measured = inside.as_given(first.clean)
-            evidence, fit = _measured(evidence, extended, measured, first.fitted.shared, job)
+    fit, start = None, None
+    if extended is not None:
+        measured = inside.as_given(first.clean)
+        start = extended_start(evidence.final, extended, measured, first.fitted.shared)
+        if not job.quick:
+            with clock.measure("posterior"):
+                evidence, fit = _measured(evidence, extended, measured, start, job)
     with clock.measure("verdict"):
         verdict = make_verdict(inside.recordings, first.fitted, evidence, extended, job.seed)
+        verdict = verdict if start is None else replace(verdict, start=medians(start))
         verdict = replace(verdict, detectable=beyond_calibration(inside, verdict.detectable))
     return Diagnosis(
         title=compared.title,
@@ -311,7 +315,7 @@ def _confirm(first: FirstFit, look: Findings, claimed: Claim | None, job: _Job) 
 
 
 def _measured(
-    evidence: Evidence, extended: ExtendedNetwork, recordings: Recordings, held: Mapping[str, float], job: _Job
+    evidence: Evidence, extended: ExtendedNetwork, recordings: Recordings, start: Start | None, job: _Job
 ) -> tuple[Evidence, PopulationFit | None]:
     """Evidence with parameters from the posterior of the population of the extended network; and that posterior."""
     known = None if job.prior is None else job.prior.only(extended.network.elements)
@@ -326,7 +330,7 @@ def _measured(
         fit = fit_population(
             recordings,
             extended.network,
-            start=extended_start(evidence.final, extended, recordings, held),
+            start=start,
             settings=settings,
             seed=job.seed,
             progress=job.progress,

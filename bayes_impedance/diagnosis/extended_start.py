@@ -21,6 +21,7 @@ from bayes_impedance.diagnosis.extended_posterior import Reading
 from bayes_impedance.diagnosis.fit.model import Model
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.fit.rounds import means_of
+from bayes_impedance.errors import InputError
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.parameters import SIGNED
 from bayes_impedance.population.requirements import checked_model
@@ -58,18 +59,21 @@ def extended_start(
     Returns
     -------
     dict of str to ndarray, or None
-        None if the network's parameters do not follow from those of the fit.
-
-    Raises
-    ------
-    InputError
-        If the network cannot be fitted to the recordings.
+        None if the network's parameters do not follow from those of the fit, or it cannot be fitted.
     """
-    checked = checked_model(recordings, extended.network)
+    try:
+        checked = checked_model(recordings, extended.network)
+    except InputError:
+        return None
     if checked.combinations:  # elements that are one
         return None
     u = means_of(fit.u, fit.owner, len(fit.data))
     return values_of(fit.model, u, extended, Whole(Pooling(checked.kernel)).kernel, held)
+
+
+def medians(values: Mapping[str, np.ndarray]) -> dict[str, float]:
+    """The median person's values, to six digits: where a fit begins need not be known better."""
+    return {name: float(f"{np.median(own):.6g}") for name, own in values.items()}
 
 
 def values_of(

@@ -59,7 +59,7 @@ PHYSICS_KEYS: dict[Kind, tuple[str, ...]] = {
 }
 """Fields of an entry of the physics by its kind, in the order of the file. No two kinds have the same fields."""
 
-_OPTIONAL = ("joint", "parameters_differ", "extended_network")
+_OPTIONAL = ("joint", "parameters_differ", "extended_network", "start")
 """Keys that are left out where the verdict has no value; so is ``shortcomings`` where it is empty."""
 
 
@@ -153,6 +153,7 @@ def _verdict(record: Mapping[str, Any]) -> Verdict:
         parameters_differ=None if differ is None else tuple(ParameterDifference(**row) for row in differ),
         shortcomings=tuple(record.get("shortcomings", ())),
         extended_network=None if "extended_network" not in record else _text(record["extended_network"]),
+        start=None if "start" not in record else {_text(name): float(x) for name, x in record["start"].items()},
     )
 
 

@@ -356,8 +356,9 @@ class Verdict:
     shortcomings : tuple of str
         What is left that is large in absolute terms, whatever explanations were compared; the gravest first.
     extended_network : str or None
-        Notation of the network with all effects that were found, which can be fitted like any other; None if there are
-        none, or one of them is no network.
+        Notation of the network with all effects that were found, which can be fitted like any other; None without any.
+    start : dict of str to float, or None
+        Medians over people of its parameters in their units, near which a fit of it begins.
     """
 
     summary: str
@@ -380,6 +381,7 @@ class Verdict:
     parameters_differ: tuple[ParameterDifference, ...] | None = None
     shortcomings: tuple[str, ...] = ()
     extended_network: str | None = None
+    start: Mapping[str, float] | None = None
 
     def __repr__(self) -> str:
         return f"<Verdict: {self.summary}>"

@@ -225,7 +225,8 @@ def fit_population(
     if too_few_for_correlations(len(recordings.subjects), pooling.varying.size):
         settings = replace(settings, covariance="diagonal")
     prior = prior_for(kernel, recordings, settings)
-    begin = None if start is None else unbounded_start(start, kernel, len(recordings.subjects))
+    rig = () if recordings.calibration is None else recordings.calibration.parameters
+    begin = None if start is None else unbounded_start(start, kernel, len(recordings.subjects), prior, rig)
     seeds = np.random.SeedSequence(seed).spawn(6)
     if checkpoint is not None:
         same_for_any = replace(settings, sampler=replace(settings.sampler, workers=0))

@@ -212,7 +212,9 @@ def test_one_subject_of_the_published_curves(tmp_path: Path, capsys: pytest.Capt
 def test_killed_and_resumed_gives_the_same_bytes(dataset: Path, finished: Path, tmp_path: Path) -> None:
     """The process is really killed, in the middle of sampling, without a chance to tidy up."""
     script = (
-        "import os, sys\nfrom pathlib import Path\nfrom bayes_impedance.commands.jobs import FitOptions, run_dataset\n"
+        "import os, sys\nfrom pathlib import Path\n"
+        "from bayes_impedance.commands.fit_options import FitOptions\n"
+        "from bayes_impedance.commands.jobs import run_dataset\n"
         "def progress(stage, done, total):\n"
         "    if stage == 'sampling' and done * 3 > total:\n        os.kill(os.getpid(), 9)\n"
         f"source, out = Path({str(dataset)!r}), Path({str(tmp_path)!r})\n"

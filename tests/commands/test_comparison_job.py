@@ -14,7 +14,7 @@ from conftest import THREE_ELEMENTS
 from bayes_impedance import classical, plots
 from bayes_impedance.commands import comparison
 from bayes_impedance.commands.comparison import compare_dataset
-from bayes_impedance.commands.jobs import FitOptions
+from bayes_impedance.commands.fit_options import FitOptions
 from bayes_impedance.errors import InputError
 from bayes_impedance.population.simulate import simulate_recordings
 from bayes_impedance.recordings.files import Recordings, read_recordings, write_recordings

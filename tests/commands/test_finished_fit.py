@@ -14,7 +14,7 @@ from diagnoses_by_hand import DELAY, make_diagnosis, verdict_of
 from bayes_impedance import plots, report
 from bayes_impedance.commands import finished_fit
 from bayes_impedance.commands.finished_fit import examined_result, write_extended, write_pages
-from bayes_impedance.commands.jobs import FitOptions
+from bayes_impedance.commands.fit_options import FitOptions
 from bayes_impedance.commands.result_folders import FIT_FILES, PICTURE_FOLDER
 from bayes_impedance.diagnosis import examine as examining
 from bayes_impedance.quality.findings import Finding

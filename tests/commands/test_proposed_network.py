@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from diagnoses_by_hand import DELAY, RESONATOR, UNKNOWN, verdict_of
 
-from bayes_impedance.commands.jobs import FitOptions
-from bayes_impedance.commands.proposed_network import plain_in, plain_network, proposed_network
+from bayes_impedance.commands.fit_options import FitOptions
+from bayes_impedance.commands.proposed_network import plain_in, plain_network, proposed_network, start_in
 from bayes_impedance.diagnosis.verdict_file import to_json
 from bayes_impedance.diagnosis.verdict_types import Verdict
 from bayes_impedance.errors import InputError
@@ -54,6 +54,13 @@ def test_what_was_before_is_known_where_something_was_added(tmp_path: Path) -> N
     assert plain_in(written(tmp_path, verdict_of((DELAY,), PLAIN, None, extended_network=ALL))) == PLAIN
     assert plain_in(written(tmp_path, verdict_of((RESONATOR,), PLAIN, MORE))) == PLAIN
     assert plain_in(written(tmp_path, verdict_of((), PLAIN, None))) is None
+
+
+def test_a_fit_begins_near_what_the_verdict_found(tmp_path: Path) -> None:
+    near = {"m1": 2e-3, "r1": 1.5, "d1": 1e-4}
+    file = written(tmp_path, verdict_of((DELAY,), PLAIN, None, extended_network=ALL, start=near))
+    assert start_in(file) == near
+    assert start_in(written(tmp_path, verdict_of((DELAY,), PLAIN, None, extended_network=ALL))) is None
 
 
 @pytest.mark.parametrize(

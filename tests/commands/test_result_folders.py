@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from conftest import THREE_ELEMENTS
 
-from bayes_impedance.commands.jobs import FitOptions
+from bayes_impedance.commands.fit_options import FitOptions
 from bayes_impedance.commands.result_folders import (
     CHECKPOINT_FOLDER,
     FIT_FILES,

@@ -22,7 +22,7 @@ from experiments import die_at_once
 from process_numbers import pids
 
 from bayes_impedance.commands.cli import main
-from bayes_impedance.commands.jobs import FitOptions
+from bayes_impedance.commands.fit_options import FitOptions
 from bayes_impedance.diagnosis import diagnose
 from bayes_impedance.diagnosis.catalogue.effect import registered
 from bayes_impedance.diagnosis.types import Diagnosis

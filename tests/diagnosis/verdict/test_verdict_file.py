@@ -74,6 +74,7 @@ def test_what_is_not_finite_becomes_null_and_is_read_as_unknown() -> None:
         (lambda r: r.update(network=["m1"]), "not a verdict of schema 1"),
         (lambda r: r.update(network=["m1", None]), "a network is None, but must be a text"),
         (lambda r: r.update(extended_network=5), "a network is 5, but must be a text"),
+        (lambda r: r.update(start={"m1": "heavy"}), "could not convert string to float"),
     ],
 )
 def test_what_is_no_verdict_is_said_to_be_none(change: Callable[[dict[str, Any]], object], said: str) -> None:
@@ -92,7 +93,8 @@ def test_the_schema_knows_the_fields_of_each_kind() -> None:
         assert tuple(described["properties"]) == keys
         assert set(described["required"]) == set(keys)
     verdict = list(to_json(from_json(RECORDS["nothing"])))
-    assert list(SCHEMA["properties"]) == [*verdict, "joint", "parameters_differ", "shortcomings", "extended_network"]
+    optional = ["joint", "parameters_differ", "shortcomings", "extended_network", "start"]
+    assert list(SCHEMA["properties"]) == [*verdict, *optional]
 
 
 @pytest.mark.parametrize(
