@@ -91,6 +91,8 @@ def covered(effect: Mapping[str, Any], entry: Mapping[str, Any]) -> dict[str, bo
         return {}
     if effect["id"] == "body.springpot" and ("element" in effect["kind"]) != ("becomes" in str(entry.get("formula"))):
         return {}  # an exponent of another formula
+    if effect["id"] == "rig.mains":
+        return {}  # drawn is the line before the lock-in, said is what is left of it at the strongest point
     found = {}
     for name, true in effect["values"].items():
         said = (entry.get("parameters") or {}).get(name)

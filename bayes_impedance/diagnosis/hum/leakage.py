@@ -17,11 +17,17 @@ the strongest. The logarithm of their mean square over people is normal with kno
 about one knot per factor e, and for every :math:`f_1`, K and gamma the amplitude a is profiled. Hum is reported if the
 best :math:`f_1` is a mains frequency, and significantly better than no hum after correction for all tests.
 Roughness of the background beyond its spline is counted as scatter.
+
+**Size.** The pattern is fitted to all harmonics at once, whose strengths it does not know, and to mean squares over
+people, most of which may come from the few whose impedance is small: as a measure of the hum it was off by factors of
+0.4 to 1.7. So once hum is known to be there, its size is found at the strongest point alone, by maximum likelihood over
+everybody's contrasts, beside the background at the nearest points without hum.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -31,6 +37,7 @@ from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
 from bayes_impedance.diagnosis.hum.line import CHI_SQUARE_Q90, HARMONICS, LINES_HZ, Hum
 from bayes_impedance.diagnosis.hum.neighbours import projected
 from bayes_impedance.diagnosis.multiple_testing import bonferroni
+from bayes_impedance.units import NORMAL_Q95
 
 PERIODS = (3.0, 5.0, 7.0, 10.0, 14.0, 20.0)
 """Averaging times in periods of the excitation: with fewer the window covers an octave, with more it is a
@@ -68,6 +75,11 @@ the level of 1 % with noise alone, normal or of a t distribution with 5 degrees 
 150 at each of 4 to 32 people and 100 or 200 points (4 of 3300 in all), and none in 16 drawn populations of 8 to 34
 people, most of whose networks lack something else. The second by choice."""
 
+_WITHOUT, _NEAREST = 0.03, 4
+"""Part of the strongest point's hum below which a point counts as without it, and how many on either side tell the
+background. By choice: the first is what hum of ten times the noise adds to it; with few the background follows its own
+slope, and each has dozens of contrasts."""
+
 _ROUNDING = 1e-9
 """Root mean square of contrasts, relative to the impedance, that is rounding and no scatter: of nine digits in a file.
 A person's contrasts count by their own mean square, so that such a person would outweigh all others."""
@@ -97,12 +109,13 @@ def find_skirts(residuals: Sequence[PersonResiduals], alpha: float = 0.01) -> Hu
     repeated = any(len(person.white) > 1 for person in residuals)
     if not repeated and 2 * len(residuals) < _FEWEST_FREEDOM * _OVERLAP:
         return None
-    square, freedom, felt = (_scatter if repeated else _roughness)(residuals)
+    contrasts = (_scatter if repeated else _roughness)(residuals)
+    square, freedom = contrasts.mean_square, contrasts.freedom / (1.0 if repeated else _OVERLAP)
     near = (grid > _REACH[0] * LINES_HZ[0]) & (grid < _REACH[1] * LINES_HZ[-1])
     near[[0, -1]] &= repeated  # the ends have one neighbour
     if near.sum() < _FEWEST_POINTS or freedom[near].min() < _FEWEST_FREEDOM or not grid[0] < LINES_HZ[0] < grid[-1] / 2:
         return None
-    grid, square, freedom, felt = grid[near], square[near], freedom[near], felt[near]
+    grid, square, freedom, contrasts = grid[near], square[near], freedom[near], contrasts.at(near)
     y = np.log(square) - digamma(freedom / 2) + np.log(freedom / 2)
     weight = 1 / polygamma(1, freedom / 2)
     design = _spline(np.log(grid))
@@ -128,13 +141,15 @@ def find_skirts(residuals: Sequence[PersonResiduals], alpha: float = 0.01) -> Hu
     p_value = bonferroni(float(norm.sf(np.sqrt(max(without - least, 0.0) / rough))), tried)
     if abs(first / line - 1) > _OF_MAINS or p_value > alpha:
         return None
+    profile = misfit(y - np.log1p(np.geomspace(amplitude / 10, amplitude * 10, 401)[:, None] * seen))
     if not repeated:
         strongest = round(float(grid[int(np.argmax(p))]) / line)
         rest = _misfit(design, np.sqrt(weight) * (np.abs(grid / (strongest * line) - 1) > 1 / periods))
         gain = float(rest(y) - np.min(rest(y - np.log1p(_AMPLITUDES[:, None] * seen)))) / rough
         if norm.sf(np.sqrt(max(gain, 0.0))) > alpha:
             return None
-    return _hum(grid, felt, line, periods, amplitude, p, seen, y, misfit, rough, p_value)
+    ratio = float(np.geomspace(amplitude / 10, amplitude * 10, 401)[int(np.argmin(profile))])
+    return _hum(grid, line, periods, ratio, p, seen, y, contrasts, p_value)
 
 
 def _misfit(design: np.ndarray, root: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
@@ -155,58 +170,89 @@ def pattern(frequency_hz: np.ndarray, first_hz: float, periods: float, decay: fl
     return np.asarray(np.sum(harmonics ** (-2 * decay) * window, axis=0))
 
 
-def _scatter(residuals: Sequence[PersonResiduals]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean square of contrasts between repetitions, its freedom, and its response to a unit of variance, all (F,).
+@dataclass(frozen=True, eq=False)
+class _Contrasts:
+    """Contrasts of N people that contain no misfit, at F points.
 
-    Contrasts are relative to the impedance and to the person's own mean square, so that all people have the same
-    weight.
+    Attributes
+    ----------
+    energy, freedom_of : ndarray, shape (N, F)
+        Squares relative to the impedance, summed, and how many numbers of unit variance that is in the units of the
+        points' own variance.
+    own : ndarray, shape (N,)
+        Each person's mean square: weights are its inverse, so that all people count alike.
+    inverse : ndarray, shape (N, F)
+        Mean of 1/abs(z)^2: what a unit of additive variance contributes.
     """
-    size = residuals[0].frequency_hz.size
-    total, freedom, felt = np.zeros(size), np.zeros(size), np.zeros(size)
+
+    energy: np.ndarray
+    freedom_of: np.ndarray
+    own: np.ndarray
+    inverse: np.ndarray
+
+    @property
+    def freedom(self) -> np.ndarray:
+        """Degrees of freedom at each point, (F,)."""
+        return np.asarray(self.freedom_of.sum(axis=0))
+
+    @property
+    def mean_square(self) -> np.ndarray:
+        """Mean square at each point, relative to everybody's own, (F,)."""
+        return np.asarray(np.sum(self.energy / self.own[:, None], axis=0) / np.maximum(self.freedom, 1e-12))
+
+    def at(self, points: np.ndarray) -> _Contrasts:
+        """Some of the points only."""
+        return _Contrasts(self.energy[:, points], self.freedom_of[:, points], self.own, self.inverse[:, points])
+
+
+def _scatter(residuals: Sequence[PersonResiduals]) -> _Contrasts:
+    """Contrasts between the repetitions of everybody who was recorded twice."""
+    rows = []
     for person in residuals:
         if len(person.white) < 2:
             continue
         value, left = projected(person)
         magnitude = np.abs(person.model)
         value = value * person.sd / magnitude
-        contrast = value - value.mean(axis=0)
+        energy = np.sum(np.abs(value - value.mean(axis=0)) ** 2, axis=0)
         n = (1 - 1 / len(value)) * left.sum(axis=(0, 1))
-        energy = np.sum(np.abs(contrast) ** 2, axis=0)
         own = energy.sum() / n.sum()
-        if own < _ROUNDING**2:
-            continue
-        total += energy / own
-        freedom += n
-        felt += n / own * np.mean(magnitude**-2.0, axis=0)
-    known = np.maximum(freedom, 1e-12)
-    return total / known, freedom, felt / known
+        if own >= _ROUNDING**2:
+            rows.append((energy, n, own, np.mean(magnitude**-2.0, axis=0)))
+    return _contrasts(rows, residuals[0].frequency_hz.size)
 
 
-def _roughness(residuals: Sequence[PersonResiduals]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """As :func:`_scatter`, of contrasts between neighbouring points; the two ends of the band have none.
+def _contrasts(rows: Sequence[tuple[np.ndarray, np.ndarray, float, np.ndarray]], size: int) -> _Contrasts:
+    if not rows:
+        nothing = np.zeros((0, size))
+        return _Contrasts(nothing, nothing, np.zeros(0), nothing)
+    energy, n, own, inverse = (np.array(column) for column in zip(*rows, strict=True))
+    return _Contrasts(energy, n, own, inverse)
+
+
+def _roughness(residuals: Sequence[PersonResiduals]) -> _Contrasts:
+    """Contrasts between neighbouring points; the two ends of the band have none.
 
     What all people have in common at a point is a misfit of the network, such as a narrow resonance, and is subtracted:
     the phase of the hum differs between them.
     """
     size = residuals[0].frequency_hz.size
-    square, freedom, felt = np.ones(size), np.zeros(size), np.ones(size)
     values, lefts = zip(*(projected(person) for person in residuals), strict=True)
     relative = np.array([v[0] * p.sd[0] / np.abs(p.model[0]) for v, p in zip(values, residuals, strict=True)])
     contrast = relative[:, 1:-1] - (relative[:, :-2] + relative[:, 2:]) / 2
     rough = np.flatnonzero(np.mean(np.abs(contrast) ** 2, axis=1) >= _ROUNDING**2)
     if rough.size < 2:
-        return square, freedom, felt
+        return _contrasts([], size)
     contrast, lefts = contrast[rough], [lefts[i] for i in rough.tolist()]
     own = np.sum(np.abs(contrast) ** 2, axis=1, keepdims=True)
     weight = np.mean(own) / own
     contrast = contrast - np.sum(weight * contrast, axis=0) / weight.sum()
-    n = np.array([_beside(left.sum(axis=(0, 1)))[1:-1] for left in lefts]) * (1 - weight / weight.sum())
-    own = np.sum(np.abs(contrast) ** 2, axis=1, keepdims=True) / _NEIGHBOURS / n.sum(axis=1, keepdims=True)
-    freedom[1:-1] = n.sum(axis=0)
-    square[1:-1] = np.sum(np.abs(contrast) ** 2 / own, axis=0) / _NEIGHBOURS / freedom[1:-1]
-    magnitude = np.array([np.abs(residuals[i].model[0]) for i in rough.tolist()])[:, 1:-1]
-    felt[1:-1] = np.sum(n / own * magnitude**-2.0, axis=0) / freedom[1:-1]
-    return square, freedom / _OVERLAP, felt
+    n = np.zeros((rough.size, size))
+    n[:, 1:-1] = np.array([_beside(left.sum(axis=(0, 1)))[1:-1] for left in lefts]) * (1 - weight / weight.sum())
+    energy = np.zeros((rough.size, size))
+    energy[:, 1:-1] = np.abs(contrast) ** 2 / _NEIGHBOURS
+    inverse = np.array([np.abs(residuals[i].model[0]) ** -2.0 for i in rough.tolist()])
+    return _Contrasts(energy, n, energy.sum(axis=1) / n.sum(axis=1), inverse)
 
 
 def _beside(variance: np.ndarray) -> np.ndarray:
@@ -226,28 +272,19 @@ def _spline(log_f: np.ndarray) -> np.ndarray:
 
 def _hum(
     grid: np.ndarray,
-    felt: np.ndarray,
     line: float,
     periods: float,
-    amplitude: float,
+    ratio: float,
     p: np.ndarray,
     seen: np.ndarray,
     y: np.ndarray,
-    misfit: Callable[[np.ndarray], np.ndarray],
-    rough: float,
+    contrasts: _Contrasts,
     p_value: float,
 ) -> Hum:
-    """Amplitude at the strongest point in the impedance's unit, from the profile of a; `seen` is p in the contrasts."""
-    fine = np.geomspace(amplitude / 10, amplitude * 10, 401)
-    found = misfit(y - np.log1p(fine[:, None] * seen))
-    inside = fine[found < found.min() + CHI_SQUARE_Q90 * rough]
-    values = np.array([fine[int(np.argmin(found))], inside[0], inside[-1]])
+    """The hum that was found; `ratio` is a, and `seen` p as it is in the contrasts."""
     strongest = int(np.argmax(p * (np.abs(grid / line - 1) < 0.5)))
-    own = np.abs(grid / grid[strongest] - 1) < 0.2
-    background = float(np.exp(np.mean(y[own] - np.log1p(values[0] * seen[own]))))
-    # The scatter there is B (1 + a p), of which B a p is hum.
-    rms = np.sqrt(background * values * p[strongest] / felt[strongest])
-    spoilt = grid[values[0] * p > _AFFECTED]
+    rms = np.sqrt(_mean_squares(contrasts, strongest, *_background(grid, y, seen, contrasts, strongest), seen / p))
+    spoilt = grid[ratio * p > _AFFECTED]
     harmonics = [h for h in range(1, HARMONICS + 1) if np.any(np.abs(spoilt / (h * line) - 1) < 0.5 / periods)]
     kept = [f for f in spoilt.tolist() if min(abs(f / (h * line) - 1) for h in harmonics or [1]) <= 1 / periods]
     width = max((min(abs(f / (h * line) - 1) for h in harmonics) for f in kept), default=0.0) if harmonics else 0.0
@@ -261,4 +298,45 @@ def _hum(
         q95=float(rms[2]),
         coherent=False,
         p_value=p_value,
+    )
+
+
+def _background(
+    grid: np.ndarray, y: np.ndarray, seen: np.ndarray, contrasts: _Contrasts, strongest: int
+) -> tuple[float, float]:
+    """B at the strongest point from the nearest points without hum on either side, and its degrees of freedom."""
+    free = np.flatnonzero(seen < _WITHOUT * seen[strongest])
+    below, above = free[free < strongest][-_NEAREST:], free[free > strongest][:_NEAREST]
+    sides = [side for side in (below, above) if side.size]
+    if not sides:  # hum everywhere: the least of it
+        return float(np.exp(y.min())), float(contrasts.freedom[strongest])
+    x = [float(np.mean(np.log(grid[side]))) for side in sides]
+    level = float(np.interp(np.log(grid[strongest]), x, [float(np.mean(y[side])) for side in sides]))
+    return float(np.exp(level)), float(sum(contrasts.freedom[side].sum() for side in sides))
+
+
+def _mean_squares(
+    contrasts: _Contrasts, strongest: int, background: float, freedom: float, share: np.ndarray
+) -> np.ndarray:
+    """Mean square of the hum's real or imaginary part at a point, with the ends of its 90 % interval."""
+    n = contrasts.freedom_of[:, strongest]
+    energy, noise = contrasts.energy[:, strongest], background * contrasts.own
+    unit = contrasts.inverse[:, strongest] * share[strongest]
+    scale = float(np.median(noise / unit))
+    grid = scale * np.r_[0.0, np.geomspace(1e-3, 1e6, 4001)]
+
+    def deviance(times: float) -> np.ndarray:
+        """Minus twice the log likelihood at the grid, with so many times the background: an array as the grid."""
+        total = times * noise + grid[:, None] * unit
+        return np.asarray(np.sum(n * np.log(total) + energy / total, axis=1))
+
+    values = deviance(1.0)
+    best = int(np.argmin(values))
+    inside = np.flatnonzero(values < values[best] + CHI_SQUARE_Q90)
+    # The background is known to its own degrees of freedom.
+    error = NORMAL_Q95 * np.sqrt(2 / freedom)
+    least, most = (float(grid[int(np.argmin(deviance(times)))]) for times in (np.exp(error), np.exp(-error)))
+    low = grid[best] - np.hypot(grid[best] - grid[inside[0]], grid[best] - least)
+    return np.array(
+        [grid[best], max(low, 0.0), grid[best] + np.hypot(grid[inside[-1]] - grid[best], most - grid[best])]
     )

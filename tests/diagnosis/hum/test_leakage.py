@@ -26,22 +26,47 @@ def leakage(frequency_hz: np.ndarray, line: float, periods: float, phase: np.nda
     return result
 
 
-def people(seed: int, line: float = 0.0, size: float = 0.0, periods: float = 5.0, n: int = 24) -> list[PersonResiduals]:
+FALLING = tuple(1 / h for h in range(1, 11))
+"""Strengths of harmonics that fall as their number grows."""
+
+
+def people(
+    seed: int,
+    line: float = 0.0,
+    size: float = 0.0,
+    periods: float = 5.0,
+    n: int = 24,
+    spread: float = 0.3,
+    strengths: tuple[float, ...] = FALLING,
+) -> list[PersonResiduals]:
     """Residuals of noise that is threefold below 12 Hz, with hum of a part of the impedance at its first harmonic."""
     rng = np.random.default_rng(seed)
     found = []
     for i in range(n):
-        z = np.exp(rng.normal(0, 0.3)) * np.broadcast_to(4.0 + 0j, (3, FREQUENCY.size))
+        z = np.exp(rng.normal(0, spread)) * np.broadcast_to(4.0 + 0j, (3, FREQUENCY.size))
         own = 0.01 * np.exp(rng.normal(0, 0.2)) * np.where(FREQUENCY < 12, 3.0, 1.0)
         sd = np.broadcast_to(own, z.shape) * np.abs(z)
         noise = sd * (rng.normal(size=z.shape) + 1j * rng.normal(size=z.shape))
-        for h in range(1, 11):
+        for h, strength in enumerate(strengths, 1):
             if line:
-                noise = noise + size / h * leakage(FREQUENCY, h * line, periods, rng.uniform(0, 2 * np.pi, z.shape))
+                phase = rng.uniform(0, 2 * np.pi, z.shape)
+                noise = noise + size * strength * leakage(FREQUENCY, h * line, periods, phase)
         basis = np.linalg.qr(rng.normal(size=(3, 2 * FREQUENCY.size, 5)))[0]
         white = np.concatenate([noise.real / sd, noise.imag / sd], axis=1)
         found.append(PersonResiduals(name=f"P{i}", frequency_hz=FREQUENCY, model=z, sd=sd, white=white, basis=basis))
     return found
+
+
+@pytest.mark.long
+def test_the_size_is_right_where_people_and_harmonics_differ_much() -> None:
+    """Mean squares over people are those of the few with a small impedance, and no pattern has these harmonics."""
+    at = float(np.abs(leakage(FREQUENCY, 50.0, 10.0, np.zeros(FREQUENCY.size))).max())
+    hums = [find_skirts(people(600 + seed, 50.0, 0.06, 10.0, 24, 1.2, (1.0, 0.3, 0.5))) for seed in range(10)]
+    found = [hum for hum in hums if hum is not None]
+    assert len(found) == 10
+    true = 0.06 * at / np.sqrt(2)
+    assert sum(hum.q05 <= true <= hum.q95 for hum in found) >= 7
+    assert np.mean([hum.amplitude for hum in found]) == pytest.approx(true, rel=0.1)
 
 
 @pytest.mark.long
