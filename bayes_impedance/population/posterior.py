@@ -18,7 +18,7 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.mcmc.ensemble import Chains, SamplerSettings, sample
 from bayes_impedance.mcmc.laplace import at_quantiles, normal_approximation
 from bayes_impedance.person.importance_draws import widening
-from bayes_impedance.population.anchor import Anchor, of_limited_growth
+from bayes_impedance.population.anchor import Anchor, of_limited_growth, with_block
 from bayes_impedance.population.coordinates_gradient import pulled_back
 from bayes_impedance.population.draw_error import DrawError, draw_error, noise_within
 from bayes_impedance.population.draws_again import DrawsAgain
@@ -379,15 +379,15 @@ class Posterior:
         ours = np.linalg.cholesky(self.shared_covariance[np.ix_(free, free)])
         if np.linalg.norm(np.linalg.solve(ours, mean - before)) > _WELL_WITHIN * reach_of(self.point.shared.size):
             return  # so near the edge, beyond which the density is not known, its curvature there is none
-        self.shared_covariance = self.shared_covariance.copy()
-        self.shared_covariance[np.ix_(free, free)] = of_limited_growth(ours, moment, _MOST_GROWTH)
+        self.shared_covariance = with_block(self.shared_covariance, free, of_limited_growth(ours, moment, _MOST_GROWTH))
 
     def _share_as(self, there: PopulationParameters, means: np.ndarray, covariance: np.ndarray) -> None:
         """Move the shared parameters of the draws to those of a chain."""
         if there.shared is None or not self.coordinates.shared_free:
             return
-        free, origin, own = list(self.coordinates.shared_free), self.point.shared.copy(), self.shared_covariance.copy()
-        origin[free], own[np.ix_(free, free)] = there.shared[:, free].mean(axis=0), np.cov(there.shared[:, free].T)
+        free, origin = list(self.coordinates.shared_free), self.point.shared.copy()
+        origin[free] = there.shared[:, free].mean(axis=0)
+        own = with_block(self.shared_covariance, free, np.atleast_2d(np.cov(there.shared[:, free].T)))
         self.point, self.shared_covariance = moved_to(self.point, origin, means, covariance), own
 
     def _spread_of_shared(self) -> float:
