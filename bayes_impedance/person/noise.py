@@ -13,7 +13,11 @@ Sums run over persons and over as many neighbouring frequencies as give about 20
 the window is narrow and a sharp rise of the noise is resolved; with one person it is wide and the estimate is stable.
 
 With one repetition the noise is estimated from the second difference over frequency of the residual from the fitted
-network. (The second difference of the data would count their curvature as noise.)
+network. (The second difference of the data would count their curvature as noise.) The ends of the band have none, and
+are taken to be as noisy as their neighbours. But on a linear grid these are far away in log frequency: with noise that
+rises below 10 Hz, the point at 6 Hz was taken to have a third of its noise, that of the point at 25 Hz, and the mass of
+a resonator was four times too large, five standard errors off. So such an end is compared with the fitted network
+itself, with its leverage, and for the same reason a wide gap counts as several points in pooling.
 
 The level is that of the median person: everybody has a scale of their own in the likelihood, and a few persons whose
 elements have not been found yet must not make their misfit look like everybody's noise.
@@ -39,6 +43,10 @@ FLOOR_WITHOUT = 1e-3
 _DEGREES_OF_FREEDOM = 200.0
 """Degrees of freedom over which an estimate is pooled. By choice: a standard deviation is then known to 1/sqrt(2 x 200)
 = 5 %."""
+
+_FAR = 0.25
+"""Distance in log frequency from which neighbours tell little of a point's noise. By choice: noise that rises with the
+inverse square of frequency changes by 1.6 over it; the grids of most recordings are several times finer."""
 
 _TAIL_ROUNDS = 20
 """Times that the weights of points and the noise are found in turn where noise has tails. By choice: the error is about
@@ -139,16 +147,38 @@ def scatter_of_repetitions(
     return Scatter(frequency_hz, magnitude, square, freedom)
 
 
-def scatter_of_roughness(frequency_hz: np.ndarray, z: np.ndarray, model: np.ndarray) -> Scatter:
-    """Noise of one person from one recording z and the fitted network's, both complex, shape (F,).
+def scatter_of_roughness(
+    frequency_hz: np.ndarray, z: np.ndarray, model: np.ndarray, derivative: np.ndarray | None = None
+) -> Scatter:
+    """Noise of one person from one recording.
 
-    Each inner point is compared with the straight line, over log frequency, through its two neighbours.
+    Each inner point is compared with the straight line, over log frequency, through its two neighbours. An end that is
+    far from its neighbour is compared with the network.
+
+    Parameters
+    ----------
+    frequency_hz : ndarray, shape (F,)
+    z, model : ndarray, complex, shape (F,)
+        The recording, and the impedance of the network that was fitted to it with noise proportional to abs(z).
+    derivative : ndarray, complex, shape (P, F), optional
+        dZ/dtheta of the network there; without it the ends have no scatter.
     """
     x, residual = np.log(frequency_hz), z - model
     share = (x[1:-1] - x[:-2]) / (x[2:] - x[:-2])
     rough = residual[1:-1] - (1 - share) * residual[:-2] - share * residual[2:]
-    square = np.abs(rough) ** 2 / (1 + (1 - share) ** 2 + share**2)
-    return Scatter(frequency_hz[1:-1], np.abs(z[1:-1]), square, np.full(square.size, 2.0))
+    square = np.zeros(x.size)
+    square[1:-1] = np.abs(rough) ** 2 / (1 + (1 - share) ** 2 + share**2)
+    freedom = np.full(x.size, 2.0)
+    freedom[[0, -1]] = 0.0
+    far = np.array([0, x.size - 1])[np.diff(x)[[0, -1]] > _FAR]
+    if derivative is not None and far.size:
+        magnitude = np.abs(z)
+        tangent = derivative / magnitude
+        basis = _orthonormal(np.concatenate([tangent.real, tangent.imag], axis=1).T)
+        square[far] = np.abs(residual[far]) ** 2
+        freedom[far] = np.sum(1 - np.sum(basis**2, axis=1).reshape(2, -1)[:, far], axis=0)
+    kept = freedom > 1e-9
+    return Scatter(frequency_hz[kept], np.abs(z[kept]), square[kept], freedom[kept])
 
 
 def pool(scatters: Sequence[Scatter], floor: float, degrees: float = np.inf) -> NoiseModel:
@@ -184,10 +214,10 @@ def _pool(scatters: Sequence[Scatter], relative: bool, floor: float, degrees: fl
     place = (np.cumsum(filled) - 1)[index]
     nodes, square_sum, freedom_sum = nodes[filled], square_sum[filled], freedom_sum[filled]
 
-    # Rank distance, not frequency distance: the window holds the same information everywhere.
+    # Rank distance, not frequency distance: the window holds the same information everywhere; across wide gaps less.
     per_node = np.median(freedom_sum)
     width = max(_DEGREES_OF_FREEDOM / per_node / np.sqrt(4 * np.pi), 0.3)
-    rank = np.arange(nodes.size)
+    rank = np.cumsum(np.r_[0.0, np.maximum(np.diff(nodes) / _FAR, 1.0)])
     window = np.exp(-0.5 * ((rank[:, None] - rank[None, :]) / width) ** 2)
     variance = (window @ square_sum) / (window @ freedom_sum)
     for _ in range(_TAIL_ROUNDS if np.isfinite(degrees) else 0):

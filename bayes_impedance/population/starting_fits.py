@@ -363,8 +363,8 @@ def _noise(
 
 
 def _roughness(kernel: Kernel, subject: Subject, theta: np.ndarray) -> Scatter:
-    frequency = subject.frequency_hz
-    return scatter_of_roughness(frequency, subject.mean, kernel.impedance(theta, frequency))
+    model, derivative = kernel.derivative(theta, subject.frequency_hz)
+    return scatter_of_roughness(subject.frequency_hz, subject.mean, model, derivative)
 
 
 def _disagreement(

@@ -209,3 +209,40 @@ def test_very_fine_grids_are_binned():
     model = pool([scatter_of_repetitions(frequency, *person) for person in zip(z, derivative, strict=True)], 1e-4)
     assert model.frequency_hz.size <= 400
     assert np.median(model.sd) == pytest.approx(0.01, rel=0.05)
+
+
+def test_ends_that_are_far_from_their_neighbours_have_noise_of_their_own() -> None:
+    """On a linear grid noise that rises below 10 Hz is seen at the first point only: its neighbours cannot tell."""
+    kernel = Kernel(parse("m1|r1|n1"))
+    frequency = np.linspace(5.8, 2400, 125)
+    rng = np.random.default_rng(1)
+    relative = 0.01 * (1 + 3.6 / (1 + (frequency / 9.7) ** 2))
+    centre = np.log([4e-4, 3.4, 2.7e-3])
+    scatters = []
+    for _ in range(24):
+        theta = centre + rng.normal(0, 0.3, 3)
+        true, slope = kernel.derivative(theta, frequency)
+        noise = relative * np.abs(true) * (rng.normal(size=(2, 125)).T @ [1, 1j])
+        # As a fit with weights 1/|z| takes it up, to first order.
+        jac = np.concatenate([(slope / np.abs(true)).real, (slope / np.abs(true)).imag], axis=1).T
+        own = np.concatenate([(noise / np.abs(true)).real, (noise / np.abs(true)).imag])
+        step = np.linalg.lstsq(jac, own, rcond=None)[0]
+        z = true + noise
+        model, derivative = kernel.derivative(theta + step, frequency)
+        scatters.append(scatter_of_roughness(frequency, z, model, derivative))
+    assert all(s.frequency_hz[0] == frequency[0] and s.frequency_hz[-1] != frequency[-1] for s in scatters)
+    found = pool(scatters, 1e-3).at(frequency, np.ones(125))
+    assert found[0] / relative[0] == pytest.approx(1.0, abs=0.3)
+    np.testing.assert_allclose(found[3:] / relative[3:], 1.0, atol=0.25)
+
+
+def test_a_dense_grid_has_no_scatter_at_its_ends() -> None:
+    kernel = Kernel(parse("m1|r1|n1"))
+    model, derivative = kernel.derivative(np.log([4e-4, 3.4, 2.7e-3]), FREQUENCY)
+    z = model * (1 + 0.01 * np.random.default_rng(1).normal(size=model.size))
+    for one, other in zip(
+        vars(scatter_of_roughness(FREQUENCY, z, model, derivative)).values(),
+        vars(scatter_of_roughness(FREQUENCY, z, model)).values(),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(one, other)
