@@ -76,6 +76,7 @@ def medians(values: Mapping[str, np.ndarray]) -> dict[str, float]:
     return {name: float(f"{np.median(own):.6g}") for name, own in values.items()}
 
 
+@np.errstate(all="ignore")  # a step that goes too far is seen by its result
 def values_of(
     model: Model, u: np.ndarray, extended: ExtendedNetwork, kernel: Kernel, held: Mapping[str, float]
 ) -> dict[str, np.ndarray] | None:
@@ -108,7 +109,7 @@ def values_of(
     value = equations(theta)
     if value.shape[1] != len(unknown):
         return None
-    for _ in range(_STEPS):
+    for _ in range(_STEPS if unknown else 0):
         slopes = np.empty((*value.shape, len(unknown)))
         for j, k in enumerate(unknown):
             there = theta.copy()
@@ -122,7 +123,7 @@ def values_of(
         value = equations(theta)
         if not np.all(np.isfinite(value)):
             return None
-    if np.abs(value).max() > _SOLVED * max(1.0, float(np.abs(target).max(initial=0.0))):
+    if np.abs(value).max(initial=0.0) > _SOLVED * max(1.0, float(np.abs(target).max(initial=0.0))):
         return None
     return {p.name: p.value(theta[:, k]) for k, p in enumerate(kernel.parameters)}
 

@@ -157,3 +157,12 @@ def test_no_two_candidates_are_the_same_network(text: str) -> None:
                 written = str(extended_network(model).network)
                 assert written not in seen, (effect.id, place.name, seen[written])
                 seen[written] = f"{effect.id} at {place.name}"
+
+
+def test_a_network_without_additions_begins_at_its_own_elements() -> None:
+    model = build(NETWORK, (), SCALES, [])
+    u = np.log([[CENTRE[e] for e in NETWORK.elements]] * 2)
+    values = values_of(model, u, extended_network(model), Kernel(NETWORK), {})
+    assert values is not None
+    assert {name: pytest.approx(own[1]) for name, own in values.items()} == CENTRE
+    assert values_of(model, u, extended_network(model), Kernel(parse("m1|r1|r7")), {}) is None
