@@ -181,7 +181,7 @@ def _with(parser: argparse.ArgumentParser) -> None:
         dest="proposed",
         type=Path,
         metavar="VERDICT",
-        help="verdict.json of a diagnosis: fit the network with everything that it found missing",
+        help="verdict.json of a diagnosis: fit the network with what it found missing, and begin there too",
     )
 
 

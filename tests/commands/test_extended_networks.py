@@ -95,9 +95,9 @@ def test_run_with_a_verdict(verdict: Path, dataset: Path, fitted: Path, tmp_path
     by_hand, proposed = (json.loads((folder / "summary.json").read_text()) for folder in (fitted, out))
     assert proposed["before"]["network"] == PLAIN
     sampled = {"elements", "correlation", "errors", "coverage", "coverage_by_frequency", "noise_scale", "sampler"}
-    sampled |= {"before", "adequacy", "findings", "remarks", "seconds"}
+    sampled |= {"adequacy"}
     assert proposed.keys() == by_hand.keys()
-    assert all(proposed[key] == by_hand[key] for key in proposed.keys() - sampled)
+    assert [key for key in proposed if proposed[key] != by_hand[key] and key not in sampled] == []
     assert proposed["reliable"]
     for name, own in by_hand["elements"].items():
         one, other = own["central"], proposed["elements"][name]["central"]

@@ -77,8 +77,8 @@ people, most of whose networks lack something else. The second by choice."""
 
 _WITHOUT, _NEAREST = 0.03, 4
 """Part of the strongest point's hum below which a point counts as without it, and how many on either side tell the
-background. By choice: the first is what hum of ten times the noise adds to it; with few the background follows its own
-slope, and each has dozens of contrasts."""
+background. By choice: of hum with ten times the variance of the noise such a point has at most a third of the noise's;
+with few points the background follows its own slope, and each has dozens of contrasts."""
 
 _ROUNDING = 1e-9
 """Root mean square of contrasts, relative to the impedance, that is rounding and no scatter: of nine digits in a file.
@@ -141,14 +141,14 @@ def find_skirts(residuals: Sequence[PersonResiduals], alpha: float = 0.01) -> Hu
     p_value = bonferroni(float(norm.sf(np.sqrt(max(without - least, 0.0) / rough))), tried)
     if abs(first / line - 1) > _OF_MAINS or p_value > alpha:
         return None
-    profile = misfit(y - np.log1p(np.geomspace(amplitude / 10, amplitude * 10, 401)[:, None] * seen))
     if not repeated:
         strongest = round(float(grid[int(np.argmax(p))]) / line)
         rest = _misfit(design, np.sqrt(weight) * (np.abs(grid / (strongest * line) - 1) > 1 / periods))
         gain = float(rest(y) - np.min(rest(y - np.log1p(_AMPLITUDES[:, None] * seen)))) / rough
         if norm.sf(np.sqrt(max(gain, 0.0))) > alpha:
             return None
-    ratio = float(np.geomspace(amplitude / 10, amplitude * 10, 401)[int(np.argmin(profile))])
+    fine = np.geomspace(amplitude / 10, amplitude * 10, 401)
+    ratio = float(fine[int(np.argmin(misfit(y - np.log1p(fine[:, None] * seen))))])
     return _hum(grid, line, periods, ratio, p, seen, y, contrasts, p_value)
 
 
