@@ -17,7 +17,7 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.runtime.atomic_files import write_bytes
 from bayes_impedance.runtime.checkpoint import seal_of
 
-_CHAIN, _BURN_IN, _ADAPTED = "mcmc", "burn_in", ("mean", "covariance", "coordinates", "curved")
+_CHAIN, _BURN_IN, _ADAPTED = "mcmc", "burn_in", ("mean", "covariance", "coordinates", "curved", "turned")
 _SEAL = "seal"
 
 
@@ -31,7 +31,8 @@ def write_chain(file: Path, backend: Any, adapted: dict[str, Any]) -> None:
     backend : emcee.backends.Backend
         Chain in memory of S steps, W walkers, D dimensions; S may be zero.
     adapted : dict
-        Results of the burn-in: mean (D,), covariance (D, D), coordinates (W, D), curved (0 or 1), random_state.
+        Results of the burn-in: mean (D,), covariance (D, D), coordinates (W, D), curved and turned (0 or 1),
+        random_state.
     """
     import emcee
     import h5py

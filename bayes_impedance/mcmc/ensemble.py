@@ -3,9 +3,10 @@ r"""Ensemble sampling of a few dozen dimensions by emcee.
 **Moves.** Affine-invariant moves slow down in proportion to the dimension, and a full covariance of eight elements has
 52. Here the posterior is close to normal in its coordinates, so most proposals are of the Crank-Nicolson type around a
 normal approximation (:mod:`bayes_impedance.mcmc.crank_nicolson`). Where few of them are accepted, because the target is
-curved, and its gradient is given, Hamiltonian proposals take their place (:mod:`bayes_impedance.mcmc.hamiltonian`). One
-step in ten is emcee's differential evolution, which needs no approximation. `DESnookerMove` is not used: in emcee 3.1.6
-it samples the wrong distribution.
+curved, and its gradient is given, Hamiltonian proposals take their place (:mod:`bayes_impedance.mcmc.hamiltonian`); so
+they do where chains turn out to be slow, because walkers in a tail are hardly moved although most others are. One step
+in ten is emcee's differential evolution, which needs no approximation. `DESnookerMove` is not used: in emcee 3.1.6 it
+samples the wrong distribution.
 
 **Convergence.** Several ensembles start and adapt independently. R-hat is taken between ensembles, never between the
 walkers of one, which are not independent chains; the autocorrelation time within ensembles gives the effective sample
@@ -14,39 +15,27 @@ size. Sampling continues until both meet their limits or the longest length is r
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from bayes_impedance.display import Brief
 from bayes_impedance.mcmc.autocorrelation import autocorrelation_time
-from bayes_impedance.mcmc.chain_file import read_chain, write_chain
 from bayes_impedance.mcmc.convergence import rhat
-from bayes_impedance.mcmc.crank_nicolson import crank_nicolson_move
-from bayes_impedance.mcmc.hamiltonian import hamiltonian_move
-from bayes_impedance.mcmc.mirrored import labelled, mirrored_move
+from bayes_impedance.mcmc.mirrored import labelled
+from bayes_impedance.mcmc.one_ensemble import Ensemble, Gradient, LogProbability
 from bayes_impedance.runtime.progress import Progress
 
-LogProbability = Callable[[np.ndarray], np.ndarray]
-Gradient = Callable[[np.ndarray], np.ndarray]
-
-_CURVED = 0.25
-"""Acceptance at the end of the burn-in below which a target is too curved for Crank-Nicolson proposals. Measured, quick
-fits of 16 to 71 persons: autocorrelation times of 40 to 100 steps above 0.3, 170 to 430 steps at 0.10 to 0.18. A step
-along a trajectory takes about six times as long."""
-_TRAJECTORIES = 40
-"""Steps of the burn-in along trajectories. By choice: four to eight of their autocorrelation times."""
 _KEPT_DRAWS = 500
 """Draws of each ensemble in the result. By choice: with four ensembles a hundred draws lie below a 5 % quantile."""
-_PIECE, _KEPT_SHARE = 25, 0.1
-"""Steps between reports of progress, by choice. A chain is rewritten when it has grown by this fraction: writing four
-ensembles of 104 walkers in 52 dimensions after 400 steps cost 1.6 s in all (measured); emcee's own writing, step by
-step, takes 9 s.
-"""
+_SLOW = 100.0
+"""Autocorrelation time, in steps, above which chains are given up for trajectories. By choice: at about 270 walkers a
+chain of this time needs 550 steps, and trajectories with a time of 10 to 25 steps, each six times as long, with their
+burn-in as much as 600 to 1100. Measured with a high-pass and two dispersions between repetitions of which either may
+vanish: 318 steps after 600 and still growing, standard deviations of these two 0.6 times too small; along trajectories
+32 steps, and 160 steps sufficed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,156 +113,6 @@ class Chains(Brief):
     walkers: int
 
 
-_HALVINGS = 10
-"""Most times that the distance of a walker from the centre is halved at the start, while the density is zero there."""
-
-_OF_MIRRORED = 0.2
-"""Weight of the move of mirrored coordinates beside the others, whose weights add up to one. Measured with two groups
-among 24 people (six populations, 13 dimensions): longest autocorrelation times 13 to 125 with 0.1 to 0.4, 220 to 390
-with 1, and 370 to 1320 with 4, as the other coordinates are moved less often."""
-
-_CLEARLY_NOT_ZERO = 2.0
-"""Mean of a coordinate's absolute value, in its standard deviations, above which it is clearly not zero: 1.3 of a
-normal distribution about zero, 5 where the normal distribution is five standard deviations away. By choice."""
-
-
-class _Ensemble:
-    """One independent ensemble: adapts, samples, and can be resumed from its file.
-
-    The chain grows in memory and is written as a whole from time to time (:mod:`~bayes_impedance.mcmc.chain_file`). The
-    file is complete whenever the process is killed, and continuing from the random state at its end reproduces the lost
-    steps exactly.
-    """
-
-    def __init__(
-        self,
-        log_probability: LogProbability,
-        centre: np.ndarray,
-        covariance: np.ndarray,
-        seed: np.random.SeedSequence,
-        file: Path | None,
-        even: np.ndarray,
-        gradient: Gradient | None = None,
-        mirrored: np.ndarray | None = None,
-    ) -> None:
-        self.log_probability, self.gradient = log_probability, gradient
-        self.mirrored = np.zeros(centre.size, dtype=bool) if mirrored is None else mirrored
-        self.n_dimensions = centre.size
-        self.n_walkers = 2 * max(centre.size, 16)
-        self.centre, self.covariance, self.file = centre, covariance, file
-        self.even = even
-        self.seed = seed
-        self.adapted: dict[str, Any] = {}
-        self.kept = -1
-        self.sampler: Any = None
-        self.state: Any = None
-
-    def prepare(self, stages: tuple[int, ...], progress: Callable[[int], None]) -> None:
-        """Burn in, or resume where an earlier run stopped."""
-        import emcee
-
-        backend = emcee.backends.Backend()
-        backend.reset(self.n_walkers, self.n_dimensions)
-        adapted = read_chain(self.file, backend) if self.file is not None else None
-        if adapted is not None:
-            self.kept = backend.iteration
-        self.adapted = adapted or self._burn_in(stages, progress)
-        curved = bool(self.adapted["curved"])
-        self.sampler = self._sampler(self.adapted["mean"], self.adapted["covariance"], backend, curved)
-        if backend.iteration:
-            self.state = backend.get_last_sample()
-        else:
-            self.state = emcee.State(self.adapted["coordinates"], random_state=self.adapted["random_state"])
-        self.keep()
-
-    def _burn_in(self, lengths: tuple[int, ...], progress: Callable[[int], None]) -> dict[str, Any]:
-        import emcee
-
-        rng = np.random.RandomState(np.random.MT19937(self.seed))
-        mean, covariance = self.centre, self.covariance
-        normal = rng.standard_normal((self.n_walkers, self.n_dimensions))
-        coordinates = self._inside(mean, normal @ np.linalg.cholesky(covariance).T)
-        random_state = rng.get_state()
-        curved, stages = False, list(lengths)
-        while stages:
-            n_steps = stages.pop(0)
-            sampler = self._sampler(mean, covariance, None, curved)
-            state = emcee.State(coordinates, random_state=random_state)
-            iterator = sampler.sample(state, iterations=n_steps, skip_initial_state_check=True)
-            for done, current in enumerate(iterator):
-                state = current
-                if done % 10 == 9:
-                    progress(10)
-            coordinates, random_state = state.coords, state.random_state
-            recent = sampler.get_chain(discard=n_steps // 2, flat=True)
-            one_sided = self._one_sided(recent)
-            coordinates = np.where(one_sided, np.abs(coordinates), coordinates)
-            recent = np.where(one_sided, np.abs(recent), recent)
-            mean, covariance = recent.mean(axis=0), _refined(covariance, np.atleast_2d(np.cov(recent.T)))
-            poor = float(sampler.acceptance_fraction.mean()) < _CURVED
-            if not stages and not curved and poor and self.gradient is not None:
-                curved, stages = True, [_TRAJECTORIES]
-        return {
-            "mean": mean,
-            "covariance": covariance,
-            "coordinates": coordinates,
-            "random_state": random_state,
-            "curved": np.array(float(curved)),
-        }
-
-    def _inside(self, mean: np.ndarray, away: np.ndarray) -> np.ndarray:
-        """Walkers (W, D) at `away` from the mean, nearer where the density is zero: there no proposal is compared."""
-        for _ in range(_HALVINGS):
-            outside = ~np.isfinite(self.log_probability(mean + away))
-            if not outside.any():
-                break
-            away[outside] *= 0.5
-        return np.asarray(mean + away)
-
-    def _one_sided(self, recent: np.ndarray) -> np.ndarray:
-        """Even coordinates that are clearly not zero: walkers at the mirrored peak are brought to the other."""
-        size = np.abs(recent)
-        return np.asarray(self.even & (size.mean(axis=0) > _CLEARLY_NOT_ZERO * size.std(axis=0)))
-
-    def _sampler(self, mean: np.ndarray, covariance: np.ndarray, backend: Any, curved: bool) -> Any:
-        import emcee
-
-        mostly = crank_nicolson_move(mean, covariance)
-        if curved and self.gradient is not None:
-            mostly = hamiltonian_move(self.gradient, mean, covariance)
-        moves = [
-            (mostly, 0.9),
-            (emcee.moves.DEMove(), 0.08),
-            (emcee.moves.DEMove(gamma0=1.0), 0.02),
-        ]
-        if self.mirrored.any():
-            moves.append((mirrored_move(self.mirrored), _OF_MIRRORED))
-        sampler = emcee.EnsembleSampler(
-            self.n_walkers, self.n_dimensions, self.log_probability, moves=moves, vectorize=True, backend=backend
-        )
-        # emcee's wrapper prints walkers and traceback of any error, also of one that is told in a sentence elsewhere.
-        sampler.log_prob_fn = self.log_probability
-        return sampler
-
-    def run_to(self, n_steps: int, progress: Callable[[int], None]) -> None:
-        """Sample until the ensemble has this many steps."""
-        backend = self.sampler.backend
-        while backend.iteration < n_steps:
-            piece = min(_PIECE, n_steps - backend.iteration)
-            for state in self.sampler.sample(self.state, iterations=piece, skip_initial_state_check=True):
-                self.state = state
-            # The file is rewritten each time: the total cost should grow linearly with the chain, not quadratically.
-            if backend.iteration - self.kept >= max(_PIECE, _KEPT_SHARE * backend.iteration):
-                self.keep()
-            progress(piece)
-
-    def keep(self) -> None:
-        """Write the chain if the file is not up to date."""
-        if self.file is not None and self.kept < self.sampler.backend.iteration:
-            write_chain(self.file, self.sampler.backend, self.adapted)
-            self.kept = self.sampler.backend.iteration
-
-
 def sample(
     log_probability: LogProbability,
     centre: np.ndarray,
@@ -329,7 +168,7 @@ def sample(
     files = [checkpoint / f"ensemble_{first_file + i}.h5" if checkpoint else None for i in range(settings.ensembles)]
     even = np.zeros(centre.size, dtype=bool) if even is None else even
     ensembles = [
-        _Ensemble(log_probability, centre, covariance, child, file, even, gradient, mirrored)
+        Ensemble(log_probability, centre, covariance, child, file, even, gradient, mirrored)
         for child, file in zip(children, files, strict=True)
     ]
     total = settings.ensembles * sum(settings.burn_in)
@@ -342,6 +181,8 @@ def sample(
     with ThreadPoolExecutor(settings.workers) as pool:
         list(pool.map(lambda e: e.prepare(settings.burn_in, count), ensembles))
         progress("burn-in", total, total)
+        if any(e.turned for e in ensembles):  # killed while they turned: all of them were to
+            list(pool.map(lambda e: e.turn(), [e for e in ensembles if not e.turned]))
         kept = max(e.sampler.backend.iteration for e in ensembles)
         length = max(settings.chunk, -(-kept // settings.chunk) * settings.chunk)  # end of the current chunk
         done[0], total = 0, settings.ensembles * length
@@ -353,11 +194,21 @@ def sample(
                     ensemble.keep()
                 progress("sampling", total, total)
                 return chains
+            if gradient is not None and _too_slow(chains) and not all(e.curved for e in ensembles):
+                for ensemble in ensembles:
+                    ensemble.keep()  # all at this length, so that a run that is killed now turns as this one does
+                list(pool.map(lambda e: e.turn(), ensembles))
+                length, done[0], total = settings.chunk, 0, settings.ensembles * settings.chunk
+                continue
             length += settings.chunk
             total += settings.ensembles * settings.chunk
 
 
-def _collect(ensembles: list[_Ensemble]) -> Chains:
+def _too_slow(chains: Chains) -> bool:
+    return float(chains.autocorrelation_time.max()) > _SLOW
+
+
+def _collect(ensembles: list[Ensemble]) -> Chains:
     draws, log_probability, times = [], [], []
     chains = [_positive(e.sampler.get_chain(), e.even) for e in ensembles]  # (steps, walkers, D)
     for ensemble, chain in zip(ensembles, labelled(chains, ensembles[0].mirrored), strict=True):
@@ -389,12 +240,3 @@ def _positive(chain: np.ndarray, even: np.ndarray) -> np.ndarray:
     copied = chain.copy()
     np.abs(copied, out=copied, where=even)
     return copied
-
-
-def _refined(covariance: np.ndarray, sampled: np.ndarray) -> np.ndarray:
-    """The previous covariance, rescaled to the sampled standard deviations and mixed with a little of the sampled one.
-
-    A short burn-in gives good standard deviations but poor correlations, which outnumber the independent samples.
-    """
-    width = np.sqrt(np.diag(sampled) / np.diag(covariance))
-    return np.asarray(0.8 * covariance * np.outer(width, width) + 0.2 * sampled)

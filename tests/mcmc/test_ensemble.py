@@ -15,9 +15,9 @@ import bayes_impedance
 from bayes_impedance.mcmc.autocorrelation import autocorrelation_time
 from bayes_impedance.mcmc.crank_nicolson import crank_nicolson_move
 from bayes_impedance.mcmc.ensemble import (
+    Ensemble,
     SamplerSettings,
     _collect,
-    _Ensemble,
     sample,
 )
 
@@ -77,7 +77,7 @@ def test_reported_effective_size_is_right(name):
     for seed in range(40):
         rng = np.random.SeedSequence(100 + seed)
         ensembles = [
-            _Ensemble(target, target.mean, np.diag(target.sd**2), child, None, np.zeros(target.mean.size, dtype=bool))
+            Ensemble(target, target.mean, np.diag(target.sd**2), child, None, np.zeros(target.mean.size, dtype=bool))
             for child in rng.spawn(2)
         ]
         for ensemble in ensembles:
@@ -208,7 +208,7 @@ def ensembles_in(places, distance, steps=300, mirrored=False):
     result = []
     for place, child in zip(places, np.random.SeedSequence(5).spawn(len(places)), strict=True):
         even, own = np.zeros(6, dtype=bool), np.full(6, mirrored)
-        ensemble = _Ensemble(TwoModes(distance), np.full(6, place), np.eye(6), child, None, even, None, own)
+        ensemble = Ensemble(TwoModes(distance), np.full(6, place), np.eye(6), child, None, even, None, own)
         ensemble.prepare((30, 30), lambda n: None)
         ensemble.run_to(steps, lambda n: None)
         result.append(ensemble)

@@ -127,3 +127,45 @@ def test_a_run_along_trajectories_is_resumed_to_the_same_bytes(tmp_path, stopped
     adapted = read_chain(tmp_path / "ensemble_0.h5", backend)
     assert adapted["curved"] == 1.0
     assert as_bytes(run(settings, tmp_path)) == as_bytes(whole)
+
+
+class Interrupted(Curved):
+    """A nearly normal target that is switched off when its gradient has been asked for so often."""
+
+    def __init__(self, most=np.inf):
+        super().__init__(bend=0.1)
+        self.most = most
+
+    def gradient(self, u):
+        if self.calls >= self.most:
+            raise InterruptedError
+        return super().gradient(u)
+
+
+def slow(target, settings, checkpoint=None):
+    """A run whose chains are held to be slow after the first chunk."""
+    seed = np.random.SeedSequence(7)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("bayes_impedance.mcmc.ensemble._SLOW", 1.0)
+        return sample(target, target.mean, target.sd, settings, seed, silent, checkpoint, gradient=target.gradient)
+
+
+def test_slow_chains_are_given_up_for_trajectories():
+    target = Interrupted()
+    seed = np.random.SeedSequence(7)
+    plain = sample(target, target.mean, target.sd, LONG, seed, silent, gradient=target.gradient)
+    assert target.calls == 0  # most proposals are accepted, and nothing is slow
+    turned = slow(target, changed(LONG, chunk=200), None)
+    assert target.calls > 0
+    assert turned.steps == 400  # none of the chain that was given up
+    assert turned.effective.min() > 2 * plain.effective.min()
+    check_scores(target, turned.coordinates.swapaxes(0, 1))
+
+
+@pytest.mark.parametrize("most", [1, 400, 700], ids=["while it turns", "of one ensemble", "later"])
+def test_a_run_that_turns_is_resumed_to_the_same_bytes(tmp_path, most):
+    settings = changed(SHORT, longest=80, burn_in=(40, 40), workers=1)
+    whole = slow(Interrupted(), settings)
+    with pytest.raises(InterruptedError):
+        slow(Interrupted(most), settings, tmp_path)
+    assert as_bytes(slow(Interrupted(), settings, tmp_path)) == as_bytes(whole)
