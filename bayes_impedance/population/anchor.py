@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -104,19 +103,3 @@ def of_limited_growth(before: np.ndarray, after: np.ndarray, most: float) -> np.
     values, vectors = np.linalg.eigh(0.5 * (relative + relative.T))
     factor = before @ vectors * np.sqrt(np.clip(values, 1 / most, most))
     return np.asarray(factor @ factor.T)
-
-
-def with_block(covariance: np.ndarray, rows: Sequence[int], block: np.ndarray) -> np.ndarray:
-    """A covariance (S, S) in which some rows have another (R, R), and the rest follows by its regression on them.
-
-    With only the block replaced, a smaller one would leave a matrix that is no covariance any more.
-    """
-    own = list(rows)
-    others = [k for k in range(len(covariance)) if k not in own]
-    slopes = np.linalg.solve(covariance[np.ix_(own, own)], covariance[np.ix_(own, others)]).T
-    result = np.array(covariance, dtype=float)
-    result[np.ix_(own, own)] = block
-    result[np.ix_(others, own)] = slopes @ block
-    result[np.ix_(own, others)] = result[np.ix_(others, own)].T
-    result[np.ix_(others, others)] += slopes @ (block - covariance[np.ix_(own, own)]) @ slopes.T
-    return result

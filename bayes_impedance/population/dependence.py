@@ -29,6 +29,7 @@ from bayes_impedance.population.e_step import PersonFit
 from bayes_impedance.population.em import Estimate
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.prior import Prior
+from bayes_impedance.population.shared import Pooling
 from bayes_impedance.units import NORMAL_Q95
 
 _VALUES, _REACH = 25, 2.0
@@ -44,36 +45,42 @@ _LOOSE = 1.0
 person's recordings do not determine from wandering, and is nothing beside what recordings determine."""
 
 
-def dependent(point: Estimate, parameters: PopulationParameters, known: np.ndarray, prior: Prior) -> np.ndarray:
+def dependent(
+    point: Estimate, parameters: PopulationParameters, known: np.ndarray, known_shared: np.ndarray, prior: Prior
+) -> tuple[np.ndarray, np.ndarray]:
     """Which elements depend on others that are not known.
 
     Parameters
     ----------
     point : Estimate
-        Whose likelihoods and modes have not been released. Parameters that are the same for everybody stay there.
+        Whose likelihoods and modes have not been released.
     parameters : PopulationParameters
-        Sampled populations, of the V parameters that differ between persons.
-    known : ndarray of bool, shape (V,)
+        Sampled populations, of the V parameters that differ between persons and the S that are shared.
+    known, known_shared : ndarray of bool, shape (V,) and (S,)
         Which of these the posterior determines.
     prior : Prior
-        Of these.
+        Of all parameters.
 
     Returns
     -------
-    ndarray of bool, shape (V,)
+    varying, shared : ndarray of bool, shape (V,) and (S,)
         True for known elements only.
     """
+    pooling, sd = point.pooling, NORMAL_Q95 * parameters.mu.std(axis=0)
+    shared_sd = np.zeros(0) if parameters.shared is None else NORMAL_Q95 * parameters.shared.std(axis=0)
+    known, half = pooling.whole(known, known_shared).astype(bool), pooling.whole(sd, shared_sd)
     result = np.zeros_like(known)
     # An element without any information, such as one that others replace exactly, has been dealt with.
-    unknown = np.flatnonzero(~known & np.isfinite(point.data_sd))
-    if not unknown.size or not known.any():
-        return result
-    kernel, half = point.pooling.at(point.shared), NORMAL_Q95 * parameters.mu.std(axis=0)
-    for h in unknown:
+    unknown = np.flatnonzero(~known & np.isfinite(pooling.whole(point.data_sd, point.shared_data_sd)))
+    for h in unknown if known.any() else ():
         values = prior.centre[h] + prior.centre_sds[h] * np.linspace(-_REACH, _REACH, _VALUES)
-        of_person = partial(_profile, kernel=kernel, element=int(h), values=values)
-        result |= known & (movement(point.data.each(of_person, point.fits).gathered()) > half)
-    return result
+        # Beside a parameter that differs, those of all stay: everybody's recordings determine them.
+        moving = np.arange(known.size) if h in pooling.shared else pooling.varying
+        element = int(np.flatnonzero(moving == h)[0])
+        of_person = partial(_profile, pooling=pooling, phi=point.shared, n=moving.size, element=element, values=values)
+        moved = movement(point.data.each(of_person, point.fits).gathered())
+        result[moving] |= known[moving] & (moved > half[moving])
+    return result[pooling.varying], result[pooling.shared]
 
 
 def movement(profiles: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
@@ -95,9 +102,20 @@ def movement(profiles: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
 
 
 def _profile(
-    likelihood: Likelihood, fit: PersonFit, kernel: Kernel, element: int, values: np.ndarray
+    likelihood: Likelihood,
+    fit: PersonFit,
+    pooling: Pooling,
+    phi: np.ndarray,
+    n: int,
+    element: int,
+    values: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    return profile(kernel, likelihood.moved(fit.deviations), fit.theta, element, values)
+    """Of a person's n parameters: all of them, or those that differ between persons."""
+    theta, deviations, kernel = fit.theta, fit.deviations, pooling.at(phi)
+    if n > theta.size:
+        theta, kernel = pooling.whole(theta, phi), pooling.kernel
+        deviations = pooling.whole(deviations, np.zeros(phi.size))
+    return profile(kernel, likelihood.moved(deviations), theta, element, values)
 
 
 def profile(

@@ -101,6 +101,8 @@ class Estimate:
         Parameters that are the same for everybody; the P others differ.
     shared_covariance : ndarray, shape (S, S)
         Approximate posterior covariance.
+    shared_data_sd : ndarray, shape (S,)
+        Their standard deviations by the recordings alone; infinite if these do not see them.
     shared_determined : ndarray of bool, shape (S,)
     shared_equations : Kept of SharedEquations, optional
         How everybody's parameters follow the shared ones.
@@ -130,6 +132,7 @@ class Estimate:
     pooling: Pooling
     shared: np.ndarray
     shared_covariance: np.ndarray
+    shared_data_sd: np.ndarray
     shared_determined: np.ndarray
     shared_equations: Kept | None
     rounds: int
@@ -296,6 +299,7 @@ def estimate(
         pooling=pooling,
         shared=state.phi,
         shared_covariance=state.shared_covariance(with_prior=True) if pooling.names else np.zeros((0, 0)),
+        shared_data_sd=shared_sd,
         shared_determined=(shared_sd < limits[pooling.shared]) | prior.known[pooling.shared],
         shared_equations=state.shared_equations() if pooling.names else None,
         rounds=rounds,

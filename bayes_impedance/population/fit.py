@@ -270,7 +270,10 @@ def fit_population(
             flat = chains.coordinates[:, kept].reshape(-1, chains.coordinates.shape[-1])
             parameters = posterior.coordinates.unpack(flat)
             known = point.determined & (parameters.mu.std(axis=0) < IDENTIFIED_SD)
-            known &= ~dependent(point, parameters, known, posterior.coordinates.prior)
+            shared_spread = np.zeros(0) if parameters.shared is None else parameters.shared.std(axis=0)
+            known_shared = point.shared_determined & (shared_spread < IDENTIFIED_SD)
+            depends, shared_depends = dependent(point, parameters, known, known_shared, prior)
+            identified = pooling.whole(known & ~depends, known_shared & ~shared_depends).astype(bool)
             weights = weights_kept(first.degrees, point)
             point.forget()
             person_draws, person_likelihood = posterior.marginal.persons(parameters, seeds[4])
@@ -278,8 +281,6 @@ def fit_population(
             scale = point.scale * np.sqrt(information_share(first.degrees))
             noise = tuple(map_persons(executor, partial(scaled_noise, first.model), recordings.subjects, scale))
     shape = (settings.sampler.ensembles, -1, len(recordings.subjects))
-    shared_spread = np.zeros(0) if parameters.shared is None else parameters.shared.std(axis=0)
-    identified = pooling.whole(known, point.shared_determined & (shared_spread < IDENTIFIED_SD)).astype(bool)
     fit = PopulationFit(
         recordings=recordings,
         kernel=whole.kernel,

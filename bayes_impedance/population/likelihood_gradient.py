@@ -174,7 +174,7 @@ def _normal(
     shared = np.zeros((n_sets, 0))
     if marginal.sharing is not None and parameters.shared is not None:
         turning = monomial_slopes(marginal.sharing.standardised(parameters.shared))
-        shared = np.linalg.solve(marginal.sharing.factor.T, np.einsum("wm,wms->sw", on_monomials, turning)).T
+        shared = marginal.sharing.slopes(np.einsum("wm,wms->ws", on_monomials, turning))
         shared = shared * (marginal.sharing.beyond(parameters.shared) == 0.0)[:, None]  # at the edge draws stay
     return ParameterGradient(
         mu=mean,

@@ -269,10 +269,9 @@ class Coordinates:
         return self.shared_prior.centre[list(self.shared_free)] + factor @ mean, factor @ covariance @ factor.T
 
     def shared_scale(self, covariance: np.ndarray) -> np.ndarray:
-        """Standard deviations (S',) of the coordinates for a covariance (S, S) of all shared parameters."""
-        free = list(self.shared_free)
+        """Standard deviations (S',) of the coordinates for a covariance (S', S') of the free shared parameters."""
         inverse = np.linalg.inv(self.shared_factor)
-        return np.asarray(np.sqrt(np.diag(inverse @ covariance[np.ix_(free, free)] @ inverse.T)))
+        return np.asarray(np.sqrt(np.diag(inverse @ covariance @ inverse.T)))
 
     def log_prior(self, vector: np.ndarray) -> np.ndarray:
         """Log prior density of sampled vectors, shape (W, D), up to a constant: shape (W,)."""

@@ -18,7 +18,7 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.mcmc.ensemble import Chains, SamplerSettings, sample
 from bayes_impedance.mcmc.laplace import at_quantiles, normal_approximation
 from bayes_impedance.person.importance_draws import widening
-from bayes_impedance.population.anchor import Anchor, of_limited_growth, with_block
+from bayes_impedance.population.anchor import Anchor, of_limited_growth
 from bayes_impedance.population.coordinates_gradient import pulled_back
 from bayes_impedance.population.draw_error import DrawError, draw_error, noise_within
 from bayes_impedance.population.draws_again import DrawsAgain
@@ -27,7 +27,7 @@ from bayes_impedance.population.moved_dispersions import range_of
 from bayes_impedance.population.parameters import Coordinates, PopulationParameters
 from bayes_impedance.population.prior import Prior
 from bayes_impedance.population.sharded_likelihood import KeptDraws
-from bayes_impedance.population.shared_draws import Sharing, reach_of
+from bayes_impedance.population.shared_draws import Sharing
 from bayes_impedance.population.starting_point import bend_of, starting_point, starting_scale
 from bayes_impedance.runtime.progress import Progress
 
@@ -124,7 +124,9 @@ class Posterior:
         covariates: np.ndarray,
     ) -> None:
         self.n_draws, self.point, self.covariates = n_draws, point, covariates
-        self.pooling, self.shared_covariance = point.pooling, point.shared_covariance
+        self.pooling, shared_free = point.pooling, np.flatnonzero(point.shared_determined)
+        curvature = np.linalg.inv(point.shared_covariance)[np.ix_(shared_free, shared_free)]
+        self.shared_covariance = np.linalg.inv(curvature)  # of those that are sampled, while the others are held
         self.sharing: Sharing | None = None
         self.repetitions, self.redrawn = repetitions, 0
         determined, held = point.determined, ~point.determined
@@ -142,7 +144,7 @@ class Posterior:
             held_mu=point.mu,
             held_dispersion=np.ones(point.mu.size),
             shared_prior=prior.of(self.pooling.shared) if self.pooling.names else None,
-            shared_free=tuple(np.flatnonzero(point.shared_determined)),
+            shared_free=tuple(shared_free),
             held_shared=point.shared,
             bend_persons=bend_of(np.sqrt(np.diag(self.covariance)), own),
             bend_repetitions=bend_of(point.between_repetitions, own, self.span),
@@ -345,8 +347,8 @@ class Posterior:
     ) -> None:
         """Draw under a reference population, and find the mode and the normal approximation of the posterior."""
         self.drawn, self.along_valley, self.chosen = n_draws, anchor.along_valley, anchor.near is not None
-        if self.pooling.names:
-            self.sharing = Sharing.around(self.pooling, self.point.shared, self.shared_covariance)
+        if own := self.coordinates.shared_free:
+            self.sharing = Sharing.around(self.pooling, self.point.shared, self.shared_covariance, own)
         self.marginal = KeptDraws.made(
             self.pooling.at(self.point.shared),
             self.point,
@@ -376,10 +378,10 @@ class Posterior:
         (mean, moment), before, origin = self._shared_approximation(), self.point.shared[free], self.point.shared.copy()
         origin[free] = mean
         self.point = moved_to(self.point, origin, means, covariance)
-        ours = np.linalg.cholesky(self.shared_covariance[np.ix_(free, free)])
-        if np.linalg.norm(np.linalg.solve(ours, mean - before)) > _WELL_WITHIN * reach_of(self.point.shared.size):
+        ours = np.linalg.cholesky(self.shared_covariance)
+        if self.sharing and np.linalg.norm(np.linalg.solve(ours, mean - before)) > _WELL_WITHIN * self.sharing.reach:
             return  # so near the edge, beyond which the density is not known, its curvature there is none
-        self.shared_covariance = with_block(self.shared_covariance, free, of_limited_growth(ours, moment, _MOST_GROWTH))
+        self.shared_covariance = of_limited_growth(ours, moment, _MOST_GROWTH)
 
     def _share_as(self, there: PopulationParameters, means: np.ndarray, covariance: np.ndarray) -> None:
         """Move the shared parameters of the draws to those of a chain."""
@@ -387,13 +389,12 @@ class Posterior:
             return
         free, origin = list(self.coordinates.shared_free), self.point.shared.copy()
         origin[free] = there.shared[:, free].mean(axis=0)
-        own = with_block(self.shared_covariance, free, np.atleast_2d(np.cov(there.shared[:, free].T)))
-        self.point, self.shared_covariance = moved_to(self.point, origin, means, covariance), own
+        self.shared_covariance = np.atleast_2d(np.cov(there.shared[:, free].T))
+        self.point = moved_to(self.point, origin, means, covariance)
 
     def _spread_of_shared(self) -> float:
         """Largest spread of the shared parameters about the origin of the draws, in the units of their reach."""
-        free = list(self.coordinates.shared_free)
         mean, moment = self._shared_approximation()
-        away = mean - self.point.shared[free]
-        ours = self.shared_covariance[np.ix_(free, free)]
-        return float(np.sqrt(np.linalg.eigvals(np.linalg.solve(ours, moment + np.outer(away, away))).real.max()))
+        away = mean - self.point.shared[list(self.coordinates.shared_free)]
+        relative = np.linalg.solve(self.shared_covariance, moment + np.outer(away, away))
+        return float(np.sqrt(np.linalg.eigvals(relative).real.max()))

@@ -72,9 +72,11 @@ class Sharing:
     pooling : Pooling
     origin : ndarray, shape (S,)
         The shared parameters of the draws.
-    factor : ndarray, shape (S, S)
-        A: lower Cholesky factor of their approximate posterior covariance.
-    points : ndarray, shape (D + T, S)
+    free : tuple of int
+        Which S' of them move; the others are held at the origin.
+    factor : ndarray, shape (S', S')
+        A: lower Cholesky factor of the approximate posterior covariance of those that move.
+    points : ndarray, shape (D + T, S')
         Values of t at which likelihoods are computed; the last T test the polynomial.
     kernels : tuple of Kernel
         Of the varying parameters, one for each point.
@@ -82,42 +84,65 @@ class Sharing:
 
     pooling: Pooling
     origin: np.ndarray
+    free: tuple[int, ...]
     factor: np.ndarray
     points: np.ndarray
     kernels: tuple[Kernel, ...]
 
     @classmethod
-    def around(cls, pooling: Pooling, origin: np.ndarray, covariance: np.ndarray) -> Sharing:
-        """Around an estimate with an approximate posterior covariance, (S,) and (S, S)."""
+    def around(cls, pooling: Pooling, origin: np.ndarray, covariance: np.ndarray, free: Sequence[int]) -> Sharing:
+        """Around an estimate (S,), with the approximate posterior covariance (S', S') of those that move."""
         factor = np.linalg.cholesky(covariance)
-        points = _points(origin.size)
-        kernels = tuple(pooling.at(origin + factor @ t) for t in points)
-        return cls(pooling=pooling, origin=origin, factor=factor, points=points, kernels=kernels)
+        points = _points(len(free))
+        kernels = tuple(pooling.at(_at(origin, free, factor @ t)) for t in points)
+        return cls(pooling=pooling, origin=origin, free=tuple(free), factor=factor, points=points, kernels=kernels)
 
     @property
     def kernel(self) -> Kernel:
         """Of the varying parameters, at the origin."""
         return self.pooling.at(self.origin)
 
+    @property
+    def reach(self) -> float:
+        """Radius in t within which the draws may be moved."""
+        return reach_of(len(self.free))
+
+    def responses(self, all_shared: np.ndarray) -> np.ndarray:
+        """Derivatives with respect to t, (..., S'), from those with respect to the shared parameters, (..., S)."""
+        return np.asarray(all_shared[..., list(self.free)] @ self.factor)
+
     def standardised(self, phi: np.ndarray) -> np.ndarray:
-        """Coordinates t of shared parameters, both (W, S); at the edge for those out of reach."""
-        t = np.linalg.solve(self.factor, (phi - self.origin).T).T
-        distance = np.linalg.norm(t, axis=1, keepdims=True)
-        reach = reach_of(self.origin.size)
-        return np.asarray(t * np.minimum(1.0, reach / np.maximum(distance, reach)))
+        """Coordinates t (W, S') of shared parameters (W, S); at the edge for those out of reach."""
+        t, distance = self._away(phi)
+        return np.asarray(t * np.minimum(1.0, self.reach / np.maximum(distance, self.reach)))
 
     def beyond(self, phi: np.ndarray) -> np.ndarray:
         """Distance in t of shared parameters (W, S) from the edge of the reach; zero within, (W,)."""
-        t = np.linalg.solve(self.factor, (phi - self.origin).T)
-        return np.asarray(np.maximum(np.linalg.norm(t, axis=0) - reach_of(self.origin.size), 0.0))
+        return np.asarray(np.maximum(self._away(phi)[1][:, 0] - self.reach, 0.0))
 
     def beyond_slope(self, phi: np.ndarray, factor: float) -> np.ndarray:
         """Derivative of factor times the square of :meth:`beyond`, (W, S)."""
-        t = np.linalg.solve(self.factor, (phi - self.origin).T).T
-        distance = np.linalg.norm(t, axis=1, keepdims=True)
-        outside = np.maximum(distance - reach_of(self.origin.size), 0.0)
-        own = 2 * factor * outside * t / np.maximum(distance, 1e-300)
-        return np.asarray(np.linalg.solve(self.factor.T, own.T).T)
+        t, distance = self._away(phi)
+        outside = np.maximum(distance - self.reach, 0.0)
+        return self.slopes(2 * factor * outside * t / np.maximum(distance, 1e-300))
+
+    def slopes(self, on_t: np.ndarray) -> np.ndarray:
+        """Derivatives with respect to the shared parameters (W, S), from those with respect to t, (W, S')."""
+        own = np.zeros((len(on_t), self.origin.size))
+        own[:, list(self.free)] = np.linalg.solve(self.factor.T, on_t.T).T
+        return own
+
+    def _away(self, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Coordinates t (W, S') and their length (W, 1)."""
+        t = np.linalg.solve(self.factor, (phi - self.origin)[:, list(self.free)].T).T
+        return t, np.linalg.norm(t, axis=1, keepdims=True)
+
+
+def _at(origin: np.ndarray, free: Sequence[int], step: np.ndarray) -> np.ndarray:
+    """Shared parameters (S,) of which some (S',) have made a step."""
+    phi = origin.copy()
+    phi[list(free)] += step
+    return phi
 
 
 @dataclass(frozen=True)
@@ -212,8 +237,7 @@ def moved(
         K of them.
     """
     size = sharing.origin.size
-    response = equations.response[:, :size] @ sharing.factor
-    drift = equations.drift[..., :size] @ sharing.factor
+    response, drift = sharing.responses(equations.response[:, :size]), sharing.responses(equations.drift[..., :size])
     fitted = len(sharing.points) - _TESTED
     terms = monomials(sharing.points)
     there = [likelihood.moved(likelihood.deviations + drift @ t) for t in sharing.points]
@@ -243,7 +267,7 @@ def moved(
 
     without = compute(range(fitted))
     # What polynomials of one degree less miss at these points bounds what these miss between them.
-    lower = terms[:, : monomials(np.zeros((1, size)), 1).shape[1]]
+    lower = terms[:, : monomials(sharing.points[:1], 1).shape[1]]
     fit = lower[:fitted] @ np.linalg.lstsq(lower[:fitted], changes[:fitted], rcond=None)[0]
     missed = _missed(draws.log_weight, changes[:fitted], fit)
     smooth = np.abs(fit - changes[:fitted]).max() < _ROUGH and np.abs(missed).max() < _EXACT

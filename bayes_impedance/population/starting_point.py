@@ -60,7 +60,7 @@ def starting_point(
 def starting_scale(
     coordinates: Coordinates, point: Estimate, shared_covariance: np.ndarray, repetitions: np.ndarray
 ) -> np.ndarray:
-    """Rough posterior standard deviations of the coordinates, shape (D,); `shared_covariance` has shape (S, S)."""
+    """Rough posterior standard deviations of the coordinates, shape (D,); `shared_covariance` has shape (S', S')."""
     few = 1 / np.sqrt(repetitions.size + 4)
     between = 1 / np.sqrt(np.sum(repetitions - 1) + 4)
     sizes, prior, free = coordinates.sizes, coordinates.prior, list(coordinates.free)

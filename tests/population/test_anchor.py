@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayes_impedance.population.anchor import Anchor, of_limited_growth, with_block
+from bayes_impedance.population.anchor import Anchor, of_limited_growth
 from bayes_impedance.population.parameters import PopulationParameters
 
 
@@ -43,22 +43,3 @@ def test_a_covariance_grows_by_no_more_than_is_allowed() -> None:
     grown = of_limited_growth(before, np.diag([100.0, 8.0]), 4.0)
     np.testing.assert_allclose(grown, np.diag([4.0, 8.0]))
     assert of_limited_growth(before, np.diag([0.01, 4.0]), 4.0)[0, 0] == pytest.approx(0.25)
-
-
-def test_a_block_that_shrinks_leaves_a_covariance() -> None:
-    rng = np.random.default_rng(1)
-    root = rng.normal(size=(4, 4))
-    covariance = root @ root.T
-    block = 0.01 * covariance[np.ix_([2, 0], [2, 0])]
-    changed = with_block(covariance, [2, 0], block)
-    np.linalg.cholesky(changed)
-    np.testing.assert_allclose(changed[np.ix_([2, 0], [2, 0])], block)
-    np.testing.assert_allclose(changed, changed.T)
-    # The others depend on these as before, with the same scatter about it.
-    for one, other in ((covariance, changed), (changed, covariance)):
-        slopes = np.linalg.solve(one[np.ix_([2, 0], [2, 0])], one[np.ix_([2, 0], [1, 3])])
-        np.testing.assert_allclose(np.linalg.solve(block, changed[np.ix_([2, 0], [1, 3])]), slopes)
-        rest = other[np.ix_([1, 3], [1, 3])] - slopes.T @ other[np.ix_([2, 0], [2, 0])] @ slopes
-        known = one[np.ix_([1, 3], [1, 3])] - slopes.T @ one[np.ix_([2, 0], [2, 0])] @ slopes
-        np.testing.assert_allclose(rest, known)
-    np.testing.assert_array_equal(with_block(np.eye(2), [0, 1], np.eye(2) / 2), np.eye(2) / 2)

@@ -76,14 +76,15 @@ def test_what_is_not_seen_and_what_is_determined_move_nothing(band_hz: tuple[flo
 @pytest.mark.slow
 @pytest.mark.ci
 @pytest.mark.parametrize(("band_hz", "identified"), [(NARROW, [False, True, False]), (WIDE, [True, True, True])])
+@pytest.mark.parametrize("mass", ["m1", "m1*"], ids=["a person's own mass", "the same mass for all"])
 def test_a_fit_reports_no_number_that_the_prior_of_another_element_decides(
-    band_hz: tuple[float, float], identified: list[bool]
+    band_hz: tuple[float, float], identified: list[bool], mass: str
 ) -> None:
     """The interval of n1 was 3.99e-4 to 5.06e-4 in this population and missed 4e-4 in others; a fit said nothing."""
     population = VirtualPopulation(
-        network="n1|r1|m1",
+        network=f"n1|r1|{mass}",
         central=CENTRAL,
-        between_persons=dict.fromkeys(CENTRAL, 0.2),
+        between_persons={name: 0.0 if name == "m1" and mass == "m1*" else 0.2 for name in CENTRAL},
         between_repetitions={},
         noise_corner_hz=0.0,
     )

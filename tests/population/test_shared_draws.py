@@ -216,7 +216,7 @@ def moved_world(w: World, n: int) -> MovedWorld:
     told = [equations(w, w.phi, own, fit) for own, fit in zip(w.likelihoods, fits, strict=True)]
     weak = 1e-6 * np.eye(w.phi.size + w.mean.size)
     covariance = np.linalg.inv(np.sum([e.curvature for e in told], axis=0) + weak)[: w.phi.size, : w.phi.size]
-    sharing = Sharing.around(w.pooling, w.phi, covariance)
+    sharing = Sharing.around(w.pooling, w.phi, covariance, range(w.phi.size))
     draws, how = [], []
     for i, (own, fit, e) in enumerate(zip(w.likelihoods, fits, told, strict=True)):
         mine, ridge, reference, here = drawn(w, w.phi, own, fit, n, i)
