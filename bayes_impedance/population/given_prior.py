@@ -223,11 +223,11 @@ class GivenPrior:
                 sd[row] = own.scale / size
             if own.dispersion is not None:
                 if parameter.shared:
-                    raise InputError(f"prior: {name} is the same for everybody and has no dispersion; leave it out")
+                    raise InputError(f"prior: {name} is the same for all and has no dispersion; leave it out")
                 dispersion[row] = own.dispersion / size
             if own.kind == "student_t":
                 if parameter.shared or name in ordered:
-                    why = "is the same for everybody" if parameter.shared else "has an order"
+                    why = "is the same for all" if parameter.shared else "has an order"
                     raise InputError(f"prior: {name} {why} and can only have a normal prior; leave out its kind")
                 heavy[row] = True
         result = replace(

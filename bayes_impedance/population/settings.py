@@ -58,7 +58,7 @@ class FitSettings:
             raise InputError(f"noise_distribution is '{self.noise_distribution}': choose 'normal' or 'student_t'")
         if self.distribution == MIXTURE and self.covariance != "full":
             raise InputError(
-                "two groups of people that differ in several elements make these correlated: a mixture takes "
+                "two groups that differ in several elements make these correlated: a mixture takes "
                 f"covariance 'full', not '{self.covariance}'"
             )
         if not isinstance(self.covariates, tuple) or not all(isinstance(name, str) for name in self.covariates):

@@ -226,7 +226,7 @@ def simulate_recordings(
         title=title,
         unit=_UNIT,
         network=population.network,
-        source=f"simulated by bayes_impedance, seed {seed}: virtual persons, not measured",
+        source=f"simulated by bayes_impedance, seed {seed}: virtual subjects, not measured",
         licence="MIT",
         subjects=subjects,
         sha256="",
@@ -241,7 +241,7 @@ def require_usable_population(population: VirtualPopulation) -> None:
     elements, parameters = network.elements, {p.name: p for p in network.parameters}
     for what, values, bounds in (
         ("central value", population.central, {}),
-        ("dispersion between persons", population.between_persons, _DISPERSION),
+        ("dispersion between subjects", population.between_persons, _DISPERSION),
         ("dispersion between repetitions", population.between_repetitions, _DISPERSION),
         ("force exponent", population.force_exponent, _EITHER_SIGN),
         ("difference of groups", population.group_difference, _EITHER_SIGN),
@@ -259,7 +259,7 @@ def require_usable_population(population: VirtualPopulation) -> None:
                 parameters[name].u(value)
             elif parameters[name].shared and value != 0:
                 raise InputError(
-                    f"{what} of '{name}' is {value:g}, but it is the same for everybody (*): leave it out, or remove * "
+                    f"{what} of '{name}' is {value:g}, but it is the same for all (*): leave it out, or remove * "
                     "from the network"
                 )
     missing = [name for name in elements if name not in population.central]
@@ -280,7 +280,9 @@ def require_usable_population(population: VirtualPopulation) -> None:
         tau = population.vector(population.between_persons)
         alike = [e for e, sd in zip(elements, tau, strict=True) if sd == 0 and population.group_difference.get(e)]
         if alike:
-            raise InputError(f"groups differ in '{alike[0]}', which does not differ between persons: give both or none")
+            raise InputError(
+                f"groups differ in '{alike[0]}', which does not differ between subjects: give both or none"
+            )
         _groups(population, tau[:, None] * np.linalg.cholesky(population.correlation_matrix()))
 
 

@@ -130,7 +130,7 @@ def test_recordings_overrule_a_prior_with_tails_and_not_a_normal_one() -> None:
 
 def test_what_can_only_be_normal_is_refused(recordings: Recordings) -> None:
     tails = ElementPrior(kind="student_t")
-    with pytest.raises(InputError, match="the same for everybody and can only"):
+    with pytest.raises(InputError, match="the same for all and can only"):
         prior_for(Kernel(parse("m1*|r1|n1")), recordings, replace(SHORT, prior=GivenPrior(elements={"m1": tails})))
     ordered = GivenPrior(elements={"n1": tails}, order=[["n1", "n2"]])
     with pytest.raises(InputError, match="has an order and can only"):
