@@ -200,7 +200,6 @@ class GivenPrior:
         centre, sd = prior.centre.copy(), prior.centre_sds.copy()
         dispersion = prior.dispersion_sds.copy() if self.dispersion is None else np.full(centre.size, self.dispersion)
         heavy = prior.tailed.copy()
-        ordered = {name for names in self.order for name in names}
         for name, own in self.elements.items():
             if name not in kernel.elements:
                 raise InputError(
@@ -226,9 +225,6 @@ class GivenPrior:
                     raise InputError(f"prior: {name} is the same for all and has no dispersion; leave it out")
                 dispersion[row] = own.dispersion / size
             if own.kind == "student_t":
-                if parameter.shared or name in ordered:
-                    why = "is the same for all" if parameter.shared else "has an order"
-                    raise InputError(f"prior: {name} {why} and can only have a normal prior; leave out its kind")
                 heavy[row] = True
         result = replace(
             prior,

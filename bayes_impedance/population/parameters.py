@@ -253,25 +253,28 @@ class Coordinates:
             return None
         free = list(self.shared_free)
         phi = np.tile(self.held_shared, (len(coordinates), 1))
-        phi[:, free] = self.shared_prior.centre[free] + coordinates @ self.shared_factor.T
+        phi[:, free] = self.common_prior.from_standard(coordinates)
         return phi
 
-    @property
-    def shared_factor(self) -> np.ndarray:
-        """From coordinates to free shared parameters, which may be correlated under the prior."""
+    @cached_property
+    def common_prior(self) -> Prior:
+        """Of the free shared parameters, which may be correlated under it."""
         assert self.shared_prior is not None  # there are shared parameters
-        return self.shared_prior.of(np.array(self.shared_free, dtype=int)).factor
+        return self.shared_prior.of(np.array(self.shared_free, dtype=int))
+
+    def shared_slope(self, coordinates: np.ndarray) -> np.ndarray:
+        """Derivative of the free shared parameters with respect to their coordinates (..., S'): (..., S', S')."""
+        return np.asarray(self.common_prior.factor * self.common_prior.stretch(coordinates)[..., None, :])
 
     def shared_moments(self, mean: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Mean (S',) and covariance (S', S') of the free shared parameters for those of their coordinates."""
-        assert self.shared_prior is not None
-        factor = self.shared_factor
-        return self.shared_prior.centre[list(self.shared_free)] + factor @ mean, factor @ covariance @ factor.T
+        slope = self.shared_slope(mean)
+        return self.common_prior.from_standard(mean), slope @ covariance @ slope.T
 
-    def shared_scale(self, covariance: np.ndarray) -> np.ndarray:
-        """Standard deviations (S',) of the coordinates for a covariance (S, S) of all shared parameters."""
+    def shared_scale(self, shared: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+        """Standard deviations (S',) of the coordinates for a covariance (S, S) of all shared parameters (S,)."""
         free = list(self.shared_free)
-        inverse = np.linalg.inv(self.shared_factor)
+        inverse = np.linalg.inv(self.shared_slope(self.common_prior.to_standard(shared[free])))
         return np.asarray(np.sqrt(np.diag(inverse @ covariance[np.ix_(free, free)] @ inverse.T)))
 
     def log_prior(self, vector: np.ndarray) -> np.ndarray:
@@ -330,8 +333,7 @@ class Coordinates:
         if self.groups and groups is not None:
             parts += [groups.separation[0, free] / self.separation_unit, share_coordinate(groups.share)]
         if self.shared_prior is not None and shared is not None:
-            chosen = list(self.shared_free)
-            parts.append(np.linalg.solve(self.shared_factor, (shared - self.shared_prior.centre)[chosen]))
+            parts.append(self.common_prior.to_standard(shared[list(self.shared_free)]))
         return np.concatenate(parts)
 
     @property
