@@ -34,7 +34,7 @@ import numpy.typing as npt
 from scipy.linalg import solve_triangular
 
 from bayes_impedance.design.body import body_of
-from bayes_impedance.display import MOST_ROWS, heading, joined, lines, table
+from bayes_impedance.display import MOST_ROWS, Brief, heading, joined, lines, table
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Network, parse
@@ -158,8 +158,8 @@ def values_of(network: Network, u: np.ndarray) -> np.ndarray:
     return np.stack(columns, axis=-1)
 
 
-@dataclass(frozen=True, kw_only=True)
-class UserPopulation:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class UserPopulation(Brief):
     """Posterior of the population: S draws of its parameters, on their unbounded scales.
 
     Attributes

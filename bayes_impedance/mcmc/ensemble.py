@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from bayes_impedance.display import Brief
+from bayes_impedance.display import Brief, Chosen
 from bayes_impedance.mcmc.autocorrelation import autocorrelation_time
 from bayes_impedance.mcmc.chain_file import read_chain, write_chain
 from bayes_impedance.mcmc.convergence import rhat
@@ -49,8 +49,8 @@ step, takes 9 s.
 """
 
 
-@dataclass(frozen=True, kw_only=True)
-class SamplerSettings:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class SamplerSettings(Chosen):
     """Settings of the sampler's length and convergence.
 
     Attributes

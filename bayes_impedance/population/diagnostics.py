@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayes_impedance.display import Brief
 from bayes_impedance.mcmc.ensemble import QUICK, Chains
 from bayes_impedance.population.draw_error import ERROR_WANTED, DrawError, noise_within
 from bayes_impedance.population.em import Estimate
@@ -58,8 +59,8 @@ PARETO_LIMIT = 0.7
 (Vehtari et al. 2024)."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Diagnostics:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Diagnostics(Brief):
     """Diagnostics of the sampler and of the importance draws.
 
     Attributes

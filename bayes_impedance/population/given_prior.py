@@ -39,6 +39,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bayes_impedance.display import Chosen
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.parameters import SIGNED
@@ -58,8 +59,8 @@ LARGEST_SCALE = 10.0
 nothing, and is a mistaken unit more often than not."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class ElementPrior:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class ElementPrior(Chosen):
     """What is known of one element of the population.
 
     Attributes
@@ -96,8 +97,8 @@ class ElementPrior:
             raise InputError(f"prior: kind is {shown(self.kind)}, but must be one of {', '.join(KINDS)}")
 
 
-@dataclass(frozen=True, kw_only=True)
-class GivenPrior:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class GivenPrior(Chosen):
     """Prior of a user: everything that is not given keeps its default.
 
     >>> prior = GivenPrior(elements={"m1": ElementPrior(centre=0.02, unit="kg", scale=0.4)}, concentration=4.0)

@@ -35,6 +35,7 @@ from functools import cached_property
 
 import numpy as np
 
+from bayes_impedance.display import Brief
 from bayes_impedance.population.heavy_tails import coordinate_of, tail_of
 from bayes_impedance.population.ordered_centres import Centres
 from bayes_impedance.population.partial_correlations import cholesky_from_partial, log_cosh, partial_from_cholesky
@@ -46,8 +47,8 @@ _SMALLEST = 1e-9
 any recording."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class PopulationParameters:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class PopulationParameters(Brief):
     """W sets of population parameters.
 
     Attributes

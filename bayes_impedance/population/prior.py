@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from bayes_impedance.display import Brief
 from bayes_impedance.errors import InputError
 from bayes_impedance.population import prior_tails
 from bayes_impedance.population.order import Order
@@ -20,8 +21,8 @@ DEFAULT_SD = 3.0
 """Standard deviation of a log element's default prior: :mod:`.natural_scales`."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Prior:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Prior(Brief):
     """Scales of the prior.
 
     Attributes

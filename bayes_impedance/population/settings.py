@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from bayes_impedance.display import Chosen
 from bayes_impedance.errors import InputError
 from bayes_impedance.mcmc.ensemble import QUICK, SamplerSettings
 from bayes_impedance.population.given_prior import GivenPrior
@@ -16,8 +17,8 @@ DISTRIBUTIONS = (NORMAL, STUDENT_T, MIXTURE)
 """Of people's log elements, the default first."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class FitSettings:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class FitSettings(Chosen):
     """Settings of a fit.
 
     Attributes
