@@ -131,7 +131,6 @@ class Chosen:
     """Base of dataclasses of settings with ``repr=False``: as Python, without what is the default; as a table, all."""
 
     def __repr__(self) -> str:
-        # Complete, because checkpoints know a fit by this text.
         told = [
             f"{f.name}={getattr(self, f.name)!r}"
             for f in fields(self)  # type: ignore[arg-type]
