@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import MISSING, Field, fields
 from html import escape
 from typing import Any
 
@@ -125,6 +125,27 @@ class Brief:
 
     def _repr_html_(self) -> str:
         return joined(heading(type(self).__name__), table(["field", "value"], self._told()))
+
+
+class Chosen:
+    """Base of dataclasses of settings with ``repr=False``: as Python, without what is the default; as a table, all."""
+
+    def __repr__(self) -> str:
+        told = [
+            f"{f.name}={getattr(self, f.name)!r}"
+            for f in fields(self)  # type: ignore[arg-type]
+            if f.repr and getattr(self, f.name) != _default(f)
+        ]
+        return f"{type(self).__name__}({', '.join(told)})"
+
+    def _repr_html_(self) -> str:
+        told = [(f.name, _in_words(getattr(self, f.name))) for f in fields(self) if f.repr]  # type: ignore[arg-type]
+        return joined(heading(type(self).__name__), table(["field", "value"], told))
+
+
+def _default(field: Field[Any]) -> object:
+    """A value that equals the field's default; of a field without one, nothing that a value equals."""
+    return field.default_factory() if field.default_factory is not MISSING else field.default
 
 
 def _in_words(value: object) -> str:

@@ -41,6 +41,25 @@ _ELEMENT_UNITS: dict[str, dict[str, str]] = {
 }
 
 
+def who(unit: str, number: int = 2) -> str:
+    """Word for those who were recorded: electrical recordings, of cells for example, are not of people.
+
+    Parameters
+    ----------
+    unit : str
+        Of the impedance.
+    number : int
+        How many are meant.
+    """
+    plural, single = ("subjects", "subject") if unit == ELECTRICAL_UNIT else ("people", "person")
+    return single if number == 1 else plural
+
+
+def ratio_of(unit: str) -> str:
+    """Which quantity over which an impedance of this unit is: V/I of electrical recordings, else F/v."""
+    return "V/I" if unit == ELECTRICAL_UNIT else "F/v"
+
+
 def unit_of(unit: str, impedance_unit: str) -> str:
     """Unit of an element or of another parameter.
 

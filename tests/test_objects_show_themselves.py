@@ -22,16 +22,23 @@ from bayes_impedance.classical.methods import compare_methods
 from bayes_impedance.design import population_of, representatives
 from bayes_impedance.design.answer import design_answer
 from bayes_impedance.design.loop.device import PHANTOM, Section
+from bayes_impedance.diagnosis.types import OnePort
 from bayes_impedance.diagnosis.verdict_tables import COLUMNS
+from bayes_impedance.diagnosis.verdict_types import Physics
+from bayes_impedance.intake import ImportSettings
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import PAPER_NETWORK, parse
+from bayes_impedance.population.diagnostics import Diagnostics
 from bayes_impedance.population.fit import PopulationFit, fit_population
-from bayes_impedance.population.simulate import simulate_recordings
+from bayes_impedance.population.given_prior import ElementPrior, GivenPrior
+from bayes_impedance.population.parameters import PopulationParameters
+from bayes_impedance.population.settings import FitSettings
+from bayes_impedance.population.simulate import Simulation, VirtualPopulation, simulate_recordings
 from bayes_impedance.quality.findings import Finding
 from bayes_impedance.recordings.files import read_recordings, write_recordings
 from bayes_impedance.results.leave_one_out import leave_one_out
 from bayes_impedance.results.network_comparison import Entry, NetworkComparison
-from bayes_impedance.results.predictive import predict
+from bayes_impedance.results.predictive import Band, predict
 from bayes_impedance.results.result import load_result, make_result, save_result
 from bayes_impedance.units import rounded
 
@@ -245,6 +252,55 @@ def test_no_public_class_shows_its_arrays() -> None:
             if isinstance(one, type) and is_dataclass(one) and any("ndarray" in str(f.type) for f in fields(one)):
                 wrong += [name] if one.__dataclass_params__.repr and "__repr__" not in inspect.getsource(one) else []
     assert not wrong
+
+
+def reached_from(one: Any, found: dict[type, Any]) -> None:
+    """What is held by an object of the package, one of each class."""
+    if isinstance(one, dict | list | tuple):
+        for value in list(one.values() if isinstance(one, dict) else one)[:1]:
+            reached_from(value, found)
+    elif type(one).__module__.startswith("bayes_impedance") and type(one) not in found:
+        found[type(one)] = one
+        for field in fields(one) if is_dataclass(one) else ():
+            reached_from(getattr(one, field.name), found)
+
+
+def test_what_results_hold_is_short(fit: PopulationFit) -> None:
+    predictive = predict(fit, n_draws=50, n_replicates=20)
+    result = make_result(fit, predictive, {})
+    simulation = simulate_recordings(THREE_ELEMENTS, 3, 2, np.geomspace(5, 5000, 12), seed=2)
+    found: dict[type, Any] = {}
+    for one in (fit, predictive, result, simulation, make_diagnosis(), make_diagnosis("unknown"), THREE_ELEMENTS):
+        reached_from(one, found)
+    assert len(found) > 30
+    for one in found.values():
+        assert len(repr(one)) < LONGEST
+        assert "array(" not in repr(one)
+        if hasattr(one, "_repr_html_"):
+            Balanced(one._repr_html_())
+    for kind in (Simulation, PopulationParameters, Diagnostics, Band, Physics, OnePort, VirtualPopulation):
+        shown(found[kind])
+    true = simulation.to_dataframe()
+    assert list(true.index) == list(simulation.recordings.names)
+    np.testing.assert_allclose(true["r1"], np.exp(simulation.log_elements[:, list(true).index("r1")]))
+    ratio = found[OnePort].to_dataframe()
+    np.testing.assert_array_equal(ratio["ratio_im"], found[OnePort].ratio.imag)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        FitSettings(),
+        FitSettings(covariance="diagonal", prior=GivenPrior(elements={"m1": ElementPrior(centre=0.02, scale=0.4)})),
+        ImportSettings(),
+    ],
+)
+def test_settings_say_what_was_chosen_and_can_be_made_again(settings: Any) -> None:
+    names = {one.__name__: one for one in (FitSettings, GivenPrior, ElementPrior, ImportSettings)}
+    assert eval(repr(settings), names) == settings
+    assert "draws" not in repr(settings)
+    assert ">512<" in shown(settings) or isinstance(settings, ImportSettings)
+    assert repr(type(settings)()) == f"{type(settings).__name__}()"
 
 
 def test_comparisons_of_methods(fit: PopulationFit) -> None:

@@ -75,8 +75,8 @@ _PROVISIONAL_NOISE = 0.05
 5 %). The standard errors then come from the difference itself."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class MappedElement:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class MappedElement(Brief):
     """One element of the nearest network.
 
     Attributes

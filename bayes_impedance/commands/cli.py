@@ -177,8 +177,11 @@ def _diagnose(options: argparse.Namespace) -> int:
 
 def _tell_verdict(verdict: Verdict) -> None:
     """Print a verdict. What was found is listed only if it can be relied on; `verdict.json` has it for the search."""
+    from bayes_impedance.diagnosis.verdict.sentence import body_of
     from bayes_impedance.network.spellings import in_both
 
+    body = body_of(verdict.unit)
+    sides = {"rig": "rig", "body": body}
     if not verdict.reliable:
         tell(f"NOT RELIABLE: {verdict.shortcomings[0] if verdict.shortcomings else 'the fit did not converge'}")
     for remark in verdict.remarks:
@@ -195,7 +198,7 @@ def _tell_verdict(verdict: Verdict) -> None:
     if not verdict.reliable:
         return
     for entry in verdict.physics:
-        tell(f"{entry.id} at {entry.place} ({entry.side or 'rig or body not decided'}): {entry.name}")
+        tell(f"{entry.id} at {entry.place} ({sides.get(entry.side or '', f'rig or {body} not decided')}): {entry.name}")
         for name, row in entry.parameters.items():
             tell(f"    {name:16} {row.median:.4g} ({row.q05:.4g} to {row.q95:.4g}) {row.unit}")
         for alias in [a for a in entry.aliases if not a.separated][:3]:

@@ -83,7 +83,7 @@ def lines_of(found: CovariateSearch) -> list[str]:
     for name, (gain, error) in found.gains.items():
         who = ", ".join(t.element for t in found.found if t.covariate == name)
         verb = "follow" if "," in who else "follows"
-        lines.append(f"{who} {verb} {name}: people left out are predicted better by {gain:.1f} ± {error:.1f} nats")
+        lines.append(f"{who} {verb} {name}: subjects left out are predicted better by {gain:.1f} ± {error:.1f} nats")
     if not found.found:
         lines.append("no element follows a covariate, corrected for all that were tested")
     return lines

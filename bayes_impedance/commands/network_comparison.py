@@ -94,8 +94,8 @@ def compare_networks(
     recordings, options = with_terms_of(recordings, options)
     if len(recordings.subjects) < FEWEST_PEOPLE:
         raise InputError(
-            f"{dataset}: networks are compared by how well each person is predicted from the others; give two or more "
-            "people"
+            f"{dataset}: networks are compared by how well each subject is predicted from the others; give two or more "
+            "subjects"
         )
     given = given or [options.network or recordings.network or ""]
     kinds = list(
@@ -357,10 +357,10 @@ def lines_of(comparison: NetworkComparison) -> list[str]:
         )
     lines.append("")
     if any(row["doubtful"] for row in rows):
-        lines.append(f"* {_doubts(labels, rows)}: the sum over people is uncertain")
+        lines.append(f"* {_doubts(labels, rows)}: the sum over subjects is uncertain")
     if any(row["refitted"] for row in rows):
         lines.append(
-            f"{sum(row['refitted'] for row in rows)} value(s) come from refits without the person (Pareto k above 0.7)"
+            f"{sum(row['refitted'] for row in rows)} value(s) come from refits without the subject (Pareto k above 0.7)"
         )
     if not all(row["reliable"] for row in rows):
         lines.append("! not reliable: see above")

@@ -15,8 +15,10 @@ if TYPE_CHECKING:
 def tell_result(result: Result, last: str) -> None:
     """Print the result; `last` is the last line."""
     from bayes_impedance.network.spellings import in_both
+    from bayes_impedance.units import who
 
     summary = result.summary
+    n = summary["subjects"]
     for problem in summary["problems"]:
         tell(f"NOT RELIABLE: {problem}")
     misfit = summary["adequacy"]["misfit"]
@@ -28,9 +30,9 @@ def tell_result(result: Result, last: str) -> None:
         if remark not in misfit:
             tell(f"note: {remark}")
     tell()
-    tell(f"{summary['subjects']} subject(s), network {in_both(summary['network'], summary['unit'])}")
+    tell(f"{n} subject{'' if n == 1 else 's'}, network {in_both(summary['network'], summary['unit'])}")
     tell()
-    tell(f"{'':6}{'unit':9}{'central value (90 %)':32}{'between persons':24}between repetitions")
+    tell(f"{'':6}{'unit':9}{'central value (90 %)':32}{'between ' + who(summary['unit']):24}between repetitions")
     for name, element in summary["elements"].items():
         if not element["identified"]:
             tell(f"{name:6}{element['unit']:9}not determined by these recordings")

@@ -9,9 +9,11 @@ from typing import Any
 def dispersion_line(summary: Mapping[str, Any]) -> str:
     """What dispersions are; a Student t population has scales in place of standard deviations between persons."""
     from bayes_impedance.results.distribution import is_student_t
+    from bayes_impedance.units import who
 
     if is_student_t(summary):
-        return "dispersions of the natural logarithm: between persons scales of a Student t, else standard deviations"
+        between = f"between {who(summary['unit'])}"
+        return f"dispersions of the natural logarithm: {between} scales of a Student t, else standard deviations"
     return "dispersions are standard deviations of the natural logarithm"
 
 

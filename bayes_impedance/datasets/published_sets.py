@@ -13,6 +13,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bayes_impedance.display import Brief
 from bayes_impedance.errors import InputError
 from bayes_impedance.runtime.input_files import read_toml
 from bayes_impedance.runtime.user_table import hint, shown
@@ -23,8 +24,8 @@ if TYPE_CHECKING:
 _FILE = Path(__file__).with_name("published_values.toml")
 
 
-@dataclass(frozen=True)
-class PublishedValue:
+@dataclass(frozen=True, repr=False)
+class PublishedValue(Brief):
     """A published value of one element.
 
     Attributes
@@ -45,8 +46,8 @@ class PublishedValue:
     limits: tuple[float, float] | None
 
 
-@dataclass(frozen=True, kw_only=True)
-class PublishedSet:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class PublishedSet(Brief):
     """Published values of one network.
 
     Attributes

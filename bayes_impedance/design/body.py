@@ -52,8 +52,8 @@ class Body(Brief):
         if not self.removed:
             return ""
         return (
-            "users are the body without the rig, because a device is loaded by the body only; removed as parts of the "
-            f"rig, because they are the same for everybody or held: {', '.join(self.removed)}"
+            "users are what was measured without the rig, because that alone loads a device; removed as parts of the "
+            f"rig, because they are the same for all or held: {', '.join(self.removed)}"
         )
 
 
@@ -69,8 +69,8 @@ def body_of(network: Network) -> Body:
     left = _stripped(network, removed)
     if left is None:
         raise InputError(
-            f"nothing of {network} belongs to the body: all its elements are the same for everybody or held, so there "
-            "are no users; fit a network with elements that differ between people"
+            f"nothing of {network} belongs to the body: all its elements are the same for all or held, so there "
+            "are no users; fit a network with elements that differ between subjects"
         )
     place = {name: i for i, name in enumerate(network.elements)}
     return Body(left, np.array([place[name] for name in left.elements], dtype=int), tuple(removed))
@@ -102,8 +102,8 @@ def _unwrapped(node: Wrapped, removed: list[str]) -> Network | None:
         return None if part is None else _named(part, node.label)
     if part is None:
         raise InputError(
-            f"{head} belongs to the body, but all that it wraps ({node.part}) is the same for everybody or held, and "
-            "so belongs to the rig: wrap a part with elements that differ between people"
+            f"{head} belongs to the body, but all that it wraps ({node.part}) is the same for all or held, and "
+            "so belongs to the rig: wrap a part with elements that differ between subjects"
         )
     return node.with_parts([part]).labelled(node.label)
 

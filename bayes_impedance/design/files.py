@@ -20,6 +20,7 @@ from bayes_impedance.design.users import UserPopulation, Users, free_parameters
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.passivity import known_passive
 from bayes_impedance.runtime.atomic_files import write_bytes, write_json, write_text
+from bayes_impedance.units import ratio_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -139,7 +140,10 @@ def write_tables(folder: Path, users: Users, chosen: Users, frequency_hz: np.nda
         Why there is none.
     """
     z = chosen.impedance(frequency_hz)
-    blocks = [f"impedance z = F/v in {users.unit} at frequencies in Hz; {why}", f"network {users.network}"]
+    blocks = [
+        f"impedance z = {ratio_of(users.unit)} in {users.unit} at frequencies in Hz; {why}",
+        f"network {users.network}",
+    ]
     for i, name in enumerate(chosen.names):
         rows = [f"  {f:.6g}  {x.real:.8g} {x.imag:+.8g}j" for f, x in zip(frequency_hz, z[i], strict=True)]
         blocks.append("\n".join([f"{name}: {parameters_of(chosen, i)}", *rows]))

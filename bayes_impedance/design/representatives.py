@@ -32,6 +32,7 @@ from scipy.stats import chi2, norm
 from bayes_impedance.design.users import UserPopulation, Users
 from bayes_impedance.display import Brief
 from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.units import who
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -87,14 +88,14 @@ def representatives(
             more = "larger" if sign > 0 else "smaller"
             names.append(name)
             rules.append(
-                f"most probable user whose |Im z| at {frequency:.4g} Hz is {more} than that of {100 * LEVEL:.0f} % of "
-                "people"
+                f"the most probable one whose |Im z| at {frequency:.4g} Hz is {more} than that of "
+                f"{100 * LEVEL:.0f} % of {who(population.unit)}"
             )
             rows.append(centre + sign * step)
     chosen, radius = spanning(population, users, number)
     names += [f"span_{i + 1}" for i in range(chosen.size)]
     rules += [
-        f"of the drawn users inside the {100 * LEVEL:.0f} % ellipsoid "
+        f"of those drawn inside the {100 * LEVEL:.0f} % ellipsoid "
         + ("the one nearest to the centre" if i == 0 else "the one farthest from all chosen before")
         + f" ({users.names[row]})"
         for i, row in enumerate(chosen)

@@ -34,7 +34,7 @@ import numpy.typing as npt
 from scipy.linalg import solve_triangular
 
 from bayes_impedance.design.body import body_of
-from bayes_impedance.display import MOST_ROWS, heading, joined, lines, table
+from bayes_impedance.display import MOST_ROWS, Brief, heading, joined, lines, table
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Network, parse
@@ -54,11 +54,11 @@ error."""
 
 
 _NOT_NORMAL = (
-    "People {}, from which users are drawn; representative users and the random draws of circuits are those of the "
-    "normal distribution with {}."
+    "The population that is drawn from {}; representatives and the random draws of circuits are those of the normal "
+    "distribution with {}."
 )
-_TAILS = _NOT_NORMAL.format("follow a Student t distribution", "its scales as standard deviations")
-_GROUPS = _NOT_NORMAL.format("are of two groups", "the same mean and covariance")
+_TAILS = _NOT_NORMAL.format("follows a Student t distribution", "its scales as standard deviations")
+_GROUPS = _NOT_NORMAL.format("is of two groups", "the same mean and covariance")
 
 
 @dataclass(frozen=True)
@@ -158,8 +158,8 @@ def values_of(network: Network, u: np.ndarray) -> np.ndarray:
     return np.stack(columns, axis=-1)
 
 
-@dataclass(frozen=True, kw_only=True)
-class UserPopulation:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class UserPopulation(Brief):
     """Posterior of the population: S draws of its parameters, on their unbounded scales.
 
     Attributes
@@ -327,7 +327,7 @@ def population_of(
         )
     posterior = result.groups["posterior"]
     if "dispersion_between_persons" not in posterior:
-        raise InputError("the fit is of one subject: there is no population to draw users from; fit more recordings")
+        raise InputError("the fit is of one subject: there is no population to draw from; fit more recordings")
     body = body_of(parse(str(result.attributes["network"])))
     network, columns, assume = body.network, body.columns, dict(assume or {})
     wrong = sorted(name for name, value in assume.items() if name not in network.elements or not value > 0)
@@ -346,7 +346,7 @@ def population_of(
     determined = [e for e, v in zip(network.elements, mu[0], strict=True) if np.isfinite(v) and e in assume]
     if determined:
         raise InputError(
-            f"the recordings determine {', '.join(determined)}, and how people differ in it: leave the assumption out"
+            f"the recordings determine {', '.join(determined)}, and how much it differs: leave the assumption out"
         )
     if undetermined:
         raise InputError(

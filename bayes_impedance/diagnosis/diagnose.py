@@ -58,7 +58,7 @@ physics, and their distribution is another one: a covariate or a drift still shi
 may be artefacts of the network."""
 
 _SHAPE_UNKNOWN = (
-    "The elements are not distributed as the population's distribution says; whether people form groups cannot be "
+    "The elements are not distributed as the population's distribution says; whether subjects form groups cannot be "
     "known while elements without a name describe them."
 )
 

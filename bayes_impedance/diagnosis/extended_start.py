@@ -16,7 +16,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from bayes_impedance.diagnosis.extended_network import ExtendedNetwork
+from bayes_impedance.diagnosis.extended_network import ExtendedNetwork, no_networks
 from bayes_impedance.diagnosis.extended_posterior import Reading
 from bayes_impedance.diagnosis.fit.model import Model
 from bayes_impedance.diagnosis.fit.refit import Refit
@@ -59,7 +59,8 @@ def extended_start(
     Returns
     -------
     dict of str to ndarray, or None
-        None if the network's parameters do not follow from those of the fit, or it cannot be fitted.
+        None if the network's parameters do not follow from those of the fit, as where one follows the amplitude, or if
+        it cannot be fitted.
     """
     try:
         checked = checked_model(recordings, extended.network)
@@ -81,6 +82,8 @@ def values_of(
     model: Model, u: np.ndarray, extended: ExtendedNetwork, kernel: Kernel, held: Mapping[str, float]
 ) -> dict[str, np.ndarray] | None:
     """Values of the extended network's parameters from those of the model, u (N, n + A)."""
+    if no_networks(model):
+        return None
     n = model.n_elements
     own = dict(zip(model.network.elements, u.T, strict=False))
     symbols = {name for names in extended.symbols for name in names.values()}

@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayes_impedance.diagnosis.verdict_types import ParameterDifference, Verdict
+from bayes_impedance.display import Brief
 from bayes_impedance.population.fit import PopulationFit
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
-@dataclass(frozen=True, kw_only=True)
-class Snapshot:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Snapshot(Brief):
     """How well one model describes the recordings: the network as given, or with what was found.
 
     Attributes
@@ -55,8 +56,8 @@ class Snapshot:
     person_curve: np.ndarray
 
 
-@dataclass(frozen=True, kw_only=True)
-class Ranked:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Ranked(Brief):
     """A candidate in the ranking of the first screening.
 
     Attributes
@@ -92,8 +93,8 @@ class Ranked:
     note: str
 
 
-@dataclass(frozen=True)
-class OnePort:
+@dataclass(frozen=True, repr=False)
+class OnePort(Brief):
     """The missing one-port at one place: the change of its impedance that would explain the mismatch.
 
     Attributes
@@ -113,6 +114,13 @@ class OnePort:
     ratio: np.ndarray
     sd: np.ndarray
     share: float
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row for each frequency: frequency_hz, real and imaginary part of the ratio, and their standard error."""
+        import pandas as pd
+
+        columns = {"ratio_re": self.ratio.real, "ratio_im": self.ratio.imag, "sd": self.sd}
+        return pd.DataFrame({"frequency_hz": self.frequency_hz, **columns})
 
 
 @dataclass(frozen=True, kw_only=True)

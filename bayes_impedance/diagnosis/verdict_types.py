@@ -12,20 +12,20 @@ from dataclasses import dataclass
 from typing import Literal
 
 from bayes_impedance.diagnosis.verdict_tables import dataframe_of, html_of
+from bayes_impedance.display import Brief
 
 Subjects = Literal["all"] | tuple[str, ...]
 """Names of people, or all of them."""
 
 Kind = Literal["effect", "hum", "trend", "subgroup", "correlation", "unknown"]
 """What an entry of the verdict's physics is: an effect of the catalogue on the curves; hum of the mains; elements that
-follow a covariate or the repetitions; a group of people; elements that vary together; physics outside of the catalogue.
-"""
+follow a covariate or the repetitions; a group of people; elements that vary together; other physics."""
 
 Pair = tuple[float, float]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Where:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Where(Brief):
     """Where the mismatch is.
 
     Attributes
@@ -74,8 +74,8 @@ class LocatedBand:
     p_value: float
 
 
-@dataclass(frozen=True, kw_only=True)
-class Located:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Located(Brief):
     """Structure in the residuals of the network alone, before anything was added.
 
     Attributes
@@ -96,8 +96,8 @@ class Located:
     subjects_p_value: float
 
 
-@dataclass(frozen=True)
-class Parameter:
+@dataclass(frozen=True, repr=False)
+class Parameter(Brief):
     """A parameter of an effect: median and 90 % interval in its unit.
 
     Attributes
@@ -115,8 +115,8 @@ class Parameter:
     dispersion: float | None
 
 
-@dataclass(frozen=True)
-class EvidenceOfEffect:
+@dataclass(frozen=True, repr=False)
+class EvidenceOfEffect(Brief):
     """Statistical evidence for an effect; None where its kind has no such value.
 
     Attributes
@@ -135,8 +135,8 @@ class EvidenceOfEffect:
     elpd_gain_se: float | None
 
 
-@dataclass(frozen=True, kw_only=True)
-class Alias:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Alias(Brief):
     """Another explanation of the same structure.
 
     Attributes
@@ -158,8 +158,8 @@ class Alias:
     would_separate: str
 
 
-@dataclass(frozen=True, kw_only=True)
-class Physics:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Physics(Brief):
     """One effect or structure that was missing.
 
     Attributes
@@ -229,8 +229,8 @@ class BlockGain:
     se: float | None
 
 
-@dataclass(frozen=True, kw_only=True)
-class Improvement:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Improvement(Brief):
     """What the additions change, each as (before, after), and what they gain on held-out recordings.
 
     Attributes
@@ -259,8 +259,8 @@ class Improvement:
     held_out: str
 
 
-@dataclass(frozen=True, kw_only=True)
-class Detectable:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Detectable(Brief):
     """Detection limit of one effect at one place.
 
     Attributes

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bayes_impedance.display import Brief
 from bayes_impedance.intake.assembly import SIGN, STOPPED, assemble
 from bayes_impedance.intake.calibrating import Calibrated, CalibrationSettings, calibrated
 from bayes_impedance.intake.calibration_files import RIG_FILE, calibration_files, csv_bytes
@@ -33,7 +34,7 @@ _CHUNK = 2**20
 """Bytes of a source that are hashed at a time. By choice: the largest that does not matter for memory."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class ImportSettings(ReadingSettings):
     """How sources are read, calibrated and named.
 
@@ -57,8 +58,8 @@ class ImportSettings(ReadingSettings):
     stopped_sweeps: bool = False
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Imported:
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Imported(Brief):
     """What an import has found.
 
     Attributes

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from bayes_impedance.display import Chosen
 from bayes_impedance.errors import InputError
 from bayes_impedance.intake.channels import guessed_channels
 from bayes_impedance.intake.columns import looks_like_frequency
@@ -21,8 +22,8 @@ from bayes_impedance.intake.text_tables import TableFormat
 Progress = Callable[[str, int, int], None]
 
 
-@dataclass(frozen=True, kw_only=True)
-class ReadingSettings:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class ReadingSettings(Chosen):
     """How sources are read.
 
     Attributes

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bayes_impedance.display import Brief
+from bayes_impedance.display import Brief, Chosen
 from bayes_impedance.mcmc.autocorrelation import autocorrelation_time
 from bayes_impedance.mcmc.convergence import rhat
 from bayes_impedance.mcmc.mirrored import labelled
@@ -38,8 +38,8 @@ vanish: 318 steps after 600 and still growing, standard deviations of these two 
 32 steps, and 160 steps sufficed."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class SamplerSettings:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class SamplerSettings(Chosen):
     """Settings of the sampler's length and convergence.
 
     Attributes

@@ -33,6 +33,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayes_impedance.display import Brief
+
 FLOOR_WITH_REPETITIONS = 1e-4
 """Lower bound of the noise relative to |z| if estimated from repetitions. By choice: no impedance head is better, and
 rounding in a file must not determine the weights."""
@@ -77,8 +79,8 @@ class Scatter:
     freedom: np.ndarray
 
 
-@dataclass(frozen=True)
-class NoiseModel:
+@dataclass(frozen=True, repr=False)
+class NoiseModel(Brief):
     """Standard deviation of the real and of the imaginary part over frequency.
 
     Attributes

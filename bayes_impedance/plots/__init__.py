@@ -25,6 +25,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bayes_impedance.display import Brief
 from bayes_impedance.errors import InputError
 from bayes_impedance.plots.access import identified, subjects, variable
 from bayes_impedance.plots.comparison import COMPARISON_PICTURES
@@ -88,8 +89,8 @@ _WIDTH = 8.2
 """Width of a figure in inches. By choice: about a page, so that letters in pictures are as large as the page's text."""
 
 
-@dataclass(frozen=True)
-class Picture:
+@dataclass(frozen=True, repr=False)
+class Picture(Brief):
     """One picture of a run.
 
     Attributes

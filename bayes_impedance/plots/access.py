@@ -9,6 +9,7 @@ import numpy as np
 from bayes_impedance.population.natural_scales import LOG_SD
 from bayes_impedance.results.result import Result
 from bayes_impedance.units import ELECTRICAL_UNIT, Scale, scale_for
+from bayes_impedance.units import who as who_of
 
 
 def variable(result: Result, name: str) -> np.ndarray | None:
@@ -102,6 +103,4 @@ def is_simulated(result: Result) -> bool:
 
 def who(result: Result, number: int = 2) -> str:
     """Word for the subjects: recordings of batteries, for example, are not of people."""
-    if is_electrical(result):
-        return "subject" if number == 1 else "subjects"
-    return "person" if number == 1 else "people"
+    return who_of(str(result.attributes["unit"]), number)

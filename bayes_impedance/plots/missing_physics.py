@@ -34,7 +34,7 @@ from bayes_impedance.plots.style import (
     new_figure,
     phase_axis,
 )
-from bayes_impedance.units import scale_for
+from bayes_impedance.units import scale_for, who
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -61,8 +61,7 @@ _COLOURS = (RED, BLUE)
 
 def people(diagnosis: Diagnosis, number: int = 2) -> str:
     """Word for the subjects: recordings of batteries, for example, are not of people."""
-    plural, single = ("subjects", "subject") if diagnosis.unit == "ohm" else ("people", "person")
-    return single if number == 1 else plural
+    return who(diagnosis.unit, number)
 
 
 def residual_map(diagnosis: Diagnosis) -> Figure | None:

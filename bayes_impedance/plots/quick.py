@@ -167,9 +167,9 @@ def plot_predictive_check(result: Result, ax: Sequence[Axes] | None = None) -> t
     """
     predicted, seen = result.groups.get("posterior_predictive", {}), result.groups["observed_data"]
     if "log_magnitude" not in predicted:
-        raise InputError("the result is of an earlier version, without predictions of everybody; fit it again")
+        raise InputError("the result is of an earlier version, without predictions of all subjects; fit it again")
     if len(seen["log_magnitude"]) < _FEWEST_PEOPLE:
-        raise InputError(f"a predictive check compares quantiles over people: give {_FEWEST_PEOPLE} people or more")
+        raise InputError(f"a predictive check compares quantiles over subjects: give {_FEWEST_PEOPLE} subjects or more")
     upper, lower = _pair(ax)
     f = np.asarray(result.coords["predictive_frequency_hz"], dtype=float)
     for axes, name in ((upper, "log_magnitude"), (lower, "phase_deg")):

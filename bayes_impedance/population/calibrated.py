@@ -36,7 +36,7 @@ def within_rig(recordings: Recordings, network: Network | str | None) -> Network
     wrong = set(error.parameters) - {p.name for p in rig.parameters if p.shared}
     if wrong:
         raise InputError(
-            f"[calibration]: {sorted(wrong)[0]} is no parameter of the rig that is the same for everybody (*); import "
+            f"[calibration]: {sorted(wrong)[0]} is no parameter of the rig that is the same for all (*); import "
             "the recordings again"
         )
     if set(error.parameters) <= {p.name for p in inside.parameters if p.shared}:

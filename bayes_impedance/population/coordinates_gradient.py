@@ -66,7 +66,8 @@ def pulled_back(
         parts.append(coordinates.separation_unit * gradient.separation[:, free] - separation)
         parts.append(gradient.share[:, None] * share_slope(share) - share)
     if coordinates.shared_free:
-        parts.append(gradient.shared[:, list(coordinates.shared_free)] @ coordinates.shared_factor - shared)
+        on_shared = gradient.shared[:, list(coordinates.shared_free)]
+        parts.append(np.einsum("ws,wst->wt", on_shared, coordinates.shared_slope(shared)) - shared)
     return np.concatenate(parts, axis=1)
 
 

@@ -70,8 +70,8 @@ def standardised_covariates(recordings: Recordings, names: tuple[str, ...]) -> n
         columns.append(_standardised(values, what, recordings.names))
     if names and len(subjects) < len(names) + 2:
         raise InputError(
-            f"{len(names)} covariates are too many for {len(subjects)} people: fewer than {len(names) + 2} "
-            "people leave nothing to estimate the remaining dispersion from; leave some covariates out"
+            f"{len(names)} covariates are too many for {len(subjects)} subjects: fewer than {len(names) + 2} "
+            "leave nothing to estimate the remaining dispersion from; leave some covariates out"
         )
     design = np.array(columns).T if columns else np.zeros((len(subjects), 0))
     _require_independent(design, names)
@@ -85,7 +85,7 @@ def _standardised(values: np.ndarray, what: str, people: tuple[str, ...]) -> np.
     # Differences below this fraction of the largest number are rounding errors.
     resolution = len(values) * np.finfo(float).eps
     if size == 0 or np.ptp(values / size) <= resolution:
-        raise InputError(f"{what} is the same for everybody: leave it out")
+        raise InputError(f"{what} is the same for all subjects: leave it out")
     others = values[values != values[largest]]
     usual = np.abs(others).max()
     if usual > 0 and np.ptp(others / usual) > resolution and np.ptp(others / size) <= resolution:
@@ -108,6 +108,6 @@ def _require_independent(design: np.ndarray, names: tuple[str, ...]) -> None:
     weights = np.abs(rows[-1])
     involved = [shown(n) for n, w in zip(names, weights, strict=True) if w >= SHARE_OF_DEPENDENCY * weights.max()]
     raise InputError(
-        f"covariates {', '.join(involved)} are linearly dependent for these {design.shape[0]} people (one follows "
+        f"covariates {', '.join(involved)} are linearly dependent for these {design.shape[0]} subjects (one follows "
         "from the others), so that their slopes cannot be separated: leave one out"
     )

@@ -46,7 +46,7 @@ def population_from(described: Mapping[str, Any], where: str) -> VirtualPopulati
     }
     if described.get("subjects") == 1:
         raise InputError(
-            f"{where}: is the fit of one subject, which does not say how people differ; name a fit of more, or a "
+            f"{where}: is the fit of one subject, which does not say how subjects differ; name a fit of more, or a "
             "truth.json with dispersions"
         )
     central = {name: _middle(row, "central") for name, row in rows.items()}

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayes_impedance.display import Brief
 from bayes_impedance.mcmc.ensemble import QUICK, Chains
 from bayes_impedance.population.draw_error import ERROR_WANTED, DrawError, noise_within
 from bayes_impedance.population.em import Estimate
@@ -58,8 +59,8 @@ PARETO_LIMIT = 0.7
 (Vehtari et al. 2024)."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Diagnostics:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Diagnostics(Brief):
     """Diagnostics of the sampler and of the importance draws.
 
     Attributes
@@ -148,14 +149,14 @@ class Diagnostics:
             )
         if not self.missed <= MISSED_LIMIT:
             found.append(
-                f"the likelihood is uncertain where parameters that are the same for everybody (*) change (error "
-                f"{self.missed:.2g}, limit {MISSED_LIMIT:g}): people's elements are undetermined or have "
+                f"the likelihood is uncertain where parameters that are the same for all (*) change (error "
+                f"{self.missed:.2g}, limit {MISSED_LIMIT:g}): elements of some are undetermined or have "
                 "two solutions; use a smaller network or a wider band, or hold the parameter at a known value"
             )
         if self.unconverged:
-            some = ", ".join(self.unconverged[:5])
+            n, some = len(self.unconverged), ", ".join(self.unconverged[:5])
             found.append(
-                f"the fit of {len(self.unconverged)} person(s) did not converge ({some}): check their recordings"
+                f"the fit of {n} subject{'s' if n > 1 else ''} did not converge ({some}): check the recordings"
             )
         return tuple(found)
 

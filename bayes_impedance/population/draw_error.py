@@ -26,6 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtri
 
+from bayes_impedance.display import Brief
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.sharded_likelihood import KeptDraws
 from bayes_impedance.units import NORMAL_Q95
@@ -44,8 +45,8 @@ _RARELY = 0.05
 """Quantile over populations of the smallest effective number of draws: the tail that a 90 % interval is about."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class DrawError:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class DrawError(Brief):
     """Error by the finite number of draws.
 
     Attributes

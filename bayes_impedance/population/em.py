@@ -320,7 +320,7 @@ def with_groups(point: Estimate, covariates: np.ndarray) -> Estimate:
     seen = np.flatnonzero(point.determined)
     if not seen.size:
         raise InputError(
-            "the recordings determine no element that differs between people, so there are no groups: take another "
+            "the recordings determine no element that differs between subjects, so there are no groups: take another "
             "distribution, or check the unit, the frequencies and the network"
         )
     away = np.array(point.fits.gathered(attrgetter("theta"))) - point.mu - covariates @ point.slopes.T

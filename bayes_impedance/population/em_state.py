@@ -236,7 +236,7 @@ class State:
             return 0.0
         equations = self.shared_equations()
         curvature, gradient = self._information(equations)
-        offset = self.shared_prior.precision @ (self.phi - self.shared_prior.centre)
+        offset = self.shared_prior.local_precision(self.phi) @ (self.phi - self.shared_prior.centre)
         step = step_of(curvature, gradient - offset)
         size = self.phi.size
         places = self.fits.each(_placed)
@@ -272,12 +272,12 @@ class State:
 
     def _information(self, equations: Kept, with_prior: bool = True) -> tuple[np.ndarray, np.ndarray]:
         parts = equations.ask(summed)
-        own = self.shared_prior.precision
+        own = self.shared_prior.local_precision(self.phi)
         if not with_prior:
             known = np.flatnonzero(self.shared_prior.known)
             own = _NO_PRIOR * np.eye(self.phi.size)
             own[np.ix_(known, known)] += self.shared_prior.of(known).precision
-        prior = block_diag(own, self.prior.precision)
+        prior = block_diag(own, self.prior.local_precision(self.mu))
         return _total(c for c, _ in parts) + prior, _total(g for _, g in parts)
 
     def _maximise(self, parts: Sequence[Sums]) -> None:

@@ -39,6 +39,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bayes_impedance.display import Chosen
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.parameters import SIGNED
@@ -58,8 +59,8 @@ LARGEST_SCALE = 10.0
 nothing, and is a mistaken unit more often than not."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class ElementPrior:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class ElementPrior(Chosen):
     """What is known of one element of the population.
 
     Attributes
@@ -96,8 +97,8 @@ class ElementPrior:
             raise InputError(f"prior: kind is {shown(self.kind)}, but must be one of {', '.join(KINDS)}")
 
 
-@dataclass(frozen=True, kw_only=True)
-class GivenPrior:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class GivenPrior(Chosen):
     """Prior of a user: everything that is not given keeps its default.
 
     >>> prior = GivenPrior(elements={"m1": ElementPrior(centre=0.02, unit="kg", scale=0.4)}, concentration=4.0)
@@ -200,7 +201,6 @@ class GivenPrior:
         centre, sd = prior.centre.copy(), prior.centre_sds.copy()
         dispersion = prior.dispersion_sds.copy() if self.dispersion is None else np.full(centre.size, self.dispersion)
         heavy = prior.tailed.copy()
-        ordered = {name for names in self.order for name in names}
         for name, own in self.elements.items():
             if name not in kernel.elements:
                 raise InputError(
@@ -223,12 +223,9 @@ class GivenPrior:
                 sd[row] = own.scale / size
             if own.dispersion is not None:
                 if parameter.shared:
-                    raise InputError(f"prior: {name} is the same for everybody and has no dispersion; leave it out")
+                    raise InputError(f"prior: {name} is the same for all and has no dispersion; leave it out")
                 dispersion[row] = own.dispersion / size
             if own.kind == "student_t":
-                if parameter.shared or name in ordered:
-                    why = "is the same for everybody" if parameter.shared else "has an order"
-                    raise InputError(f"prior: {name} {why} and can only have a normal prior; leave out its kind")
                 heavy[row] = True
         result = replace(
             prior,

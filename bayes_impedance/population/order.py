@@ -137,8 +137,8 @@ def order_in(given: Sequence[Sequence[str]], kernel: Kernel, where: str) -> Orde
         for other in parameters:
             if other.shared:
                 raise InputError(
-                    f"order: {other.name} is the same for everybody (*), but an order is of what differs between "
-                    "people; leave it out"
+                    f"order: {other.name} is the same for all (*), but an order is of what differs between "
+                    "subjects; leave it out"
                 )
             if other.letter != first.letter:
                 raise InputError(

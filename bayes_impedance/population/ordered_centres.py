@@ -10,7 +10,9 @@ where the order is broken; as the Jacobian is constant, its density in the coord
 dispersion, the sign of :math:`s_k` has no meaning, and the posterior is an even function of it. The unit
 :math:`w_k`, the root mean square of the distance under the prior without the order, makes s about one at most.
 
-A centre with a Student t prior has a coordinate that is standard normal under it (:mod:`.prior_tails`), and no order.
+A centre with a Student t prior has a coordinate that is standard normal under it (:mod:`.prior_tails`). In an order it
+has the coordinates above, in which the density is that of the centres; as recordings may overrule such a prior, its
+unit is as wide as the default prior's.
 """
 
 from __future__ import annotations
@@ -41,11 +43,14 @@ class Centres:
 
     def __init__(self, prior: Prior) -> None:
         self.prior, self.order = prior, prior.order
-        self.unit = prior.centre_sds.copy()
+        self.curved = prior.tailed.copy()  # whose coordinates are standard normal under a Student t
+        self.unit, sds = prior.centre_sds.copy(), prior.starting_sds
         for chain in self.order.chains:
+            self.curved[list(chain)] = False
+            self.unit[chain[0]] = sds[chain[0]]
             for low, high in pairwise(chain):
                 away = prior.centre[high] - prior.centre[low]
-                self.unit[high] = np.sqrt(prior.centre_sds[low] ** 2 + prior.centre_sds[high] ** 2 + away**2)
+                self.unit[high] = np.sqrt(sds[low] ** 2 + sds[high] ** 2 + away**2)
 
     @property
     def even(self) -> np.ndarray:
@@ -57,7 +62,7 @@ class Centres:
 
     def values(self, u: np.ndarray) -> np.ndarray:
         """Central values of coordinates, both (W, N)."""
-        values = np.asarray(self.prior.centre + self.prior.centre_sds * self._standard(u, prior_tails.from_standard))
+        values = np.asarray(self.prior.centre + self.unit * self._standard(u, prior_tails.from_standard))
         for chain in self.order.chains:
             own = list(chain)
             apart = self.unit[own[1:]] * np.abs(u[:, own[1:]])
@@ -66,22 +71,19 @@ class Centres:
 
     def coordinates(self, values: np.ndarray) -> np.ndarray:
         """Coordinates of central values, both (..., N); where these are not in order, of the nearest above."""
-        u = self._standard((values - self.prior.centre) / self.prior.centre_sds, prior_tails.to_standard)
+        u = self._standard((values - self.prior.centre) / self.unit, prior_tails.to_standard)
         for chain in self.order.chains:
             own = list(chain)
             u[..., own[1:]] = np.maximum(np.diff(values[..., own], axis=-1), 0.0) / self.unit[own[1:]]
         return u
 
     def _standard(self, rows: np.ndarray, change: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-        """Rows (..., N) with the columns of Student t priors changed."""
-        result = np.array(rows, dtype=float)
-        if self.prior.heavy is not None:
-            result[..., self.prior.heavy] = change(result[..., self.prior.heavy])
-        return result
+        """Rows (..., N) with the columns of Student t priors changed that have no order."""
+        return prior_tails.changed(rows, self.curved, change)
 
     def _stretch(self, u: np.ndarray) -> np.ndarray:
         """Derivative of central values with respect to their coordinates (..., N), without the order."""
-        return np.asarray(self.prior.centre_sds * np.where(self.prior.tailed, prior_tails.slope(u), 1.0))
+        return np.asarray(self.unit * np.where(self.curved, prior_tails.slope(u), 1.0))
 
     def scale(self, sds: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Rough standard deviations of the coordinates for those of the central values at `values`, all (N,)."""
@@ -95,8 +97,10 @@ class Centres:
         """Log prior density of coordinates (W, N), up to a constant: shape (W,)."""
         if not self.order:
             return np.asarray(-0.5 * np.sum(u**2, axis=-1))
-        z = self._standard((self.values(u) - self.prior.centre) / self.prior.centre_sds, prior_tails.to_standard)
-        return np.asarray(-0.5 * np.sum(z**2, axis=-1))
+        z = (self.values(u) - self.prior.centre) / self.prior.centre_sds
+        tails = self.prior.tailed & ~self.curved
+        terms = np.where(tails, prior_tails.log_density(z), -0.5 * np.where(self.curved, u, z) ** 2)
+        return np.asarray(np.sum(terms, axis=-1))
 
     def slope(self, u: np.ndarray, gradient: np.ndarray) -> np.ndarray:
         """Gradient of a log posterior density with respect to the coordinates.
@@ -117,11 +121,12 @@ class Centres:
         else:
             result = np.asarray(gradient * self._stretch(u) - u)
         if self.order:
-            on_values = gradient - (self.values(u) - self.prior.centre) / sds**2
+            z = (self.values(u) - self.prior.centre) / sds
+            on_values = gradient - np.where(self.prior.tailed, prior_tails.weight(z), 1.0) * z / sds
             for chain in self.order.chains:
                 own = list(chain)
                 above = np.cumsum(on_values[:, own[::-1]], axis=1)[:, ::-1]  # of each with all that are above it
-                result[:, own[0]] = above[:, 0] * sds[own[0]]
+                result[:, own[0]] = above[:, 0] * self.unit[own[0]]
                 result[:, own[1:]] = above[:, 1:] * self.unit[own[1:]] * np.sign(u[:, own[1:]])
         return result
 
@@ -158,5 +163,7 @@ class Centres:
     def _tried(self, k: int, rng: np.random.Generator) -> np.ndarray:
         """Of many draws of the elements of a list those in order, shape (M, K)."""
         own = list(self.order.chains[k])
-        drawn = self.prior.centre[own] + self.prior.centre_sds[own] * rng.normal(size=(_TRIED, len(own)))
+        normal = rng.normal(size=(_TRIED, len(own)))
+        z = prior_tails.changed(normal, self.prior.tailed[own], prior_tails.from_standard)
+        drawn = self.prior.centre[own] + self.prior.centre_sds[own] * z
         return np.asarray(drawn[np.all(np.diff(drawn, axis=1) > 0, axis=1)])

@@ -35,6 +35,7 @@ from functools import cached_property
 
 import numpy as np
 
+from bayes_impedance.display import Brief
 from bayes_impedance.population.heavy_tails import coordinate_of, tail_of
 from bayes_impedance.population.ordered_centres import Centres
 from bayes_impedance.population.partial_correlations import cholesky_from_partial, log_cosh, partial_from_cholesky
@@ -46,8 +47,8 @@ _SMALLEST = 1e-9
 any recording."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class PopulationParameters:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class PopulationParameters(Brief):
     """W sets of population parameters.
 
     Attributes
@@ -253,24 +254,28 @@ class Coordinates:
             return None
         free = list(self.shared_free)
         phi = np.tile(self.held_shared, (len(coordinates), 1))
-        phi[:, free] = self.shared_prior.centre[free] + coordinates @ self.shared_factor.T
+        phi[:, free] = self.common_prior.from_standard(coordinates)
         return phi
 
-    @property
-    def shared_factor(self) -> np.ndarray:
-        """From coordinates to free shared parameters, which may be correlated under the prior."""
+    @cached_property
+    def common_prior(self) -> Prior:
+        """Of the free shared parameters, which may be correlated under it."""
         assert self.shared_prior is not None  # there are shared parameters
-        return self.shared_prior.of(np.array(self.shared_free, dtype=int)).factor
+        return self.shared_prior.of(np.array(self.shared_free, dtype=int))
+
+    def shared_slope(self, coordinates: np.ndarray) -> np.ndarray:
+        """Derivative of the free shared parameters with respect to their coordinates (..., S'): (..., S', S')."""
+        return np.asarray(self.common_prior.factor * self.common_prior.stretch(coordinates)[..., None, :])
 
     def shared_moments(self, mean: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Mean (S',) and covariance (S', S') of the free shared parameters for those of their coordinates."""
-        assert self.shared_prior is not None
-        factor = self.shared_factor
-        return self.shared_prior.centre[list(self.shared_free)] + factor @ mean, factor @ covariance @ factor.T
+        slope = self.shared_slope(mean)
+        return self.common_prior.from_standard(mean), slope @ covariance @ slope.T
 
-    def shared_scale(self, covariance: np.ndarray) -> np.ndarray:
-        """Standard deviations (S',) of the coordinates for a covariance (S', S') of the free shared parameters."""
-        inverse = np.linalg.inv(self.shared_factor)
+    def shared_scale(self, shared: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+        """Standard deviations (S',) of the coordinates, for a covariance (S', S') of the free of these (S,)."""
+        standard = self.common_prior.to_standard(shared[list(self.shared_free)])
+        inverse = np.linalg.inv(self.shared_slope(standard))
         return np.asarray(np.sqrt(np.diag(inverse @ covariance @ inverse.T)))
 
     def log_prior(self, vector: np.ndarray) -> np.ndarray:
@@ -329,8 +334,7 @@ class Coordinates:
         if self.groups and groups is not None:
             parts += [groups.separation[0, free] / self.separation_unit, share_coordinate(groups.share)]
         if self.shared_prior is not None and shared is not None:
-            chosen = list(self.shared_free)
-            parts.append(np.linalg.solve(self.shared_factor, (shared - self.shared_prior.centre)[chosen]))
+            parts.append(self.common_prior.to_standard(shared[list(self.shared_free)]))
         return np.concatenate(parts)
 
     @property

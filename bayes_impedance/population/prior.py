@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from bayes_impedance.display import Brief
 from bayes_impedance.errors import InputError
 from bayes_impedance.population import prior_tails
 from bayes_impedance.population.order import Order
@@ -20,8 +21,8 @@ DEFAULT_SD = 3.0
 """Standard deviation of a log element's default prior: :mod:`.natural_scales`."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Prior:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Prior(Brief):
     """Scales of the prior.
 
     Attributes
@@ -129,6 +130,27 @@ class Prior:
         """Standard deviations (P,) of the normal prior that draws as this one does at centres (P,)."""
         z = (centre - self.centre) / self.centre_sds
         return np.where(self.tailed, self.centre_sds / np.sqrt(prior_tails.weight(z)), self.centre_sds)
+
+    def local_precision(self, centre: np.ndarray) -> np.ndarray:
+        """Inverse covariance (P, P) of the normal prior that draws as this one does at centres (P,)."""
+        root = self.centre_sds / self.local_sds(centre)
+        return self.precision * np.outer(root, root)
+
+    def from_standard(self, u: np.ndarray) -> np.ndarray:
+        """Centres of coordinates that are independent and standard normal under the prior, both (..., P).
+
+        Parameters with a Student t prior are independent of all others.
+        """
+        return np.asarray(self.centre + prior_tails.changed(u, self.tailed, prior_tails.from_standard) @ self.factor.T)
+
+    def to_standard(self, centre: np.ndarray) -> np.ndarray:
+        """The coordinates of centres, both (..., P)."""
+        z = np.linalg.solve(self.factor, (centre - self.centre)[..., None])[..., 0]
+        return prior_tails.changed(z, self.tailed, prior_tails.to_standard)
+
+    def stretch(self, u: np.ndarray) -> np.ndarray:
+        """What :meth:`from_standard` adds to the slope of a normal prior at coordinates (..., P), same shape."""
+        return np.where(self.tailed, prior_tails.slope(u), 1.0) if self.tailed.any() else np.ones(np.shape(u))
 
     def log_density(self, centre: np.ndarray) -> np.ndarray:
         """Log density of centres (W, P), whatever their order, up to a constant: shape (W,)."""

@@ -18,6 +18,8 @@ has its fixed point at the mode under the Student t.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.special import gammaln, ndtr, ndtri, stdtr, stdtrit
 
@@ -29,6 +31,13 @@ _FAR = 1e-100
 _SMALLEST = 1e-14
 """Least tail probability of a Student t that is turned back. By choice: a coordinate of 7.7, inside the limit of 8 for
 those that are sampled."""
+
+
+def changed(rows: np.ndarray, columns: np.ndarray, change: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """Rows (..., N) in which `columns` (N,), of bool, went through `change`."""
+    result = np.array(rows, dtype=float)
+    result[..., columns] = change(result[..., columns])
+    return result
 
 
 def from_standard(u: np.ndarray) -> np.ndarray:

@@ -64,7 +64,7 @@ def checked_model(
     require_usable(recordings, kernel)
     if len(recordings.subjects) > 1 and all(p.shared for p in kernel.parameters):
         raise InputError(
-            f"every parameter of {fitted} is the same for everybody (*), so nobody differs from anybody: leave the * "
+            f"every parameter of {fitted} is the same for all (*), so no subject differs from another: leave the * "
             "off at least one"
         )
     if not fitted.plain:
@@ -128,7 +128,7 @@ def require_usable(recordings: Recordings, kernel: Kernel) -> None:
         Names the person and the place.
     """
     if not recordings.subjects:
-        raise InputError("there are no recordings of anybody: give at least one subject")
+        raise InputError("there are no recordings: give at least one subject")
     for subject in recordings.subjects:
         if 2 * subject.frequency_hz.size <= len(kernel.elements):
             raise InputError(
@@ -149,5 +149,5 @@ def require_usable(recordings: Recordings, kernel: Kernel) -> None:
     if abs(away[worst]) > np.log(FURTHEST_PERSON):
         raise InputError(
             f"subject {recordings.subjects[worst].name}: |z| is {np.exp(away[worst]):.3g} times that of the median "
-            "subject, far more than people differ: check its unit, or leave the subject out"
+            "subject, far more than subjects differ: check its unit, or leave the subject out"
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from bayes_impedance.display import Chosen
 from bayes_impedance.errors import InputError
 from bayes_impedance.mcmc.ensemble import QUICK, SamplerSettings
 from bayes_impedance.population.given_prior import GivenPrior
@@ -16,8 +17,8 @@ DISTRIBUTIONS = (NORMAL, STUDENT_T, MIXTURE)
 """Of people's log elements, the default first."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class FitSettings:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class FitSettings(Chosen):
     """Settings of a fit.
 
     Attributes
@@ -58,7 +59,7 @@ class FitSettings:
             raise InputError(f"noise_distribution is '{self.noise_distribution}': choose 'normal' or 'student_t'")
         if self.distribution == MIXTURE and self.covariance != "full":
             raise InputError(
-                "two groups of people that differ in several elements make these correlated: a mixture takes "
+                "two groups that differ in several elements make these correlated: a mixture takes "
                 f"covariance 'full', not '{self.covariance}'"
             )
         if not isinstance(self.covariates, tuple) or not all(isinstance(name, str) for name in self.covariates):

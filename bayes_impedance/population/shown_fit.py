@@ -12,7 +12,7 @@ from bayes_impedance.network.parameters import unit_of_parameter
 from bayes_impedance.population.diagnostics import Diagnostics
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.recordings.files import Recordings
-from bayes_impedance.units import INTERVAL
+from bayes_impedance.units import INTERVAL, who
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -60,10 +60,11 @@ class ShownFit:
             (name, unit_of_parameter(name, self.recordings.unit), *(interval(level) for level in levels.values()))
             for name, levels in _intervals(self).items()
         ]
+        between = f"between {who(self.recordings.unit)} (ln)"
         return joined(
             heading(repr(self).strip("<>")),
             lines(self.diagnostics.problems),
-            table(["element", "unit", "central", "between persons (ln)", "between repetitions (ln)"], rows),
+            table(["element", "unit", "central", between, "between repetitions (ln)"], rows),
         )
 
     def to_dataframe(self: _Fit) -> pd.DataFrame:

@@ -18,10 +18,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayes_impedance.display import Brief
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
@@ -31,6 +32,9 @@ from bayes_impedance.population.two_components import LEAST_SHARE, MIXTURE, Grou
 from bayes_impedance.recordings.files import Recordings, Subject
 from bayes_impedance.runtime.user_table import hint, number_in, shown, text_in
 from bayes_impedance.units import HIGHEST_HZ, LARGEST_ELEMENT, LARGEST_IMPEDANCE, LOWEST_HZ, SMALLEST_IMPEDANCE
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _PERSON_FORCE = 0.07
 """Half width of the uniform relative contact-force error of a person. The division of the 10 % is by choice."""
@@ -51,8 +55,8 @@ million."""
 _UNIT = "N s/m"
 
 
-@dataclass(frozen=True, kw_only=True)
-class VirtualPopulation:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class VirtualPopulation(Brief):
     """A population with known parameters.
 
     Attributes
@@ -118,8 +122,8 @@ class VirtualPopulation:
         return matrix
 
 
-@dataclass(frozen=True)
-class Simulation:
+@dataclass(frozen=True, repr=False)
+class Simulation(Brief):
     """Virtual recordings and the true parameters.
 
     Attributes
@@ -135,6 +139,21 @@ class Simulation:
     recordings: Recordings
     log_elements: np.ndarray
     truth: dict[str, Any]
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Everybody's true parameters.
+
+        Returns
+        -------
+        DataFrame
+            One row for each subject, whose name is the index; a column for each parameter, in its unit.
+        """
+        import pandas as pd
+
+        network = parse(self.recordings.network or "")
+        parameters = {p.name: p for p in network.parameters}
+        own = {name: parameters[name].value(self.log_elements[:, k]) for k, name in enumerate(network.elements)}
+        return pd.DataFrame(own, index=pd.Index(self.recordings.names, name="subject"))
 
 
 def simulate_recordings(
@@ -226,7 +245,7 @@ def simulate_recordings(
         title=title,
         unit=_UNIT,
         network=population.network,
-        source=f"simulated by bayes_impedance, seed {seed}: virtual persons, not measured",
+        source=f"simulated by bayes_impedance, seed {seed}: virtual subjects, not measured",
         licence="MIT",
         subjects=subjects,
         sha256="",
@@ -241,7 +260,7 @@ def require_usable_population(population: VirtualPopulation) -> None:
     elements, parameters = network.elements, {p.name: p for p in network.parameters}
     for what, values, bounds in (
         ("central value", population.central, {}),
-        ("dispersion between persons", population.between_persons, _DISPERSION),
+        ("dispersion between subjects", population.between_persons, _DISPERSION),
         ("dispersion between repetitions", population.between_repetitions, _DISPERSION),
         ("force exponent", population.force_exponent, _EITHER_SIGN),
         ("difference of groups", population.group_difference, _EITHER_SIGN),
@@ -259,7 +278,7 @@ def require_usable_population(population: VirtualPopulation) -> None:
                 parameters[name].u(value)
             elif parameters[name].shared and value != 0:
                 raise InputError(
-                    f"{what} of '{name}' is {value:g}, but it is the same for everybody (*): leave it out, or remove * "
+                    f"{what} of '{name}' is {value:g}, but it is the same for all (*): leave it out, or remove * "
                     "from the network"
                 )
     missing = [name for name in elements if name not in population.central]
@@ -280,7 +299,9 @@ def require_usable_population(population: VirtualPopulation) -> None:
         tau = population.vector(population.between_persons)
         alike = [e for e, sd in zip(elements, tau, strict=True) if sd == 0 and population.group_difference.get(e)]
         if alike:
-            raise InputError(f"groups differ in '{alike[0]}', which does not differ between persons: give both or none")
+            raise InputError(
+                f"groups differ in '{alike[0]}', which does not differ between subjects: give both or none"
+            )
         _groups(population, tau[:, None] * np.linalg.cholesky(population.correlation_matrix()))
 
 

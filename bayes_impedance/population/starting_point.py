@@ -68,7 +68,7 @@ def starting_scale(
     widths = (few, between, few / prior.slope_sd, few, 1.0, 2 * few, 0.5)  # of tails the prior's, of groups rough
     blocks = [np.full(k, w) for k, w in zip(sizes[1:-1], widths, strict=True)]
     if coordinates.shared_prior is not None:
-        blocks.append(coordinates.shared_scale(shared_covariance))
+        blocks.append(coordinates.shared_scale(point.shared, shared_covariance))
     return np.concatenate([centre, *blocks])
 
 

@@ -155,7 +155,7 @@ def groups_of(difference: np.ndarray, share: np.ndarray, factor: np.ndarray) -> 
     white = np.linalg.solve(solvable, difference[..., None])[..., 0]
     explained = share * (1 - share) * np.sum(white**2, axis=1)  # part of the variance along v: |v|^2 / (1 + |v|^2)
     if not np.all(explained < 1):
-        raise ValueError("the groups are farther apart than the dispersions of all people allow")
+        raise ValueError("the groups are farther apart than the dispersions of all subjects allow")
     length = np.sqrt(share * (1 - share) / (1 - explained))
     return Groups(share, white * length[:, None])
 

@@ -132,7 +132,7 @@ def _check_names(recordings: Recordings) -> Iterator[Finding]:
         if len(names) > 1:
             message = (
                 f"subjects {' and '.join(map(shown, names))} have names that differ only in case, spaces, underscores "
-                "or hyphens; if they are one person, give all of the person's rows one name"
+                "or hyphens; if they are one subject, give all of its rows one name"
             )
             yield of_all("subject_names", message, names[1])
 
@@ -260,7 +260,7 @@ def _check_repetition_spread(recordings: Recordings) -> Iterator[Finding]:
             repetition=None,
             frequency_hz=None,
             message=f'subject "{name}": the repetitions differ by {spread:.2g} of |z| where {usual:.2g} is usual; '
-            "check that all are of the same person and contact, and delete the faulty one",
+            "check that all are of the same subject and contact, and delete the faulty one",
         )
 
 
@@ -350,7 +350,7 @@ def _check_size(recordings: Recordings) -> Iterator[Finding]:
             subject=recordings.subjects[0].name,
             repetition=None,
             frequency_hz=None,
-            message="there is one subject, so that the dispersion between persons cannot be estimated; "
+            message="there is one subject, so that the dispersion between subjects cannot be estimated; "
             "add subjects to estimate it",
         )
     if recordings.repetitions_max == 1:

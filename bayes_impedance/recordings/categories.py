@@ -57,7 +57,7 @@ def indicators_of(name: str, cells: npt.NDArray[Any]) -> tuple[dict[str, npt.NDA
     filled = _known(cells)
     values = sorted(set(filled))
     if len(values) < 2:
-        return {}, f"{name} is {shown(values[0])} for everybody, and is not used"
+        return {}, f"{name} is {shown(values[0])} for all subjects, and is not used"
     if len(values) > MOST_CATEGORIES or len(filled) < FEWEST_PERSONS * len(values):
         return {}, (
             f"{name} is text with {len(values)} different values for {len(filled)} subjects, and is not used: for a "

@@ -186,7 +186,7 @@ class Recordings:
 
     def __repr__(self) -> str:
         if not self.subjects:
-            return f"<Recordings {self.title!r}: nobody>"
+            return f"<Recordings {self.title!r}: no subject>"
         low = min(float(s.frequency_hz[0]) for s in self.subjects)
         high = max(float(s.frequency_hz[-1]) for s in self.subjects)
         return (

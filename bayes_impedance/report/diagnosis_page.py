@@ -63,7 +63,7 @@ candidates that the recordings can distinguish."""
 
 _QUANTITIES = {
     "central": "centre",
-    "dispersion_between_persons": "dispersion between persons (sd of ln)",
+    "dispersion_between_persons": "dispersion between {who} (sd of ln)",
     "dispersion_between_repetitions": "dispersion between repetitions (sd of ln)",
 }
 
@@ -279,7 +279,7 @@ def differences(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
         scale = scale_for(max(map(abs, values), default=math.nan), unit)
         shown = (f"{number_text(x * scale.factor)} {scale.unit}".strip() for x in (d.simulation, d.recordings))
         ratio, interval = interval_text(d.ratio, d.q05, d.q95)
-        what = _QUANTITIES.get(d.what, d.what)
+        what = _QUANTITIES.get(d.what, d.what).format(who=people(diagnosis))
         rows.append((d.element, what, *shown, ratio, interval, p_text(d.p_value)))
     return rows
 

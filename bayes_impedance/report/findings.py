@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 ABSENT = "–"
 POOLING = {
-    "shared": "the same for everybody",
+    "shared": "the same for all",
     "varying": "a different size for each",
     "some": "in some only",
 }
@@ -156,11 +156,11 @@ def why_side(entry: Physics, diagnosis: Diagnosis) -> str:
     if spread is None:
         return f"Its dispersion between {who} was not estimated."
     says = {
-        "rig": "An effect of the rig is the same for everybody; a dispersion near zero supports the rig",
-        "body": f"An effect of the rig is the same for everybody; a dispersion above zero supports the {body}",
+        "rig": f"An effect of the rig is the same for all {who}; a dispersion near zero supports the rig",
+        "body": f"An effect of the rig is the same for all {who}; a dispersion above zero supports the {body}",
     }.get(
         entry.side or "",
-        f"An effect of the rig is the same for everybody, one of the {body} is not; the dispersion does not decide",
+        f"An effect of the rig is the same for all {who}, one of the {body} is not; the dispersion does not decide",
     )
     return f"{says}. Relative dispersion of the {spread[0]} between {who}: {spread[1]}."
 

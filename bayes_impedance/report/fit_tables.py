@@ -111,7 +111,7 @@ def element_rows(result: Result) -> list[ElementRow]:
         if entry.get("pooling") == "shared":
             noun, story = (
                 f"{noun}, the same for all",
-                f"{story} It is the same for everybody and is taken to belong to the rig.",
+                f"{story} It is the same for all {who(result)} and is taken to belong to the rig.",
             )
         central, unit = entry["central"], typeset(entry["unit"])
         value, interval = (_WITHHELD, "") if entry["identified"] else (NOT_DETERMINED, "")
@@ -361,7 +361,8 @@ def _finite(value: float, digits: str) -> str:
 def provenance_rows(result: Result) -> list[tuple[str, str]]:
     """Provenance of the numbers: rows of name and value."""
     summary, s = result.summary, result.summary["sampler"]
-    seconds = ", ".join(f"{name} {value:.1f} s" for name, value in summary.get("seconds", {}).items())
+    stages = {"persons": who(result)}
+    seconds = ", ".join(f"{stages.get(k, k)} {value:.1f} s" for k, value in summary.get("seconds", {}).items())
     return [
         ("Network", in_both(summary["network"], summary["unit"])),
         ("Seed", str(summary["seed"])),

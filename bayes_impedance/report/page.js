@@ -153,7 +153,7 @@
     return {
       data: [
         {
-          type: "scatter", mode: "markers", name: "everybody", meta: "dots", customdata: rows.map((r) => r.i),
+          type: "scatter", mode: "markers", name: "all", meta: "dots", customdata: rows.map((r) => r.i),
           x: rows.map((r) => r.at), y: rows.map((r) => r.element), text: rows.map((r) => plain(r.name)),
           marker: { size: 7, symbol: "line-ns-open", color: colour("people") }, hovertemplate: label,
         },

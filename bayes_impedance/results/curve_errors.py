@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayes_impedance.display import Brief
 from bayes_impedance.recordings.files import Recordings
 
 _FALLBACK_POINTS = 200
@@ -21,8 +22,8 @@ _FALLBACK_POINTS = 200
 three decades, finer than the structure of the curves."""
 
 
-@dataclass(frozen=True)
-class ErrorCurves:
+@dataclass(frozen=True, repr=False)
+class ErrorCurves(Brief):
     """Eq. 5 over frequency for one model curve.
 
     Attributes

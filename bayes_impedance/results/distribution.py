@@ -10,7 +10,7 @@ import numpy as np
 from bayes_impedance.population.heavy_tails import HEAVIEST, STUDENT_T
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.two_components import LEAST_SHARE, MIXTURE, SEPARATION
-from bayes_impedance.units import INTERVAL
+from bayes_impedance.units import INTERVAL, who
 
 TWO_PEAKS = 2.0
 """Distance of two equal groups, in standard deviations within a group, from which on their density has two peaks."""
@@ -89,7 +89,7 @@ def noise_remark(tail: np.ndarray | None) -> str | None:
     return (
         f"The noise follows a Student t distribution with {best} degrees of freedom ({high} to {low}); above 30 it is "
         "close to a normal one. Points far off count little. 'compare --noise-distributions normal student_t' says "
-        "whether it predicts people left out better."
+        "whether it predicts those left out better."
     )
 
 
@@ -98,22 +98,24 @@ def is_student_t(summary: Mapping[str, Any]) -> bool:
     return (summary.get("distribution") or {}).get("name") == STUDENT_T
 
 
-def distribution_remark(p: PopulationParameters) -> str | None:
-    """The same as sentences for the user; None of a normal population."""
+def distribution_remark(p: PopulationParameters, unit: str) -> str | None:
+    """The same as sentences, in the words of the impedance's unit; None of a normal population."""
+    subjects = who(unit)
     if p.tail is not None:
         low, middle, high = np.quantile(1 / p.tail, INTERVAL)
         return (
-            f"People follow a Student t distribution with {middle:.3g} degrees of freedom ({low:.3g} to {high:.3g}); "
-            "above 30 it is close to a normal one. The dispersions between persons are its scales, not standard "
-            "deviations; central values depend less on people far from the others."
+            f"{subjects.capitalize()} follow a Student t distribution with {middle:.3g} degrees of freedom "
+            f"({low:.3g} to {high:.3g}); above 30 it is close to a normal one. The dispersions between {subjects} are "
+            f"its scales, not standard deviations; central values depend less on {subjects} far from the others."
         )
     if p.groups is None:
         return None
     (low, middle, high), share = np.quantile(p.groups.distance, INTERVAL), np.quantile(p.groups.share, INTERVAL)
     return (
-        f"People are described as two groups, the second with {100 * share[1]:.0f} % of them ({100 * share[0]:.0f} to "
-        f"{100 * share[2]:.0f} %), whose centres are {middle:.2g} standard deviations within a group apart "
-        f"({low:.2g} to {high:.2g}); below {TWO_PEAKS:g} there are hardly two. They are described so whether there are "
-        "groups or not: 'compare --distributions normal mixture' says whether groups predict people left out better. "
-        "Central values are geometric means of all people, and dispersions and correlations those of all."
+        f"{subjects.capitalize()} are described as two groups, the second with {100 * share[1]:.0f} % of them "
+        f"({100 * share[0]:.0f} to {100 * share[2]:.0f} %), whose centres are {middle:.2g} standard deviations within "
+        f"a group apart ({low:.2g} to {high:.2g}); below {TWO_PEAKS:g} there are hardly two. They are described so "
+        "whether there are groups or not: 'compare --distributions normal mixture' says whether groups predict those "
+        f"left out better. Central values are geometric means of all {subjects}, and dispersions and correlations "
+        "those of all."
     )

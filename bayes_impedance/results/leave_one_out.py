@@ -145,7 +145,7 @@ def leave_one_out(result: Result) -> LeftOut:
     subjects = tuple(str(name) for name in result.coords["subject"])
     if len(subjects) < FEWEST_PEOPLE:
         raise InputError(
-            "networks are compared by how well each person is predicted from the others: give two or more people"
+            "networks are compared by how well each subject is predicted from the others: give two or more subjects"
         )
     written, _ = for_file(result.groups, result.coords)  # whose efficiency is that which arviz sees in the file
     elpd, k, p_loo = smoothed(written["posterior"], result.groups["log_likelihood"]["recordings"])

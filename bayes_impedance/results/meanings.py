@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bayes_impedance.results.checked_predictions import MEANINGS
 from bayes_impedance.results.pointwise import POINTWISE
+from bayes_impedance.units import who
 
 TAIL = "inverse_degrees_of_freedom"
 """Variable of the posterior of a Student t population, between 0 (normal) and 0.5."""
@@ -23,7 +24,8 @@ def meanings_of(unit: str, one_person: bool) -> dict[str, dict[str, str]]:
     one_person : bool
         Whether the log density is that of the only person, given the person's elements.
     """
-    person = "log elements of the person" if one_person else "population parameters of the draw"
+    subjects = who(unit)
+    person = "log elements of the subject" if one_person else "population parameters of the draw"
     described = (
         f"natural logarithm of the probability density of all complex values of one subject, given the {person}, with "
         "noise scale, elements and deviations between repetitions integrated out as far as they are not given; absolute"
@@ -34,21 +36,21 @@ def meanings_of(unit: str, one_person: bool) -> dict[str, dict[str, str]]:
         "description": described,
     }
     tail = {
-        "long_name": "reciprocal degrees of freedom of the distribution of people",
+        "long_name": f"reciprocal degrees of freedom of the distribution of {subjects}",
         "units": "1",
-        "description": "the log elements of people follow a multivariate Student t: 0 is the normal distribution, and "
-        "at 0.5 the variance becomes infinite; dispersion_between_persons is its scale",
+        "description": f"the log elements of {subjects} follow a multivariate Student t: 0 is the normal "
+        "distribution, and at 0.5 the variance becomes infinite; dispersion_between_persons is its scale",
     }
     groups = {
         SHARE: {
-            "long_name": "share of people in the second group",
+            "long_name": f"share of {subjects} in the second group",
             "units": "1",
-            "description": "people are of two groups with one covariance; the second is the smaller one on average",
+            "description": "two groups have one covariance; the second is the smaller one on average",
         },
         DIFFERENCE: {
             "long_name": "mean log elements of the second group less those of the first",
             "units": "1",
-            "description": "mu and dispersion_between_persons are mean and standard deviation of all people together",
+            "description": "mu and dispersion_between_persons are mean and standard deviation of both groups together",
         },
         MEMBER: {
             "long_name": "probability that the subject belongs to the second group",

@@ -62,7 +62,7 @@ def misfit_words(scale: Mapping[str, Any], subjects: int, who: str) -> str:
     times = f"{scale['affected_median']:.1f} times the noise"
     if subjects == 1:
         return times
-    return f"{times} (median of the {scale['affected']} of {subjects} {who} in whom it is above {MISFIT_SCALE:g})"
+    return f"{times} (median of the {scale['affected']} of {subjects} {who} where it is above {MISFIT_SCALE:g})"
 
 
 def coverage_by_frequency(coverage: Mapping[str, np.ndarray]) -> dict[str, list[float]]:

@@ -34,7 +34,7 @@ def person_band(result: Result, subject: str, frequency_hz: np.ndarray) -> Band:
     lost = without_number(result)
     if lost:
         raise InputError(
-            f"the recordings do not determine {', '.join(lost)}, so that a person's own band is not in the result; "
+            f"the recordings do not determine {', '.join(lost)}, so that a subject's own band is not in the result; "
             "take the curve alone (fitted_curve), or fit a network without"
         )
     rows = np.linspace(0, len(flat) - 1, min(_CURVES, len(flat))).astype(int)

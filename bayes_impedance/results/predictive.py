@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bayes_impedance.display import Brief
 from bayes_impedance.population.covariate_terms import goes_with_others
 from bayes_impedance.population.covariates import standardised_covariates
 from bayes_impedance.population.fit import PopulationFit
@@ -42,8 +43,8 @@ PROBABILITIES = (0.05, 0.25, 0.5, 0.75, 0.95)
 """Quantiles of every band: its 50 % and 90 % limits and the median."""
 
 
-@dataclass(frozen=True)
-class Band:
+@dataclass(frozen=True, repr=False)
+class Band(Brief):
     """Pointwise quantiles of magnitude and phase.
 
     Attributes
@@ -63,8 +64,8 @@ class Band:
         )
 
 
-@dataclass(frozen=True, kw_only=True)
-class Replication:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Replication(Brief):
     """Error (eq. 5) of the population network in replicated populations, and the rank of the observed error.
 
     Attributes

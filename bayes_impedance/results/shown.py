@@ -8,6 +8,7 @@ import numpy as np
 
 from bayes_impedance.display import curves, heading, interval, joined, lines, table
 from bayes_impedance.network.spellings import in_both
+from bayes_impedance.units import who
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -36,10 +37,11 @@ def result_html(result: Result) -> str:
         )
         for name, entry in result.summary["elements"].items()
     ]
+    between = f"between {who(result.attributes['unit'])} (ln)"
     return joined(
         heading(one_line(result).strip("<>")),
         lines(result.problems),
-        table(["element", "unit", "central", "between persons (ln)", "between repetitions (ln)"], rows),
+        table(["element", "unit", "central", between, "between repetitions (ln)"], rows),
         lines(result.summary["remarks"]),
     )
 

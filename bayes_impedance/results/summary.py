@@ -26,7 +26,7 @@ from bayes_impedance.results.distribution import (
 from bayes_impedance.results.misfit import coverage_by_frequency, misfit_words, network_misfits, noise_scale_summary
 from bayes_impedance.results.predictive import Predictive
 from bayes_impedance.runtime.atomic_files import finite_or_none
-from bayes_impedance.units import INTERVAL
+from bayes_impedance.units import INTERVAL, who
 
 SCHEMA = 1
 """Version of the layout of ``summary.json``."""
@@ -207,7 +207,7 @@ def _remarks(fit: PopulationFit, predictive: Predictive, gross: bool) -> list[st
         remarks.append("There is one subject: the values are this subject's, and no dispersion can be estimated.")
     elif n < FEW_PERSONS:
         remarks.append(f"There are only {n} subjects: dispersions rest on the prior as much as on the data.")
-    if (said := distribution_remark(fit.parameters)) is not None:
+    if (said := distribution_remark(fit.parameters, fit.recordings.unit)) is not None:
         remarks.append(said)
     if (said := noise_remark(fit.noise_tail)) is not None:
         remarks.append(said)
@@ -217,7 +217,8 @@ def _remarks(fit: PopulationFit, predictive: Predictive, gross: bool) -> list[st
             f"{n} subjects are too few to estimate the correlations of {own} elements, which are taken as zero."
         )
     if not fit.repeated:
-        mixed = "" if fit.one_person else "the dispersion between persons includes that between repetitions, and "
+        between = f"the dispersion between {who(fit.recordings.unit)} includes that between repetitions, and "
+        mixed = "" if fit.one_person else between
         remarks.append(
             f"There is one repetition per subject: {mixed}the noise was estimated from the roughness of the curves."
         )
@@ -231,8 +232,8 @@ def _remarks(fit: PopulationFit, predictive: Predictive, gross: bool) -> list[st
     if fit.recordings.calibration_map is not None:
         remarks.append(
             "The calibration's own error, which is the same in all recordings and differs from frequency to frequency, "
-            "is carried on: it counts as noise of each frequency, and what does not average out over people is in the "
-            "intervals of centres and persons. --exact-calibration takes the calibration as exact instead."
+            "is carried on: it counts as noise of each frequency, and what does not average out is in the intervals "
+            "of centres and of single subjects. --exact-calibration takes the calibration as exact instead."
         )
     for c in fit.combinations:
         remarks.append(

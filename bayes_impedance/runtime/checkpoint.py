@@ -13,6 +13,7 @@ import io
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -44,14 +45,14 @@ def claim(folder: Path, digests: Iterable[str], *settings: object) -> None:
     digests : iterable of str
         Digests of all subjects' recordings, in order.
     *settings : object
-        Everything else that determines the results; the ``repr`` must identify it.
+        Everything else that determines the results; the ``repr`` must identify it, or that of :func:`complete`.
 
     Raises
     ------
     InputError
         If it belongs to other recordings or settings, or was not made by a fit.
     """
-    digest = hashlib.sha256(repr((_FORMAT, *settings)).encode())
+    digest = hashlib.sha256(repr((_FORMAT, *map(complete, settings))).encode())
     for own in digests:
         digest.update(own.encode())
     owner, file = digest.hexdigest() + "\n", folder / _NAME
@@ -64,6 +65,18 @@ def claim(folder: Path, digests: Iterable[str], *settings: object) -> None:
         return
     require_own(folder)
     write_text(file, owner)
+
+
+def complete(value: object) -> object:
+    """Settings with every field, those at their defaults too, whatever their ``repr`` says; others as they are.
+
+    What a version without a field did in its place is not known: its folders must not be taken for ours.
+    """
+    if is_dataclass(value) and not isinstance(value, type):
+        return type(value).__name__, [(f.name, complete(getattr(value, f.name))) for f in fields(value) if f.repr]
+    if isinstance(value, Mapping):
+        return {key: complete(own) for key, own in value.items()}
+    return [complete(own) for own in value] if isinstance(value, list | tuple) else value
 
 
 def require_own(folder: Path) -> None:

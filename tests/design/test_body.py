@@ -159,7 +159,7 @@ def test_what_was_taken_out_is_told_in_the_terminal_and_in_every_file(
     out = tmp_path / "design"
     options = ["--users", "12", "--spanning", "2", "--no-pictures", "--what", "users"]
     assert main(["export", str(finished), "-o", str(out), *options]) == 0
-    note = "the same for everybody or held: delay[d1*](...), m9*"
+    note = "the same for all or held: delay[d1*](...), m9*"
     assert note in capsys.readouterr().out
     files = [file for file in sorted(out.iterdir()) if file.name[0] != "."]
     assert files

@@ -177,7 +177,7 @@ def test_one_person_is_no_population(finished: Path) -> None:
     result = load_result(finished)
     posterior = {k: v for k, v in result.groups["posterior"].items() if k != "dispersion_between_persons"}
     alone = replace(result, groups={**result.groups, "posterior": posterior})
-    with pytest.raises(InputError, match="no population to draw users from"):
+    with pytest.raises(InputError, match="no population to draw from"):
         population_of(alone)
 
 

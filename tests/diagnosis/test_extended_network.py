@@ -103,6 +103,8 @@ def test_every_effect_is_a_network(effect: Effect, pooling: str) -> None:
         if effect.operation in NO_NETWORK:
             assert network == NETWORK
             assert no_networks(model) == (effect.id,)
+            nobody = np.zeros((2, len(NETWORK.elements) + len(model.parameters)))
+            assert values_of(model, nobody, extended, Kernel(network), {}) is None
             continue
         assert no_networks(model) == ()
         assert parse(str(network)) == network

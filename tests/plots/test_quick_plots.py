@@ -121,5 +121,5 @@ def test_a_predictive_check_compares_quantiles_over_people() -> None:
         plot_predictive_check(make_result())
     few = result.groups["observed_data"]["log_magnitude"][:3]
     groups = result.groups | {"observed_data": result.groups["observed_data"] | {"log_magnitude": few}}
-    with pytest.raises(InputError, match="5 people or more"):
+    with pytest.raises(InputError, match="5 subjects or more"):
         plot_predictive_check(replace(result, groups=groups))

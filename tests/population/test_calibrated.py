@@ -115,7 +115,7 @@ def test_a_network_that_is_within_the_rig_stays_there() -> None:
 
 def test_parameters_that_the_rig_does_not_share_are_refused() -> None:
     error = replace(left(0.03), network="gain[g_rig](offset[m_rig*](NETWORK))")
-    with pytest.raises(InputError, match="g_rig is no parameter of the rig that is the same for everybody"):
+    with pytest.raises(InputError, match="g_rig is no parameter of the rig that is the same for all"):
         within_rig(people(error), "m1|r1")
 
 

@@ -13,6 +13,7 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.mcmc.ensemble import SamplerSettings
 from bayes_impedance.population import starting_fits
 from bayes_impedance.population.fit import FitSettings, PopulationFit, fit_population
+from bayes_impedance.population.given_prior import ElementPrior, GivenPrior
 from bayes_impedance.population.simulate import Simulation
 from bayes_impedance.population.starting_fits import FirstFits
 from bayes_impedance.recordings.files import Recordings, Subject
@@ -166,17 +167,29 @@ def test_a_checkpoint_of_another_format_is_refused(tmp_path: Path, monkeypatch: 
         checkpoint.claim(tmp_path, ["a"], 1)
 
 
+def test_settings_are_told_with_what_is_the_default_and_with_what_they_hold() -> None:
+    told = repr(checkpoint.complete(replace(SHORT, prior=GivenPrior(elements={"m1": ElementPrior(scale=0.1)}))))
+    for part in ("('noise_distribution', 'normal')", "('rhat', ", "'m1': ('ElementPrior'", "('kind', None)"):
+        assert part in told
+    assert "file" not in told
+
+
 def test_a_checkpoint_from_before_a_setting_existed_is_refused(
     five: tuple[Recordings, PopulationFit], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What that version did in its place is not known for sure, and its arrays may lack what the setting needs."""
     recordings, _ = five
-    whole = FitSettings.__repr__
+    complete = checkpoint.complete
+
+    def without(value: Any) -> Any:
+        told = complete(value)
+        return [own for own in told[1] if own[0] != "distribution"] if isinstance(value, FitSettings) else told
+
     with monkeypatch.context() as earlier:
-        earlier.setattr(FitSettings, "__repr__", lambda self: whole(self).replace(", distribution='normal'", ""))
-        assert ", distribution=" not in repr(VERY_SHORT)
+        earlier.setattr(checkpoint, "complete", without)
+        assert "('distribution', 'normal')" not in repr(checkpoint.complete(VERY_SHORT))
         fit_population(recordings, settings=VERY_SHORT, seed=7, checkpoint=tmp_path)
-    assert ", distribution=" in repr(VERY_SHORT)
+    assert "('distribution', 'normal')" in repr(checkpoint.complete(VERY_SHORT))
     before = {file: file.read_bytes() for file in tmp_path.iterdir()}
     with pytest.raises(InputError, match="another version of the package; give the same ones, or start anew"):
         fit_population(recordings, settings=VERY_SHORT, seed=7, checkpoint=tmp_path)

@@ -102,7 +102,7 @@ def test_what_does_not_belong_to_the_network_is_refused(
 
 def test_what_is_the_same_for_all_has_no_dispersion(recordings: Recordings) -> None:
     given = GivenPrior(elements={"m1": ElementPrior(dispersion=0.1)})
-    with pytest.raises(InputError, match="the same for everybody"):
+    with pytest.raises(InputError, match="the same for all"):
         prior_for(Kernel(parse("m1*|r1|n1")), recordings, replace(SHORT, prior=given))
 
 

@@ -278,7 +278,7 @@ def test_a_list_that_is_none_is_refused(text: str, message: str, tmp_path: Path)
     [
         ("(n1-r1)|(n2-r2)", 'order = [["n1", "n7"]]', '"n7" is not an element of the fitted network'),
         ("(n1-r1)|(n2-r2)", 'order = [["n1", "r1"]]', "n1 is a compliance and r1 a damper"),
-        ("(n1*-r1)|(n2-r2)", 'order = [["n2", "n1"]]', "n1 is the same for everybody"),
+        ("(n1*-r1)|(n2-r2)", 'order = [["n2", "n1"]]', "n1 is the same for all"),
         (
             "(n1-r1)|(n2-r2)",
             'order = [["n1", "n2"]]\n[elements]\nn1 = {centre = 1.0, scale = 0.1}\nn2 = {centre = 0.1, scale = 0.1}\n',

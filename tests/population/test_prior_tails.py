@@ -11,11 +11,9 @@ from conftest import SHORT, THREE_ELEMENTS
 from scipy import stats
 
 from bayes_impedance.errors import InputError
-from bayes_impedance.network.kernel import Kernel
-from bayes_impedance.network.notation import parse
 from bayes_impedance.plots.joint import prior_density
 from bayes_impedance.population import prior_tails
-from bayes_impedance.population.fit import fit_population, prior_for
+from bayes_impedance.population.fit import fit_population
 from bayes_impedance.population.given_prior import ElementPrior, GivenPrior, read_prior
 from bayes_impedance.population.ordered_centres import Centres
 from bayes_impedance.population.prior import Prior
@@ -128,13 +126,7 @@ def test_recordings_overrule_a_prior_with_tails_and_not_a_normal_one() -> None:
     np.testing.assert_allclose(prior_density(result, 1 - k, 1.0, 2.0)(grid), stats.norm(1, 2).pdf(grid))
 
 
-def test_what_can_only_be_normal_is_refused(recordings: Recordings) -> None:
-    tails = ElementPrior(kind="student_t")
-    with pytest.raises(InputError, match="the same for everybody and can only"):
-        prior_for(Kernel(parse("m1*|r1|n1")), recordings, replace(SHORT, prior=GivenPrior(elements={"m1": tails})))
-    ordered = GivenPrior(elements={"n1": tails}, order=[["n1", "n2"]])
-    with pytest.raises(InputError, match="has an order and can only"):
-        prior_for(Kernel(parse("(n1-r1)|(n2-r2)")), recordings, replace(SHORT, prior=ordered))
+def test_a_kind_that_there_is_not_is_refused() -> None:
     with pytest.raises(InputError, match='kind is "cauchy", but must be one of normal, student_t'):
         ElementPrior(kind="cauchy")
 

@@ -55,9 +55,9 @@ def _with(values: np.ndarray, index: int, value: float) -> np.ndarray:
         ({}, ("age",), ["there are none"]),
         ({"age": AGE}, ("age", "age"), ["named twice"]),
         ({"age": _with(AGE, 2, np.nan)}, ("age",), ["missing for subject S2"]),
-        ({"age": 0 * AGE}, ("age",), ["same for everybody"]),
-        ({"age": 0 * AGE + 1e300}, ("age",), ["same for everybody"]),
-        ({"age": 1 + 1e-17 * AGE}, ("age",), ["same for everybody"]),
+        ({"age": 0 * AGE}, ("age",), ["same for all"]),
+        ({"age": 0 * AGE + 1e300}, ("age",), ["same for all"]),
+        ({"age": 1 + 1e-17 * AGE}, ("age",), ["same for all"]),
         ({"age": _with(AGE, 3, 1e300)}, ("age",), ["1e+300 for subject S3", "correct it"]),
         ({"age": _with(AGE, 3, -1e38)}, ("age",), ["-1e+38 for subject S3"]),
         ({"age": AGE, "months": 12 * AGE}, ("age", "months"), ['"age", "months" are linearly dependent']),
@@ -122,7 +122,7 @@ def test_a_person_of_another_order_of_magnitude_is_refused(factor: float) -> Non
 
 def test_a_network_in_which_nobody_differs_is_refused() -> None:
     data = simulate_recordings(THREE_ELEMENTS, 4, 1, np.geomspace(5, 5000, 20), 1).recordings
-    with pytest.raises(InputError, match="is the same for everybody"):
+    with pytest.raises(InputError, match="is the same for all"):
         checked_model(data, "m1*|r1*|n1*")
     assert checked_model(data, "m1*|r1*|n1").kernel.elements == ("m1", "r1", "n1")
     assert checked_model(data.select([data.names[0]]), "m1*|r1*|n1*").kernel.elements == ("m1", "r1", "n1")

@@ -72,7 +72,9 @@ def test_a_population_survives_its_description() -> None:
 def test_a_fit_of_one_subject_is_no_population() -> None:
     """It has no dispersion: everybody would be the same person."""
     summary = {**GOOD_TRUTH, "schema": 1, "subjects": 1}  # type: ignore[dict-item]
-    with pytest.raises(InputError, match=r"^x\.json: is the fit of one subject, which does not say how people differ"):
+    with pytest.raises(
+        InputError, match=r"^x\.json: is the fit of one subject, which does not say how subjects differ"
+    ):
         population_from(summary, "x.json")
     assert population_from({**summary, "subjects": 2}, "x.json").central == {"r1": 1.0, "m1": 1e-3}
 

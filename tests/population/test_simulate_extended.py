@@ -36,9 +36,9 @@ def test_people_differ_in_the_logarithm_of_what_is_their_own() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"between_persons": {"d1": 0.1}}, "the same for everybody"),
-        ({"between_repetitions": {"a1": 0.1}}, "the same for everybody"),
-        ({"force_exponent": {"d1": 0.3}}, "the same for everybody"),
+        ({"between_persons": {"d1": 0.1}}, "the same for all"),
+        ({"between_repetitions": {"a1": 0.1}}, "the same for all"),
+        ({"force_exponent": {"d1": 0.3}}, "the same for all"),
         ({"central": {**STILL.central, "a1": 1.3}}, "between 0 and 1"),
         ({"central": {**STILL.central, "f1": -3.0}}, "must be a finite number at least"),
         ({"central": {**STILL.central, "d1": float("nan")}}, "is nan"),

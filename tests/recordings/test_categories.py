@@ -54,8 +54,8 @@ def test_three_values_are_two_differences_from_the_first() -> None:
     ("cells", "said"),
     [
         (("Ann", "Bob", "Cat", "Dan", "Eve", "Fay"), "6 different values for 6 subjects"),
-        (("yes",) * 6, '"yes" for everybody'),
-        (("see log", "", "", "", "", ""), '"see log" for everybody'),
+        (("yes",) * 6, '"yes" for all subjects'),
+        (("see log", "", "", "", "", ""), '"see log" for all subjects'),
     ],
 )
 def test_what_is_no_category_is_left_out_with_a_word(tmp_path: Path, cells: tuple[str, ...], said: str) -> None:

@@ -61,7 +61,7 @@ def test_a_card_says_what_where_how_much_and_why(tmp_path: Path) -> None:
     for said in (DELAY.name, DELAY.story, DELAY.formula, SUMMARY):
         assert said in page.words
     assert "delay 1.500 µs 1.420 to 1.610 the same for all" in page.words
-    assert "at: port belongs to: the rig the same for everybody" in page.words
+    assert "at: port belongs to: the rig the same for all" in page.words
     assert "Relative dispersion of the delay between people: 90 % interval 0 % to 3.1 %." in page.words
     assert "score 2096" in page.words
     assert "p < 1e-300" in page.words
@@ -215,7 +215,7 @@ def test_differences_from_a_simulation_are_listed_by_element(tmp_path: Path) -> 
     diagnosis = make_diagnosis()
     _, page = page_of(replace(diagnosis, differences=rows), tmp_path)
     assert "m2 centre 0.790 g 0.860 g 1.090 1.020 to 1.170 0.030" in page.words
-    assert "r1 dispersion between persons (sd of ln) 0.300 0.410 1.37 1.10 to 1.70 < 1e-300" in page.words
+    assert "r1 dispersion between people (sd of ln) 0.300 0.410 1.37 1.10 to 1.70 < 1e-300" in page.words
     assert "Differences from the simulation" not in page_of(diagnosis, tmp_path)[1].words
 
 

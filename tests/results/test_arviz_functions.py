@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from conftest import SHORT, THREE_ELEMENTS
 
+from bayes_impedance.datasets import fingertip_folder
 from bayes_impedance.population.fit import PopulationFit, fit_population
 from bayes_impedance.population.simulate import simulate_recordings
 from bayes_impedance.results.leave_one_out import leave_one_out
@@ -92,6 +93,19 @@ def test_plot_loo_pit(az: Any, data: Any) -> None:
 
 def test_plot_trace(az: Any, data: Any) -> None:
     assert drawn(az.plot_trace(data, **({"var_names": FEW} if MODERN else {}))) >= 6
+
+
+@pytest.mark.skipif(MODERN, reason="ArviZ 1 draws a panel for each number")
+def test_plot_trace_of_many_parameters_hides_nothing(az: Any) -> None:
+    """52 numbers of the shipped population, more than ArviZ has panels for: a row for each variable, with all in it."""
+    data = az.from_netcdf(fingertip_folder() / "population" / "result.nc")
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        panels = az.plot_trace(data)
+    assert not [one for one in said if issubclass(one.category, UserWarning)]
+    assert panels.shape == (len(data.posterior.data_vars), 2)
+    curves = [len(row[0].lines) for row in panels]
+    assert curves == [own.size // (own.sizes["draw"]) for own in data.posterior.data_vars.values()]
 
 
 def test_plot_pair(az: Any, data: Any) -> None:

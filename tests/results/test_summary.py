@@ -166,7 +166,7 @@ def test_what_is_wrong_with_the_network_is_said_before_the_remarks() -> None:
         "a delay is missing",
         "The network does not describe these recordings: the residuals are 4.0 times the noise (median of the 2 of 4",
         "There are only 4 subjects",
-        "There is one repetition per subject: the dispersion between persons includes that between repetitions",
+        "There is one repetition per subject: the dispersion between people includes that between repetitions",
     ]
     assert len(summary["remarks"]) == len(starts)
     for remark, start in zip(summary["remarks"], starts, strict=True):
@@ -206,7 +206,7 @@ def test_one_person_has_values_but_no_dispersion() -> None:
         "There is one subject",
         "There is one repetition per subject",
     ]
-    assert "dispersion between persons" not in summary["remarks"][1]
+    assert "dispersion between people" not in summary["remarks"][1]
 
 
 def test_a_parameter_that_is_the_same_for_all_has_no_dispersion_and_no_correlation() -> None:

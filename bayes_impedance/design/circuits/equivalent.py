@@ -42,6 +42,7 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.network.extensions import RADIAN_PER_SECOND
 from bayes_impedance.network.notation import Element, Network, Parallel, PowerLaw, Series, Wrapped
 from bayes_impedance.network.parameters import Symbol
+from bayes_impedance.units import ELECTRICAL_UNIT
 
 ACCURACY = 1e-3
 """Relative error in the band that ladders in files aim at. By choice: a tenth of what recordings are accurate to."""
@@ -55,6 +56,11 @@ _MOST, _MOST_IN_LOOP = 400, 100
 """Most elements of an equivalent network, and of one in a loop. By choice: one user's circuit still fits on a page of
 text; a stability analysis of a thousand users, with some fifty poles each, takes minutes."""
 _WORST = 0.1
+_WORDS = {
+    False: ("masses, compliances and dampers", "user", "body"),
+    True: ("inductances, capacitances and resistances", "virtual subject", "cell"),
+}
+"""What ladders are made of, whose they are and what they represent, by whether the impedance is electrical."""
 """Largest error of ladders that are meant to be accurate. It is missed by lines whose material has hardly a loss and no
 end: no finite network swallows waves without losing any."""
 
@@ -89,10 +95,11 @@ class Equivalent(Brief):
         if not self.replaced:
             return ""
         low, high = self.users.band_hz or (0.0, 0.0)
+        kinds, user, represented = _WORDS[self.users.unit == ELECTRICAL_UNIT]
         return (
             f"{', '.join(self.replaced)} {'is' if len(self.replaced) == 1 else 'are'} approximated by ladders of "
-            f"masses, compliances and dampers, within {_percent(self.error)} of every user's impedance from {low:g} to "
-            f"{high:g} Hz; outside this band they do not represent the body"
+            f"{kinds}, within {_percent(self.error)} of every {user}'s impedance from {low:g} to "
+            f"{high:g} Hz; outside this band they do not represent the {represented}"
         )
 
 

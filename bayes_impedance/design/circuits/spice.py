@@ -44,6 +44,7 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.network.notation import Element, Network, Parallel
 from bayes_impedance.network.operations import Operation
 from bayes_impedance.network.parameters import LOGIT
+from bayes_impedance.units import ELECTRICAL_UNIT, ratio_of
 
 ANALOGIES = ("fv", "fc")
 """Force-voltage and force-current."""
@@ -97,6 +98,19 @@ def subcircuit(
     return "\n".join([*lines, f".ends {name}"]) + "\n"
 
 
+_ANALOGIES_IN_WORDS = {
+    False: (
+        "* fv: force = voltage, velocity = current, V/I is the impedance F/v",
+        "* fc: force = current, velocity = voltage, V/I is the mobility v/F; the second node goes to ground",
+    ),
+    True: (
+        "* fv: the circuit itself, V/I is the impedance",
+        "* fc: the dual circuit, V/I is the admittance; the second node goes to ground",
+    ),
+}
+"""What the sub-circuits are, by whether the impedance is electrical."""
+
+
 def library(users: Users, name: str = "user") -> str:
     """One parametrised sub-circuit in each analogy, and one for every user that sets its parameters.
 
@@ -108,8 +122,7 @@ def library(users: Users, name: str = "user") -> str:
     """
     lines = [
         f"* {len(users)} users of the network {users.network}, unit of impedance {users.unit}",
-        "* fv: force = voltage, velocity = current, V/I is the impedance F/v",
-        "* fc: force = current, velocity = voltage, V/I is the mobility v/F; the second node goes to ground",
+        *_ANALOGIES_IN_WORDS[users.unit == ELECTRICAL_UNIT],
         "* units: " + ", ".join(f"{e} in {unit}" for e, unit in users.units.items()),
         "",
     ]
@@ -136,7 +149,7 @@ def sweep(users: Users, include: str, band_hz: tuple[float, float], output: str,
     points : int
         Per decade.
     """
-    lines = ["* impedance of every user: 1 A into the force-voltage analogy, v(z_user) = F/v", OPTIONS]
+    lines = [f"* impedance of every user: 1 A into its circuit fv, v(z_user) = {ratio_of(users.unit)}", OPTIONS]
     lines.append(f'.include "{include}"')
     for i, who in enumerate(users.names):
         lines += [f"I{i + 1} 0 z_{who} AC 1", f"X{i + 1} z_{who} 0 {who}_fv"]

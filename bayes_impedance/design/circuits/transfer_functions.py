@@ -29,6 +29,7 @@ from bayes_impedance.design.users import Users
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.notation import Network
 from bayes_impedance.network.rational import TransferFunction
+from bayes_impedance.units import ELECTRICAL_UNIT, ratio_of
 
 SCHEMA = 1
 """Version of the layout of ``transfer.json``."""
@@ -160,7 +161,9 @@ def written(users: Users, rows: range, made: Equivalent | None = None) -> str:
     plain = made.users
     impedance = realise(plain.network, plain.values)
     zeros, poles, gain = zeros_and_poles(impedance)
-    blocks = [f"impedance z(s) = F/v in {users.unit}, s in rad/s; mobility v/F = 1/z", f"network {users.network}"]
+    inverse = "admittance I/V" if users.unit == ELECTRICAL_UNIT else "mobility v/F"
+    head = f"impedance z(s) = {ratio_of(users.unit)} in {users.unit}, s in rad/s; {inverse} = 1/z"
+    blocks = [head, f"network {users.network}"]
     for i in rows:
         lines = [f"{users.names[i]}: {parameters_of(users, i)}"]
         if not made.replaced or impedance.order <= _HIGHEST_DEGREE:

@@ -41,7 +41,7 @@ from pathlib import Path
 import numpy as np
 
 from bayes_impedance.design.circuits.state_space import Realisation, realise
-from bayes_impedance.display import heading, joined, lines, number, short, table
+from bayes_impedance.display import Brief, heading, joined, lines, number, short, table
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.elements import kind_of
 from bayes_impedance.network.notation import Parallel, parse
@@ -68,8 +68,8 @@ _SECTION_KEYS = ("arrangement", "network", "values", "units")
 _UNIT = "N s/m"
 
 
-@dataclass(frozen=True)
-class Section:
+@dataclass(frozen=True, repr=False)
+class Section(Brief):
     """One step from the actuator to the finger.
 
     Attributes

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from bayes_impedance.display import Brief
 from bayes_impedance.errors import InputError
 from bayes_impedance.runtime.user_table import choice_in, number_in, text_in
 
@@ -47,8 +48,8 @@ _RANGES: dict[str, dict[str, float]] = {"linear": {}, "log": {"above": 0.0}, "lo
 """Bounds of the values of each link."""
 
 
-@dataclass(frozen=True)
-class Coefficient:
+@dataclass(frozen=True, repr=False)
+class Coefficient(Brief):
     """One parameter of an operation.
 
     Attributes

@@ -30,6 +30,7 @@ from itertools import product
 import numpy as np
 
 from bayes_impedance.diagnosis.catalogue.coefficient import Coefficient, Scales
+from bayes_impedance.display import Brief
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.elements import KINDS, kind_of
 from bayes_impedance.network.extensions import RADIAN_PER_SECOND, PowerLaw
@@ -58,8 +59,8 @@ _PLACES_OF = {"m": "masses", "n": "springs", "r": "dampers"}
 """Kind of place that an element is."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Effect:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Effect(Brief):
     """An entry of the catalogue.
 
     Attributes

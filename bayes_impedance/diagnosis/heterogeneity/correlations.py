@@ -117,7 +117,7 @@ def correlation_test(likelihoods: PersonLikelihoods, seed: int, count: int = REP
 
     n = len(likelihoods)
     if n < MINIMUM_PERSONS:
-        return _nothing(n, f"only {n} persons; at least {MINIMUM_PERSONS} are needed")
+        return _nothing(n, f"only {n} subjects; at least {MINIMUM_PERSONS} are needed")
     _, diagonal = centred_fit(likelihoods, diagonal=True)
     kept = np.flatnonzero(diagonal.determined)
     remarks = tuple(

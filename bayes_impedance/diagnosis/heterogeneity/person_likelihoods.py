@@ -52,7 +52,7 @@ class PersonLikelihoods:
                 f"{self.information.shape}, give (N, {p}) and (N, {p}, {p})"
             )
         if not (np.all(np.isfinite(self.linear)) and np.all(np.isfinite(self.information))):
-            raise InputError("likelihoods contain numbers that are not finite: leave those persons out")
+            raise InputError("likelihoods contain numbers that are not finite: leave those subjects out")
 
     def __len__(self) -> int:
         return int(self.linear.shape[0])

@@ -61,10 +61,10 @@ def find_covariates(
     for name, values in covariates.items():
         if np.shape(values) != (n,):
             raise InputError(
-                f"covariate '{name}' has shape {np.shape(values)}: give one number for each of {n} persons"
+                f"covariate '{name}' has shape {np.shape(values)}: give one number for each of {n} subjects"
             )
     if n < MINIMUM_PERSONS:
-        return Trends((), 0, reason=f"only {n} persons; at least {MINIMUM_PERSONS} are needed")
+        return Trends((), 0, reason=f"only {n} subjects; at least {MINIMUM_PERSONS} are needed")
     if not covariates:
         return Trends((), 0, reason="there are no covariates")
     remarks: list[str] = []
@@ -84,7 +84,7 @@ def find_covariates(
             break
         beside.append(min(best, key=lambda q: best[q]))
     remarks += [
-        f"covariate '{q}' is known for too few persons, or is determined by the other covariates"
+        f"covariate '{q}' is known for too few subjects, or is determined by the other covariates"
         for q in rows
         if not rows[q]
     ]

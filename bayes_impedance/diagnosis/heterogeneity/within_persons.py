@@ -88,13 +88,13 @@ class RepetitionLikelihoods:
             j = len(order)
             if b.shape != (j, p) or h.shape != (j, p, p) or np.unique(order).size != j:
                 raise InputError(
-                    f"repetitions of person {i}: {j} numbers, linear {b.shape}, information {h.shape}; give each "
+                    f"repetitions of subject {i}: {j} numbers, linear {b.shape}, information {h.shape}; give each "
                     f"repetition its own number and {p} elements"
                 )
             for name, values in self.circumstances.items():
                 if np.shape(values[i]) != (j,):
                     raise InputError(
-                        f"repetitions of person {i}: '{name}' has shape {np.shape(values[i])}; give one number for "
+                        f"repetitions of subject {i}: '{name}' has shape {np.shape(values[i])}; give one number for "
                         f"each of {j} repetitions"
                     )
 
@@ -163,7 +163,7 @@ def find_within_persons(repetitions: RepetitionLikelihoods, *, alpha: float = AL
     """
     n = sum(len(order) > 1 for order in repetitions.order)
     if n < MINIMUM_PERSONS:
-        return Trends((), 0, reason=f"only {n} persons have repetitions; at least {MINIMUM_PERSONS} are needed")
+        return Trends((), 0, reason=f"only {n} subjects have repetitions; at least {MINIMUM_PERSONS} are needed")
     remarks: list[str] = []
     variables = variables_of(repetitions, remarks)
     beside: list[str] = []
@@ -178,7 +178,7 @@ def find_within_persons(repetitions: RepetitionLikelihoods, *, alpha: float = AL
     kept = np.array([e for e, name in enumerate(repetitions.elements) if name in seen])
     remarks += [f"{e} is not determined by the repetitions" for e in others(repetitions.elements, kept)]
     remarks += [
-        f"'{q}' differs within too few persons, or is determined by other variables of the repetitions"
+        f"'{q}' differs within too few subjects, or is determined by other variables of the repetitions"
         for q in rows
         if not rows[q] and q != DRIFT
     ]

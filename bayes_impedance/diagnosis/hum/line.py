@@ -135,7 +135,7 @@ def find_mains(residuals: Sequence[PersonResiduals], alpha: float = 0.01, absolu
         If there are no residuals.
     """
     if not residuals:
-        raise InputError("there are no residuals to look for hum in: give at least one person's")
+        raise InputError("there are no residuals to look for hum in: give at least one subject's")
     found = _found(residuals, alpha, absolute)
     if found is None or len(residuals) < _ENOUGH_TO_OMIT:
         return found

@@ -42,7 +42,7 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.network.elements import MASS, kind_of
 from bayes_impedance.person.likelihood import SCALE_SHAPE
 from bayes_impedance.population.natural_scales import LOG_SD
-from bayes_impedance.units import hertz, number_with_unit, significant
+from bayes_impedance.units import ELECTRICAL_UNIT, hertz, number_with_unit, significant
 
 WIDER = 3.0
 """Factor by which a band is extended: half a decade. By choice: many analysers can do that."""
@@ -56,6 +56,13 @@ half a decade to either side."""
 
 _STIFFER = {"m": 0.0, "n": -np.log(1.5), "r": np.log(1.3)}
 """Change of log elements under about three times the preload: stiffness and damping grow as its power 0.35 or less."""
+
+_OTHER_STATE = {
+    False: "another preload (elements 1.5 times stiffer)",
+    True: "another state of charge (capacitances 1.5 times smaller, resistances 1.3 times larger)",
+}
+_OTHER_PLACE = {False: "a new finger position", True: "another temperature (elements 30 % different)"}
+"""Words for these two, by whether the recordings are electrical."""
 
 _OTHER_POSITION_SD = 0.3
 """Standard deviation by which log elements differ at another position of the finger: about that between
@@ -168,6 +175,7 @@ def _representatives(winner: Refit, alias: Refit, people: int) -> tuple[list[Rec
 def _plans(fit: Refit, present: list[Recording]) -> list[tuple[str, str, list[Recording]]]:
     """Kind, name and recordings of each experiment, the present one first."""
     scales, elements = fit.model.scales, fit.model.network.elements
+    electrical = scales.unit == ELECTRICAL_UNIT
     stiffer = np.array([_STIFFER[kind_of(e).letter] for e in elements])
     rng = np.random.default_rng(_POSITION_SEED)
     moved = [rng.normal(0, _OTHER_POSITION_SD, stiffer.size) for _ in present]
@@ -185,8 +193,8 @@ def _plans(fit: Refit, present: list[Recording]) -> list[tuple[str, str, list[Re
     placed = [replace(r, change=change) for r, change in zip(present, moved, strict=True)]
     return [
         *plans,
-        ("preload", "another preload (elements 1.5 times stiffer)", [*present, *pressed]),
-        ("position", "a new finger position", [*present, *placed]),
+        ("preload", _OTHER_STATE[electrical], [*present, *pressed]),
+        ("position", _OTHER_PLACE[electrical], [*present, *placed]),
     ]
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from bayes_impedance.quality.curve_anomalies import duplicates, suspect_units
 from bayes_impedance.quality.negative_real_part import explain
 from bayes_impedance.recordings.files import Recordings
-from bayes_impedance.units import ELECTRICAL_UNIT
+from bayes_impedance.units import ELECTRICAL_UNIT, who
 
 GROSS_ERROR = 0.3
 """Relative error of each person's best network from which results must not be used: neither magnitude (30 %) nor phase
@@ -67,8 +67,8 @@ def copies(recordings: Recordings) -> list[str]:
     if not again or len(again) < MANY_COPIES * n:
         return []
     return [
-        f"{len(again)} of {n} subjects are copies of others ({_some(sorted(again))}): they are not different people, "
-        "and no dispersion or interval follows from them; delete the copies"
+        f"{len(again)} of {n} subjects are copies of others ({_some(sorted(again))}): they are not different "
+        f"{who(recordings.unit)}, and no dispersion or interval follows from them; delete the copies"
     ]
 
 

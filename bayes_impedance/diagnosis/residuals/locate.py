@@ -160,7 +160,7 @@ def locate(
         If there are no residuals.
     """
     if not residuals:
-        raise InputError("there are no residuals to locate structure in: give at least one person's")
+        raise InputError("there are no residuals to locate structure in: give at least one subject's")
     pooled = pool(residuals)
     scan = windows(pooled.frequency_hz)
     covariance = pooled.covariance()

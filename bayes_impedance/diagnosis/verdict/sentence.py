@@ -46,7 +46,7 @@ def sentence(verdict: Verdict, people: int) -> str:
         where = f", mostly {_span(located)}" if located else ""
         return (
             f"No effect was found that is missing, but the residuals of {_people(people)} are not noise alone{where}: "
-            "somebody may be in another optimum of the network, or the noise is not what was estimated."
+            "a subject may be in another optimum of the network, or the noise is not what was estimated."
         )
     if not verdict.mismatch:
         return (

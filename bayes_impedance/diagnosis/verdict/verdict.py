@@ -29,7 +29,7 @@ from bayes_impedance.diagnosis.types import Snapshot
 from bayes_impedance.diagnosis.verdict.electrical_words import electrical
 from bayes_impedance.diagnosis.verdict.entries import effect_entry, joint_of, unknown_entry, unpredicted_entry
 from bayes_impedance.diagnosis.verdict.ranking import detection_limits
-from bayes_impedance.diagnosis.verdict.sentence import sentence
+from bayes_impedance.diagnosis.verdict.sentence import body_of, sentence
 from bayes_impedance.diagnosis.verdict.structure_entries import hum_entry, structure_entry
 from bayes_impedance.diagnosis.verdict_types import (
     BlockGain,
@@ -386,8 +386,8 @@ def _limits_of_few(recordings: Recordings) -> list[str]:
     if len(recordings.subjects) >= FEW_PEOPLE:
         return []
     texts = [
-        "With so few subjects, effects of the rig and of the body cannot be distinguished, nor can the dispersion "
-        "between subjects be estimated."
+        f"With so few subjects, effects of the rig and of the {body_of(recordings.unit)} cannot be distinguished, nor "
+        "can the dispersion between subjects be estimated."
     ]
     if all(len(s.repetitions) == 1 for s in recordings.subjects):
         texts.append(

@@ -284,7 +284,7 @@ def test_a_power_law_is_exported_in_every_form_and_every_file_says_how_accuratel
     for file in files:
         content = words_of(file)
         assert "p1^a1 is approximated by ladders" in content, file.name
-        assert "the same for everybody or held: m9*" in content, file.name
+        assert "the same for all or held: m9*" in content, file.name
     because = json.loads((out / "stability.json").read_text())["worst_user"]
     assert {entry["element"] for entry in because["because"]} == {"n3", "r3", "m2", "r1", "n1", "p1", "a1"}
     assert 0 < because["elements"]["a1"] < 1
