@@ -71,7 +71,6 @@ def assemble(
         named = _repetitions(own)
         gridded, told = _on_common_grid(named)
         notes += told
-        kept += gridded
         noise = [one.noise_sd for one in gridded if one.noise_sd is not None]
         if noise and len(noise) < len(gridded):
             notes.append(f"subject {shown(own[0].subject)}: noise is not known of all repetitions, and is left out")
@@ -87,8 +86,22 @@ def assemble(
             )
         except ValueError as error:
             raise InputError(f"{own[0].source}: {error}") from None
+        kept += _sharing(gridded, subjects[-1])
     notes += _required(spectra, subjects, believed)
     return subjects, kept, notes
+
+
+def _sharing(spectra: Sequence[Spectrum], subject: Subject) -> list[Spectrum]:
+    """The recordings of one subject as parts of its arrays, so that each is in memory once."""
+    return [
+        replace(
+            one,
+            frequency_hz=subject.frequency_hz,
+            z=subject.z[i],
+            noise_sd=one.noise_sd if subject.noise_sd is None else subject.noise_sd[i],
+        )
+        for i, one in enumerate(spectra)
+    ]
 
 
 def _required(spectra: Sequence[Spectrum], subjects: Sequence[Subject], believed: Collection[str]) -> list[str]:
