@@ -82,7 +82,8 @@ def require_said_quantity(recordings: Recordings, assumed: Collection[str]) -> N
     """Refuse what nothing says to be an impedance but a letter, and what would be passive as another quantity.
 
     Such curves may also be impedances behind a filter of one channel (:mod:`..population.other_quantity`), so that
-    the user is asked.
+    the user is asked. Of 300 random structures each (:mod:`..recordings.driving_point`) none is asked about, 1 % if
+    late, 9 % behind a filter of first order (masses nearly always), and of accelerance and dynamic stiffness 46 %.
 
     Parameters
     ----------
@@ -96,11 +97,12 @@ def require_said_quantity(recordings: Recordings, assumed: Collection[str]) -> N
         If most subjects are such.
     """
     from bayes_impedance.quality.negative_real_part import explain
+    from bayes_impedance.quality.point_anomalies import not_passive
     from bayes_impedance.recordings.plausibility import is_clearly_negative
 
     sizes = []
     for one in recordings.subjects:
-        if one.name in assumed and is_clearly_negative(one):
+        if one.name in assumed and is_clearly_negative(one) and any(not_passive(one.frequency_hz, one.mean[None])):
             found = explain(one.frequency_hz, one.mean)
             sizes += [found.size] if found.cause == "quantity" else []
     if len(sizes) <= _MOST * len(recordings):
