@@ -81,9 +81,10 @@ def require_quantity(recordings: Recordings, network: str | None) -> str | None:
 def require_said_quantity(recordings: Recordings, assumed: Collection[str]) -> None:
     """Refuse what nothing says to be an impedance but a letter, and what would be passive as another quantity.
 
-    Such curves may also be impedances behind a filter of one channel (:mod:`..population.other_quantity`), so that
-    the user is asked. Of 300 random structures each (:mod:`..recordings.driving_point`) none is asked about, 1 % if
-    late, 9 % behind a filter of first order (masses nearly always), and of accelerance and dynamic stiffness 46 %.
+    Such curves may also be impedances behind a filter of one channel
+    (:mod:`bayes_impedance.population.other_quantity`), so that the user is asked. Of 300 random structures each (those
+    of :mod:`bayes_impedance.recordings.driving_point`) none is asked about, 1 % if late, 9 % behind a filter of first
+    order (masses nearly always), and of accelerance and dynamic stiffness 46 %.
 
     Parameters
     ----------

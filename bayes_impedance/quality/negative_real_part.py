@@ -21,8 +21,8 @@ part of the band only, noise           what to check there
 **Exchanged** channels give :math:`s^2/z` of an acceleration and :math:`1/(s^2 z)` of a displacement (of a velocity the
 mobility, which is passive). That is passive without :math:`s^{\pm2}`, and nothing but a filter of second order turns an
 impedance so far: it is named where no filter of first order, with a lag, makes the curve passive. Of 100 random chains
-of :mod:`..recordings.driving_point` 42 are named; of 1650 driving points, late, negative, or behind a filter of first
-order, none, and behind one of second order 5 %, which the sentence says.
+(those of :mod:`bayes_impedance.recordings.driving_point`) 42 are named; of 1650 driving points, late, negative, or
+behind a filter of first order, none, and behind one of second order 5 %, which the sentence says.
 
 An error of the gain and noise around Re z = 0 are not reported at all, conjugated recordings by
 :func:`~bayes_impedance.quality.curve_anomalies.suspect_units`.
