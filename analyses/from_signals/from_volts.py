@@ -1,6 +1,6 @@
 """From volts to the population's centre and a verdict, with the rig subtracted or taken out as a two-port.
 
-Run from the repository's root: python analyses/from_signals/from_volts.py [-o OUT] [--seeds 10] [--diagnose]
+Run from the repository's root: python analyses/from_signals/from_volts.py [-o OUT] [--seeds 22] [--diagnose]
 
 For each seed signals of a virtual population on a rig with errors are simulated, imported once with the unloaded run
 subtracted and once with the two-port of the rig, and the population is fitted. Writes results/centres.csv beside this
@@ -85,7 +85,7 @@ def summary(rows: list[dict[str, str]]) -> dict[str, dict[str, list[float]]]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--out", type=Path, default=Path("out/from_signals"))
-    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--seeds", type=int, default=22)
     parser.add_argument("--diagnose", action="store_true")
     options = parser.parse_args()
     RESULTS.mkdir(exist_ok=True)

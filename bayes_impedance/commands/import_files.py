@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayes_impedance.commands.checking import require_quantity
+from bayes_impedance.commands.checking import require_quantity, require_said_quantity
 from bayes_impedance.commands.import_arguments import require_sources
 from bayes_impedance.errors import InputError
 from bayes_impedance.runtime.output_folder import output_folder
@@ -38,6 +38,7 @@ def import_dataset(options: argparse.Namespace, progress: Progress) -> Imported:
     from bayes_impedance.intake.importing import BESIDE
     from bayes_impedance.intake.one_person import repeated_by_name, require_persons
     from bayes_impedance.intake.persons import covariates_of_subjects
+    from bayes_impedance.intake.spectrum import QUANTITY
     from bayes_impedance.quality.copies import require_distinct
     from bayes_impedance.recordings.files import METADATA_FILE, RECORDINGS_FILES, SUBJECTS_FILE, write_recordings
 
@@ -46,6 +47,8 @@ def import_dataset(options: argparse.Namespace, progress: Progress) -> Imported:
     imported = import_recordings(options.sources, settings, progress)
     named = replace(imported.recordings, title=str(options.sources[0]))
     doubt = require_quantity(named, None)
+    if imported.recordings.network is None:
+        require_said_quantity(named, {one.subject for one in imported.spectra if QUANTITY in one.assumed})
     imported = replace(imported, notes=(*imported.notes, *([doubt] if doubt else ())))
     require_distinct(named)
     if settings.who is None and imported.named_by_files:

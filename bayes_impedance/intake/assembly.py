@@ -14,12 +14,12 @@ import numpy as np
 
 from bayes_impedance.errors import InputError
 from bayes_impedance.intake.shorter_files import remarks_on_short_files
-from bayes_impedance.intake.spectrum import FloatArray, Spectrum
+from bayes_impedance.intake.spectrum import FREQUENCY_UNIT, FloatArray, Spectrum
 from bayes_impedance.recordings import frequency_scale
 from bayes_impedance.recordings.dataset import Subject
 from bayes_impedance.recordings.driving_point import doubts, sentence, verdict_of
 from bayes_impedance.recordings.metadata import DRIVING_POINT, HERTZ
-from bayes_impedance.recordings.plausibility import is_conjugate, is_turned
+from bayes_impedance.recordings.plausibility import OPPOSITE, is_conjugate, is_opposite, is_turned
 from bayes_impedance.recordings.repetitions import MINIMUM_COMMON, MINIMUM_POINTS
 from bayes_impedance.recordings.shorter_grid import shorter_grids
 from bayes_impedance.runtime.user_table import shown
@@ -71,7 +71,6 @@ def assemble(
         named = _repetitions(own)
         gridded, told = _on_common_grid(named)
         notes += told
-        kept += gridded
         noise = [one.noise_sd for one in gridded if one.noise_sd is not None]
         if noise and len(noise) < len(gridded):
             notes.append(f"subject {shown(own[0].subject)}: noise is not known of all repetitions, and is left out")
@@ -87,8 +86,29 @@ def assemble(
             )
         except ValueError as error:
             raise InputError(f"{own[0].source}: {error}") from None
+        kept += _sharing(gridded, subjects[-1])
+    notes += _required(spectra, subjects, believed)
+    return subjects, kept, notes
+
+
+def _sharing(spectra: Sequence[Spectrum], subject: Subject) -> list[Spectrum]:
+    """The recordings of one subject as parts of its arrays, so that each is in memory once."""
+    return [
+        replace(
+            one,
+            frequency_hz=subject.frequency_hz,
+            z=subject.z[i],
+            noise_sd=one.noise_sd if subject.noise_sd is None else subject.noise_sd[i],
+        )
+        for i, one in enumerate(spectra)
+    ]
+
+
+def _required(spectra: Sequence[Spectrum], subjects: Sequence[Subject], believed: Collection[str]) -> list[str]:
+    """Refuse what is no impedance, or not of these frequencies; remarks on what may be."""
+    notes: list[str] = []
     if HERTZ not in believed:
-        notes += _required_hertz(spectra[0], subjects)
+        notes += _required_hertz(spectra, subjects)
     believed_place = DRIVING_POINT in believed
     places = {} if believed_place else {one.name: verdict_of(one.frequency_hz, one.mean) for one in subjects}
     if list(places.values()).count("transfer") > 0.5 * len(subjects):
@@ -110,17 +130,24 @@ def assemble(
             f"{len(conjugate)} of {len(subjects)} subjects, the first {shown(conjugate[0])}: the phase agrees with the "
             "slope of the magnitude only if its sign is reversed; import these alone with --conjugated, or correct them"
         )
-    if SIGN not in believed and sum(map(is_turned, subjects)) > 0.5 * len(subjects):
+    turned = [one.name for one in subjects if SIGN not in believed and is_turned(one)]
+    if len(turned) > 0.5 * len(subjects):
         raise InputError(
             f"{spectra[0].source}: Re z is negative at nearly all frequencies, and the phase is turned by 180 degrees "
             "against that of the magnitude: force or motion is counted the other way; give --negated if you have not, "
             "or leave it out"
         )
-    return subjects, kept, notes
+    opposite = [one.name for one in subjects if SIGN not in believed and is_opposite(one)]
+    if len({*conjugate, *turned, *opposite}) > 0.5 * len(subjects):
+        raise InputError(
+            f"{spectra[0].source}: {OPPOSITE}; give --conjugated or --negated if you have not, or leave it out"
+        )
+    return notes
 
 
-def _required_hertz(first: Spectrum, subjects: Sequence[Subject]) -> list[str]:
-    """Refuse frequencies that seem to be in another unit, if all of them do; the remark if they only may be."""
+def _required_hertz(spectra: Sequence[Spectrum], subjects: Sequence[Subject]) -> list[str]:
+    """Refuse frequencies that seem to be in another unit, or may be if no file says theirs; else the remark."""
+    first = spectra[0]
     bands = [frequency_scale.band_of(one.frequency_hz) for one in subjects]
     found = {frequency_scale.seems(band, first.unit) for band in bands}
     other = next(iter(found)) if len(found) == 1 else None
@@ -128,7 +155,7 @@ def _required_hertz(first: Spectrum, subjects: Sequence[Subject]) -> list[str]:
         return []
     why = frequency_scale.sentence(other, bands[0].low, bands[0].high)
     told = f"{why}; give --frequency-unit {other}, or --frequency-unit {HERTZ} if they are in Hz"
-    if other in frequency_scale.SURELY:
+    if other in frequency_scale.SURELY or all(FREQUENCY_UNIT in one.assumed for one in spectra):
         raise InputError(f"{first.source}: {told}")
     return [told]
 

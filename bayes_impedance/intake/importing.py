@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 
@@ -173,7 +173,7 @@ def import_recordings(
         spectra=tuple(kept),
         notes=recordings.warnings,
         sources=tuple((str(file), _digest(file)) for file in (*files, *calibration.files)),
-        calibration=calibration,
+        calibration=replace(calibration, spectra=tuple(kept)),
     )
 
 

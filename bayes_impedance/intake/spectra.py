@@ -26,7 +26,7 @@ from bayes_impedance.intake.quantities import (
     si_response,
 )
 from bayes_impedance.intake.recipes import Recipe, recipe_for
-from bayes_impedance.intake.spectrum import ComplexArray, FloatArray, Spectrum
+from bayes_impedance.intake.spectrum import FREQUENCY_UNIT, QUANTITY, ComplexArray, FloatArray, Spectrum
 from bayes_impedance.intake.text_tables import is_unit
 from bayes_impedance.intake.unit_notation import same_unit
 from bayes_impedance.recordings.repetitions import MINIMUM_POINTS
@@ -95,8 +95,10 @@ def spectra_of(contents: Contents, who: Who, settings: SpectraSettings) -> tuple
                 f"{frequency.size}; name columns of equal length with --columns"
             )
     measured, values = _measured(contents, columns)
-    response, told = _response(contents, values, settings, recipe)
+    response, told, by_letter = _response(contents, values, settings, recipe)
     notes += told
+    no_unit = settings.frequency_unit is None and not columns["frequency"].unit
+    assumed = frozenset(({FREQUENCY_UNIT} if no_unit else set()) | ({QUANTITY} if by_letter else set()))
     if settings.conjugated:
         measured = measured.conj()
     if settings.negated:
@@ -129,6 +131,7 @@ def spectra_of(contents: Contents, who: Who, settings: SpectraSettings) -> tuple
                     coherence=one[3],
                     facts={**who.facts, **contents.facts},
                     downwards=bool(np.all(np.diff(frequency[index]) < 0)),
+                    assumed=assumed,
                 )
             )
     return found, notes
@@ -225,8 +228,8 @@ def _polar(contents: Contents, magnitude: Column, phase: Column) -> ComplexArray
 
 def _response(
     contents: Contents, values: list[Column], settings: SpectraSettings, recipe: Recipe | None
-) -> tuple[Response, list[str]]:
-    """Form and unit of the values, and a note of what was guessed."""
+) -> tuple[Response, list[str], bool]:
+    """Form and unit of the values, a note of what was guessed, and whether nothing but a letter Z says the form."""
     form = settings.form or (recipe.form if recipe is not None and recipe.form else None)
     with_units = [c for c in values if c.unit and c.unit != "dB" and is_response_unit(c.unit)]
     own = with_units[0].unit if with_units else None
@@ -240,7 +243,7 @@ def _response(
                 "or give the unit of both with --unit"
             )
         notes = [f"{contents.file}: {said}, but --unit says {unit}, which was used"] if others else []
-        return response_of(unit, contents.file, form), notes
+        return response_of(unit, contents.file, form), notes, False
     named = form or form_in_names(values)
     if named is None:
         raise InputError(
@@ -251,7 +254,9 @@ def _response(
     response = si_response(named)
     unknown = {"impedance": "N s/m", "dynamic stiffness": "N/m", "apparent mass": "kg", "receptance": "m/N"}
     unknown |= {"mobility": "m/(N s)", "accelerance": "m/s^2/N"}
-    return response, [f"{contents.file}: no unit is given; the values are taken to be {named} in {unknown[named]}"]
+    note = f"{contents.file}: no unit is given; the values are taken to be {named} in {unknown[named]}"
+    word = any(named in column.variable.name.lower() for column in values)
+    return response, [note], form is None and named == "impedance" and not word
 
 
 def _noise(

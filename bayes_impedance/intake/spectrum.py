@@ -14,6 +14,9 @@ ComplexArray = npt.NDArray[np.complex128]
 SAME_FREQUENCY = 1e-6
 """Relative. By choice: instruments write six digits or more, and no two lines of a spectrum are as close."""
 
+FREQUENCY_UNIT, QUANTITY = "frequency unit", "quantity"
+"""What may be assumed of a recording: hertz, and an impedance because a name has the letter Z."""
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Spectrum:
@@ -47,6 +50,8 @@ class Spectrum:
         Whether the file goes from the highest frequency to the lowest.
     samples : int or None
         Length of the signals that it was estimated of, if they are one record.
+    assumed : frozenset of str
+        Of :data:`FREQUENCY_UNIT` and :data:`QUANTITY`, what neither the file nor an option says.
     """
 
     subject: str
@@ -63,3 +68,4 @@ class Spectrum:
     frequency_tolerance: float = SAME_FREQUENCY
     downwards: bool = False
     samples: int | None = None
+    assumed: frozenset[str] = frozenset()

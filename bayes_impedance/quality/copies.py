@@ -107,12 +107,16 @@ def _copies_on_grid(subjects: Sequence[Subject]) -> list[list[tuple[str, str]]]:
 
 
 def _are_copies(one: ComplexArray, other: ComplexArray) -> bool:
-    if np.unique(one).size < LEAST_POINTS:
-        return False  # a stuck channel or marks of missing values, which are reported as such
     size = np.maximum(np.abs(one), np.finfo(float).tiny)
     distance = np.abs(other - one) / size
     if float(np.median(distance)) > 10.0 ** (1 - LEAST_DIGITS) * np.sqrt(2):
         return False
+    # A stuck channel or marks of missing values are reported as such.
+    return _are_one(one, other, distance) and np.unique(one).size >= LEAST_POINTS
+
+
+def _are_one(one: ComplexArray, other: ComplexArray, distance: FloatArray) -> bool:
+    """Whether recordings at some distance at each frequency, of abs z, are equal or one of them the other rounded."""
     if float(np.sqrt(np.mean(distance**2))) <= COPY_LIMIT:
         return _fine(one.real) or _fine(one.imag)
     forms = [(z.real, z.imag) for z in (one, other)], [(np.abs(z), np.rad2deg(np.angle(z))) for z in (one, other)]
@@ -124,7 +128,7 @@ def _are_copies(one: ComplexArray, other: ComplexArray) -> bool:
 
 def _fine(values: FloatArray) -> bool:
     """Whether numbers have digits enough that others are not equal by chance."""
-    return not np.allclose(_significant(values, LEAST_DIGITS - 1), values, rtol=_SAME, atol=0)
+    return not bool(_equal(_significant(values, LEAST_DIGITS - 1), values))
 
 
 def _rounded(exact: FloatArray, values: FloatArray) -> bool:
@@ -132,17 +136,26 @@ def _rounded(exact: FloatArray, values: FloatArray) -> bool:
     largest = float(np.abs(exact).max())
     if largest == 0:
         return bool(np.all(values == 0))
-    for digits in range(LEAST_DIGITS, MOST_DIGITS + 1):
-        if np.allclose(_significant(exact, digits), values, rtol=_SAME, atol=0):
-            return True
-        step = 10.0 ** (np.floor(np.log10(largest)) - digits + 1)
-        enough = float(np.median(np.abs(exact))) >= 10.0 ** (LEAST_DIGITS - 1) * step
-        if enough and np.allclose(np.round(exact / step) * step, values, rtol=_SAME, atol=_SAME * step):
-            return True
-    return False
+    digits = np.arange(LEAST_DIGITS, MOST_DIGITS + 1)[:, None]
+    step = 10.0 ** (np.floor(np.log10(largest)) - digits + 1)
+    enough = float(np.median(np.abs(exact))) >= 10.0 ** (LEAST_DIGITS - 1) * step[:, 0]
+    # Unequal recordings differ at the first points that are looked at, and all pairs that are near may be unequal.
+    for part in (np.linspace(0, exact.size - 1, LEAST_POINTS).astype(int), slice(None)):
+        significant = _equal(_significant(exact[part], digits), values[part])
+        decimals = _equal(np.round(exact[part] / step) * step, values[part], _SAME * step)
+        holds = significant | (enough & decimals)
+        if not holds.any():
+            return False
+        digits, step, enough = digits[holds], step[holds], enough[holds]
+    return True
 
 
-def _significant(values: FloatArray, digits: int) -> FloatArray:
+def _equal(one: FloatArray, other: FloatArray, apart: FloatArray | float = 0.0) -> np.ndarray:
+    """Whether numbers are equal to the rounding of doubles, or not further apart, along the last axis."""
+    return np.asarray(np.all(np.abs(one - other) <= apart + _SAME * np.abs(other), axis=-1))
+
+
+def _significant(values: FloatArray, digits: int | np.ndarray) -> FloatArray:
     size = np.maximum(np.abs(values), np.finfo(float).tiny)
     step = 10.0 ** np.maximum(np.floor(np.log10(size)) - digits + 1, -300.0)
     return np.asarray(np.round(values / step) * step)

@@ -3,7 +3,8 @@ r"""Whether a curve can be of a driving point: force and velocity of one place.
 Of a passive load the velocity at the place of the force is nowhere against it, :math:`\operatorname{Re} z \ge 0`, and
 resonances and antiresonances alternate, so that the phase goes to and fro within half a turn. Of a **transfer**
 function, with the velocity of another place, antiresonances are missing: each further resonance turns the phase half a
-turn further, and the magnitude with it. Two numbers are looked at, and both must be large, or the first very large:
+turn further, and the magnitude with it. Two numbers are looked at, and both must be large, or the first very large, or
+larger than a filter of second order can make it while the phase belongs to the magnitude:
 
 **The turn** is how far the phase goes from one end to the other that belongs to the *magnitude* by Bode's relation
 (:func:`.phase_relation.bode_phase`, here of a band extended by straight lines in log-log through its outer parts, and
@@ -32,8 +33,8 @@ a low-pass in one channel          0.8         3.8
 a high-pass in one channel         0.8         2.5
 a low-pass and a lag               0.5         3.5
 with a reflex                      0.5         0.8
-transfer between neighbours        14          48
-transfer between others            61          80
+transfer between neighbours        23          49
+transfer between others            72          82
 =================================  ==========  ==============
 
 What is not found has one resonance in the band, or one whose half turn falls between two points, and is the curve of a
@@ -48,11 +49,17 @@ from typing import Literal
 import numpy as np
 
 from bayes_impedance.recordings.csv_table import ComplexArray, FloatArray
-from bayes_impedance.recordings.phase_relation import comparable
+from bayes_impedance.recordings.phase_relation import comparable, excess_phase
 from bayes_impedance.runtime.user_table import shown
 
 TURN_DEG, LARGE_TURN_DEG = 270.0, 300.0
 """Turns of the phase above which a curve may be, or is, no driving point: derived above."""
+AGREEING_DEG = 420.0
+"""Turn above which a curve is no driving point if its measured phase turns as its magnitude does, up to a lag
+(:func:`.phase_relation.excess_phase`), and Re z is negative at :data:`_NEGATIVE` of the points. A driving point behind
+a filter of second order turns by 360 degrees; by choice, measured with limits from 360 to 450."""
+_NEGATIVE = 0.1
+"""By choice: Re z of a driving point is negative by noise alone."""
 ANY_FILTER_DEG = 540.0
 """Turn above which a curve is no driving point however small the share is, as of lightly damped structures, whose z is
 nearly imaginary between resonances: half a turn of a driving point, and a whole one of a filter of fourth order in one
@@ -116,10 +123,21 @@ def verdict_of(frequency_hz: FloatArray, z: ComplexArray) -> Verdict:
     if z.size < LEAST_POINTS or not comparable(frequency_hz) or np.any(z == 0):
         return "driving"
     share = share_against_force(frequency_hz, z)
-    if share <= 0 or (turned := turn_deg(frequency_hz, z)) <= TURN_DEG:
+    if share <= 0 and np.mean(z.real < 0) < _NEGATIVE:
         return "driving"
-    surely = turned > ANY_FILTER_DEG or (share > SHARE and turned > LARGE_TURN_DEG)
-    return "transfer" if surely else "maybe"
+    turned = turn_deg(frequency_hz, z)
+    surely = share > 0 and (turned > ANY_FILTER_DEG or (share > SHARE and turned > LARGE_TURN_DEG))
+    if surely or (turned > AGREEING_DEG and _turns_as_magnitude(frequency_hz, z)):
+        return "transfer"
+    return "maybe" if share > 0 and turned > TURN_DEG else "driving"
+
+
+def _turns_as_magnitude(frequency_hz: FloatArray, z: ComplexArray) -> bool:
+    """Whether the phase is that of the magnitude, up to a lag, at points of which enough have Re z below zero."""
+    if np.mean(z.real < 0) < _NEGATIVE:
+        return False
+    found = excess_phase(frequency_hz, z)
+    return found is not None and found.cause in ("none", "lag")
 
 
 def share_against_force(frequency_hz: FloatArray, z: ComplexArray) -> float:

@@ -185,3 +185,4 @@ def test_the_same_from_python(periodic: Path, tmp_path: Path) -> None:
     degrees = found.spectra[0].degrees_of_freedom
     assert degrees is not None
     assert 10 < degrees < 90  # its own, and what eight neighbours add
+    assert np.shares_memory(found.spectra[0].z, found.recordings.subjects[0].z)  # each recording is kept once

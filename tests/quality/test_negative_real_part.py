@@ -81,6 +81,23 @@ def test_another_quantity_is_pointed_at(load: str, change: Chain, said: str, tmp
     assert said in _said(load, change, 1, tmp_path)
 
 
+@pytest.mark.parametrize(("change", "said"), [(2, "divided by the square"), (-2, "multiplied by the square")])
+def test_exchanged_channels_are_named(change: int, said: str, tmp_path: Path) -> None:
+    """Of acceleration and of displacement; behind a filter and a lag the same load is not called exchanged."""
+    text = _said("oscillator", lambda s, z: s**change / z, 1, tmp_path)
+    assert said in text
+    assert "force and " + ("acceleration" if change > 0 else "displacement") + " are exchanged" in text
+
+
+@pytest.mark.parametrize("load", LOADS)
+@pytest.mark.parametrize("corner", [1.0, 20.0, 300.0, 20_000.0])
+@pytest.mark.parametrize("late", [0.0, 1e-5])
+def test_a_filter_is_not_called_an_exchange(load: str, corner: float, late: float) -> None:
+    for chain in (filtered_motion(corner), lambda s, z: z * s / (s + 2 * np.pi * corner)):
+        one = recorded(load, lambda s, z, chain=chain: delayed(late)(s, chain(s, z)), subjects=1).subjects[0]  # type: ignore[misc]
+        assert explain(one.frequency_hz, one.mean).cause != "exchange"
+
+
 @pytest.mark.parametrize("load", LOADS)
 def test_conjugates_are_refused_unless_their_convention_is_declared(
     load: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -1,0 +1,98 @@
+"""What neither a file nor an option says is asked for where the values speak against what would be assumed."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from known_impedance import FREQUENCY, impedance, table
+from lagged_recordings import LOADS, Chain, delayed, recorded
+
+from bayes_impedance.commands.cli import main
+from bayes_impedance.recordings import Recordings, Subject, read_recordings, write_recordings
+
+S, Z = 2j * np.pi * FREQUENCY, impedance()
+
+
+def imports(
+    folder: Path, values: np.ndarray, *options: str, names: str = "frequency_hz z_re z_im", f=FREQUENCY
+) -> bool:
+    """Whether a file is imported; else nothing is written."""
+    columns = dict(zip(names.split(" "), (f, values.real, values.imag), strict=True))
+    (folder / "a.csv").write_text(table(columns), encoding="utf-8")
+    status = main(["import", str(folder / "a.csv"), "-o", str(folder / "out"), "--overwrite", *options])
+    assert status in (0, 2)
+    assert (folder / "out").exists() is (status == 0)
+    return status == 0
+
+
+@pytest.mark.parametrize(
+    ("values", "form"), [(S / Z, "accelerance"), (S * Z, "dynamic stiffness"), (Z / S, "apparent mass")]
+)
+def test_another_quantity_with_the_letter_z_is_asked_for(
+    values: np.ndarray, form: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert not imports(tmp_path, values)
+    said = capsys.readouterr().err
+    assert f"--form '{form}'" in said
+    assert "--form impedance" in said
+    assert imports(tmp_path, values, "--form", form)
+    np.testing.assert_allclose(read_recordings(tmp_path / "out").subjects[0].z[0], Z, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("names", "options"),
+    [
+        ("frequency_hz z_re z_im", ["--form", "impedance"]),
+        ("frequency_hz z_re z_im", ["--unit", "N s/m"]),
+        ("frequency_hz impedance_re impedance_im", []),
+        ("frequency_hz Re(Z)/(Ns/m) Im(Z)/(Ns/m)", []),
+    ],
+)
+def test_who_says_impedance_is_believed(names: str, options: list[str], tmp_path: Path) -> None:
+    assert imports(tmp_path, S / Z, *options, names=names)
+
+
+@pytest.mark.parametrize("load", LOADS)
+@pytest.mark.parametrize("chain", [lambda s, z: z, delayed(2e-4), delayed(-2e-4), lambda s, z: z - 1e-4 * s])
+def test_impedances_are_not_asked_for(load: str, chain: Chain, tmp_path: Path) -> None:
+    """Also late ones, with most of Re z negative."""
+    one = recorded(load, chain, subjects=1).subjects[0]
+    assert imports(tmp_path, one.mean, f=one.frequency_hz)
+
+
+def test_slow_frequencies_without_a_unit_are_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    names, slow = "freq z_re z_im", FREQUENCY / 1e3
+    assert not imports(tmp_path, Z, names=names, f=slow)
+    assert "--frequency-unit kHz, or --frequency-unit Hz" in capsys.readouterr().err
+    assert imports(tmp_path, Z, "--frequency-unit", "Hz", names=names, f=slow)
+    assert imports(tmp_path, Z, f=slow)  # frequency_hz
+
+
+@pytest.mark.parametrize("load", [0.01 * S, 100 / S])
+@pytest.mark.parametrize("noise", [0.0, 1e-3, 0.02])
+def test_hardly_any_loss_and_the_wrong_sign(
+    load: np.ndarray, noise: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Conjugate or negative is the same here; the same people as they are, are imported."""
+    rng = np.random.default_rng(1)
+    people = load * (1 + noise * (rng.normal(size=(5, S.size)) + 1j * rng.normal(size=(5, S.size))))
+
+    def checks(sign: float) -> int:
+        subjects = [
+            Subject(name=f"S{i}", frequency_hz=FREQUENCY, z=sign * (1 + 0.1 * i) * z[None], repetitions=("1",))
+            for i, z in enumerate(people)
+        ]
+        whole = Recordings(title="t", unit="N s/m", network=None, source="", licence="", subjects=tuple(subjects))
+        return main(["check", str(write_recordings(whole, tmp_path / f"in{sign}"))])
+
+    assert checks(1.0) == 0
+    assert checks(-1.0) == 2
+    said = capsys.readouterr().err
+    assert "complex conjugates" in said
+    assert 'convention = "exp(-jwt)"' in said
+    assert imports(tmp_path, people[0])
+    (tmp_path / "b").mkdir()
+    assert not imports(tmp_path / "b", -people[0])
+    said = capsys.readouterr().err
+    assert "--conjugated" in said or "--negated" in said  # noise may make Re z negative at most points
+    assert imports(tmp_path / "b", -people[0], "--negated")
