@@ -126,6 +126,12 @@ class Sharing:
         outside = np.maximum(distance - self.reach, 0.0)
         return self.slopes(2 * factor * outside * t / np.maximum(distance, 1e-300))
 
+    def spread(self, mean: np.ndarray, covariance: np.ndarray) -> float:
+        """Largest spread in t of parameters with this mean (S',) and covariance (S', S'), about the origin."""
+        away = mean - self.origin[list(self.free)]
+        whitened = np.linalg.solve(self.factor, np.linalg.solve(self.factor, covariance + np.outer(away, away)).T)
+        return float(np.sqrt(np.linalg.eigvalsh(whitened).max()))
+
     def slopes(self, on_t: np.ndarray) -> np.ndarray:
         """Derivatives with respect to the shared parameters (W, S), from those with respect to t, (W, S')."""
         own = np.zeros((len(on_t), self.origin.size))
