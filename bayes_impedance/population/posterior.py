@@ -11,7 +11,6 @@ from __future__ import annotations
 from concurrent.futures import Executor
 from copy import copy
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -59,15 +58,16 @@ _SPREAD_ALLOWED = 1.2
 moved. By choice: with 1.2 their reach is 2.5 standard deviations, and 1.2 % of a normal distribution is beyond it."""
 _WELL_WITHIN = 0.5
 """Part of the reach within which the posterior's curvature at its mode is believed. By choice: the steps by which it is
-found are about a standard deviation long, and must not leave it."""
+found are about a standard deviation long, and must not leave the reach."""
 _CENTRINGS, _MOST_GROWTH = 5, 4.0
 """Most times that the origin of the shared parameters is moved to the posterior's mode, and most by which their
 variance grows each time. By choice: the mode is known within the reach only, so far ones are reached in steps."""
 _MOST_MOVES = 4
-"""Most times that draws are made while the range of dispersions between repetitions moves. By choice: its end is half
-as far again from the middle each time, three times as far after three."""
+"""Most times that draws are made while the range of dispersions between repetitions moves. By choice: each time its end
+is half as far again from the middle, so that after three moves it is three times as far."""
 _STEEP = 2.0
-"""What is subtracted at one unit beyond the shared parameters' reach. By choice: four times what a normal law has."""
+"""What is subtracted at one unit beyond the reach of the shared parameters. By choice: four times as steep as a normal
+density there."""
 _PILOTS = 64
 """Populations at which the Monte-Carlo variance is computed. By choice: they cost as much as a step of an ensemble."""
 _ROUGH_VARIANCE, _FEWEST_ROUGH = 0.25, 64
@@ -75,8 +75,8 @@ _ROUGH_VARIANCE, _FEWEST_ROUGH = 0.25, 64
 choice: the error of the energy along a trajectory is then half a unit. With a variance of 0.3 about 0.53 of the
 proposals are accepted, with 1.3 only 0.1."""
 _FEWER = 4
-"""Divisor of the number of draws with which the shared parameters are centred. By choice: it is a matter of time, and
-their mode is known to a fraction of a standard deviation."""
+"""Divisor of the number of draws with which the shared parameters are centred. By choice: with a quarter of the draws
+their mode is known to a fraction of a standard deviation, and most of the time goes into the draws."""
 
 
 class Posterior:
@@ -212,23 +212,17 @@ class Posterior:
         proposals then follow the valley (:mod:`bayes_impedance.person.valley`) under a wider reference, until the
         draws suffice for all populations near the mode. But if everybody has enough draws under the reference itself,
         it is only that these populations differ: draws are then chosen for them from many, and more are kept, unless
-        more are needed than may be: then the draws reach too short along a ridge, which is a valley again. If there is
-        none, a smaller share of the draws is effective under their own reference (in a band of 1 % it rose from 0.04
-        to 0.6 along a valley, and fell from 0.9 to 0.1 without one): those before remain, and the chain judges them.
+        more are needed than may be: then the draws reach too short along a ridge, which is a valley again.
         """
-        few, repetitions, step = self._few, self.repetitions, 0  # persons times draws is kept about constant
-        reach = widening(repetitions.size)
+        few, repetitions = self._few, self.repetitions  # persons times draws is kept about constant
+        reach, step = widening(repetitions.size), 0
         anchor = Anchor(mu=self.point.mu, slopes=self.point.slopes, covariance=self.covariance, reach=reach)
         self.mode = starting_point(self.coordinates, self.point, self.covariance, self.repetitions)
         scale = starting_scale(self.coordinates, self.point, self.shared_covariance, self.repetitions)
         self.normal_covariance = np.diag(scale**2)
-        n_draws, before, share = _MORE_DRAWS[step] * self.n_draws * few, dict[str, Any](), 0.0
+        n_draws = _MORE_DRAWS[step] * self.n_draws * few
         for self.redrawn, child in enumerate(seed.spawn(1 + len(_MORE_DRAWS))):
             self._draw_centred(anchor, n_draws, child, executor, progress)
-            at_home = float(np.quantile(self.marginal.effective_at_home(), RARELY))
-            if anchor.along_valley and at_home < share * n_draws:
-                vars(self).update(before)
-                return
             pilot = np.random.default_rng(child.spawn(1)[0]).normal(size=(_PILOTS, self.mode.size))
             nearby = self.mode + pilot @ np.linalg.cholesky(self.normal_covariance).T
             populations = self.coordinates.unpack(np.clip(nearby, -_LARGEST_COORDINATE, _LARGEST_COORDINATE))
@@ -236,9 +230,8 @@ class Posterior:
             lacking = FEWEST_DRAWS / float(np.quantile(self.marginal.effective(populations), RARELY))
             if (noise < 1 and lacking <= 1) or step == len(_MORE_DRAWS) - 1:
                 return
-            if not anchor.along_valley:
-                before, share = dict(vars(self)), at_home / n_draws if at_home >= FEWEST_DRAWS else 0.0
             # Few draws under the reference mean a valley, as do more to be wished for than there may be (57 times).
+            at_home = float(np.quantile(self.marginal.effective_at_home(), RARELY))
             needed = n_draws * 2 ** int(np.ceil(np.log2(max(noise, lacking, 1.0)))) if self.redrawn else n_draws
             around = at_home >= FEWEST_DRAWS and not anchor.along_valley
             around = around and needed <= max(_MORE_DRAWS) * self.n_draws * few
