@@ -75,8 +75,7 @@ def test_the_density_of_shared_parameters_is_that_of_their_coordinates_with_the_
         np.testing.assert_allclose(slopes[:, :, k], difference, rtol=1e-6, atol=1e-8)
     np.testing.assert_allclose(c.shared_moments(u[0, -3:], np.eye(3))[1], slopes[0] @ slopes[0].T)
     # Standard deviations of the coordinates, of the covariance that these would give the parameters.
-    covariance = np.zeros((4, 4))
-    covariance[1:, 1:] = slopes[0] @ np.diag([1.0, 4.0, 9.0]) @ slopes[0].T
+    covariance = slopes[0] @ np.diag([1.0, 4.0, 9.0]) @ slopes[0].T
     np.testing.assert_allclose(c.shared_scale(p.shared[0], covariance), [1, 2, 3], rtol=1e-6)
 
 

@@ -139,7 +139,7 @@ def test_with_too_few_persons_nothing_is_tested(n):
     drift = find_within_persons(repetitions(rng, n, 2, 3))
     assert trends.trends == drift.trends == correlations.pairs == ()
     for result in (trends, drift, correlations, group):
-        assert f"{n} persons" in result.reason
+        assert f"{n} subject" in result.reason
         assert result.tried == 0
     assert (correlations.p_corrected, group.p_corrected, group.membership.tolist()) == (1.0, 1.0, [0.0] * n)
     assert find_covariates(observed(rng, population(rng, 9, covariance(2)), informations(rng, 9, 2)), {}).reason

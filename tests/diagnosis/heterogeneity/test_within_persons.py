@@ -59,7 +59,7 @@ def test_drift_of_an_unseen_element_is_not_tested():
     assert [t.element for t in found.trends] == ["n2"]
     assert found.remarks == ("n1 is not determined by the repetitions",)
     once = tuple(x[:1] for x in data.linear), tuple(x[:1] for x in data.information), tuple(x[:1] for x in data.order)
-    assert "0 persons" in find_within_persons(RepetitionLikelihoods(data.elements, *once)).reason
+    assert "0 subjects" in find_within_persons(RepetitionLikelihoods(data.elements, *once)).reason
 
 
 def with_force(rng, n, p, j, slope, *, between=0.0, drift=0.0, rising=False, unknown=0.0, own=0.0):

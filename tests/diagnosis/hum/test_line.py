@@ -195,5 +195,5 @@ def test_affected_points_are_as_near_as_those_where_hum_was_found() -> None:
 
 
 def test_nobody_is_refused() -> None:
-    with pytest.raises(InputError, match="at least one person"):
+    with pytest.raises(InputError, match="at least one subject"):
         find_mains([])

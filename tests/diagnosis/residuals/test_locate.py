@@ -320,5 +320,5 @@ def test_maps_have_unit_variance_and_end_with_the_range() -> None:
 
 
 def test_unusable_input_is_refused() -> None:
-    with pytest.raises(InputError, match="at least one person"):
+    with pytest.raises(InputError, match="at least one subject"):
         locate([], 1)
