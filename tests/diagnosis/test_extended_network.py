@@ -103,8 +103,9 @@ def test_every_effect_is_a_network(effect: Effect, pooling: str) -> None:
         if effect.operation in NO_NETWORK:
             assert network == NETWORK
             assert no_networks(model) == (effect.id,)
-            nobody = np.zeros((2, len(NETWORK.elements) + len(model.parameters)))
-            assert values_of(model, nobody, extended, Kernel(network), {}) is None
+            # Coefficients above zero in everybody: others have no logarithm, and end before the network is asked.
+            everybody = np.full((2, len(NETWORK.elements) + len(model.parameters)), 0.1)
+            assert values_of(model, everybody, extended, Kernel(network), {}) is None
             continue
         assert no_networks(model) == ()
         assert parse(str(network)) == network

@@ -258,6 +258,31 @@ def directions(size: int) -> np.ndarray:
     return np.vstack([far * [1, 0], far * [0, 1], far * [0.6, 0.8], far * [0.6, -0.8]])
 
 
+def test_held_parameters_stay_at_the_origin() -> None:
+    kernel = Kernel(parse(TWO), scales={"d1": 1e-3})
+    pooling, rng = Pooling.of(kernel), np.random.default_rng(6)
+    origin, covariance = np.array([0.2, -6.9]), np.array([[0.04]])
+    for free in ((0,), (1,)):
+        held = 1 - free[0]
+        sharing = Sharing.around(pooling, origin, covariance, free)
+        phi = origin + rng.normal(size=(40, 2))
+        away = (phi[:, free] - origin[list(free)]) / 0.2
+        np.testing.assert_allclose(sharing.standardised(phi), np.clip(away, -sharing.reach, sharing.reach))
+        np.testing.assert_allclose(sharing.beyond(phi), np.maximum(np.abs(away[:, 0]) - sharing.reach, 0), atol=1e-12)
+        slope = sharing.beyond_slope(phi, 2.0)
+        assert not slope[:, held].any()
+        step = 1e-6 * np.eye(2)[free[0]]
+        difference = (2 * sharing.beyond(phi + step) ** 2 - 2 * sharing.beyond(phi - step) ** 2) / 2e-6
+        np.testing.assert_allclose(slope[:, free[0]], difference, rtol=1e-5, atol=1e-5)
+        assert sharing.spread(origin[list(free)] + 0.3, np.array([[0.16]])) == pytest.approx(np.sqrt(0.16 + 0.09) / 0.2)
+        name = pooling.names[held]
+        for own, t in zip(sharing.kernels, sharing.points, strict=True):
+            moved_to = origin + np.eye(2)[free[0]] * 0.2 * t[0]
+            theta = np.zeros((1, len(own.elements)))
+            expected = pooling.at(moved_to).impedance(theta, FREQUENCY)
+            np.testing.assert_array_equal(own.impedance(theta, FREQUENCY), expected, err_msg=name)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("repetitions", [1, 2])
 @pytest.mark.parametrize("network", [ONE, TWO])
