@@ -3,7 +3,8 @@
 - Something of the catalogue is missing: as many entries as effects, and each effect has an entry of its own that names
   it, or leaves it undecided: at most :data:`MOST_UNDECIDED` names, entry and aliases that are not separated.
 - Physics outside of the catalogue: one entry, ``unknown`` or one that is the same curve in the band. Several names for
-  one thing are wrong, however well they fit together.
+  one thing are wrong, however well they fit together. An element that changes during the sweep counts as outside where
+  everybody was swept once: time and frequency then go together, such recordings cannot show it, and it is not offered.
 - Nothing is missing: nothing is claimed.
 
 An entry about the noise is right where the noise has such tails, and is not counted. A case is *visible* if every
@@ -44,10 +45,11 @@ def names_of(entry: Mapping[str, Any]) -> set[str]:
 
 def group_of(answer: Mapping[str, Any]) -> str:
     """``none``, ``one``, ``two`` or ``outside``."""
-    ids = [e["id"] for e in answer["effects"]]
-    if any(name.startswith("outside") for name in ids):
+    effects = answer["effects"]
+    swept_once = answer["repetitions"] == 1
+    if any(e["id"].startswith("outside") or (swept_once and e["kind"] == "body.drift") for e in effects):
         return "outside"
-    return ("none", "one", "two")[len(ids)]
+    return ("none", "one", "two")[len(effects)]
 
 
 def entries_of(answer: Mapping[str, Any], verdict: Mapping[str, Any]) -> list[Mapping[str, Any]]:

@@ -225,6 +225,17 @@ def test_strictly_right_is_the_right_set_of_names_and_nothing_else(
     assert scoring.right(_answer(*truth), said, same_curve=False) is right
 
 
+def test_a_change_during_the_only_sweep_counts_as_outside_of_the_catalogue() -> None:
+    once, again = _answer("body.drift"), _answer("body.drift", repetitions=2)
+    for said, right_once, right_again in (
+        ([_entry("unknown")], True, False),
+        ([_entry("body.drift")], False, True),
+        ([_entry("body.resonator"), _entry("unknown")], False, False),
+    ):
+        assert scoring.right(once, said, same_curve=False) is right_once
+        assert scoring.right(again, said, same_curve=False) is right_again
+
+
 def test_one_name_of_the_same_curve_is_right_for_physics_outside_and_two_are_not() -> None:
     answer, names = _answer("outside.echo"), [_entry("body.relaxation"), _entry("rig.lowpass")]
     assert scoring.right(answer, names[:1], same_curve=True)

@@ -9,6 +9,10 @@ at all.
 dispersion from above, the effect is attributed to the rig; if it excludes equality between people, to the body;
 otherwise it is undecided (:func:`verdict_on_side`).
 
+**In some people.** Who lacks an effect (:mod:`bayes_impedance.diagnosis.fit.spike_slab`) says nothing of its size: the
+posterior of an effect that only some have is from those who have it. One normal distribution of all would rather be one
+around zero.
+
 Positive coefficients of the body are reported as median and dispersion of a log-normal distribution with the same mean
 and variance: :math:`s^2 = \ln(1 + \tau^2/\mu^2)`, median :math:`\mu e^{-s^2/2}`.
 """
@@ -22,6 +26,7 @@ import numpy as np
 from bayes_impedance.diagnosis.fit.model import Model
 from bayes_impedance.diagnosis.fit.normal_equations import marginal, quadratic
 from bayes_impedance.diagnosis.fit.refit import Refit
+from bayes_impedance.diagnosis.fit.spike_slab import members
 from bayes_impedance.units import INTERVAL, unit_of
 
 _DRAWS = 2000
@@ -74,6 +79,7 @@ def coefficient_posterior(fit: Refit, seed: int, n_draws: int = _DRAWS) -> Coeff
     parameters = fit.model.parameters
     varying = np.array([not p.shared for p in parameters])
     start = fit.u[:, fit.model.n_elements :].mean(axis=0)
+    h, d, start = _of_those_who_have_it(fit, h, d, start)
     # Shapes and elements are on a logarithmic scale, where one is the natural unit of dispersion.
     linear = np.array([p.is_coefficient for p in parameters])
     unit = np.where(linear, np.maximum(np.abs(start), 1e-12), 1.0)
@@ -112,6 +118,23 @@ def coefficient_posterior(fit: Refit, seed: int, n_draws: int = _DRAWS) -> Coeff
         central[mine] = mean + rng.normal(size=(mine.sum(), mean.size)) @ factor.T
     relative = chosen / np.where(linear, np.maximum(np.abs(central), 1e-300), 1.0)
     return CoefficientPosterior(central, relative, np.linalg.inv(solved(tau)[2]))
+
+
+def _of_those_who_have_it(
+    fit: Refit, h: np.ndarray, d: np.ndarray, start: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Slopes (N, A), curvatures (N, A, A) and mean values (A,), of what only some have without those who lack it."""
+    h, d, start = h.copy(), d.copy(), start.copy()
+    for i, addition in enumerate(fit.model.additions):
+        if not addition.only_in_some or not addition.effect.operation:
+            continue
+        who = members(fit, i)
+        if who.only_some:
+            columns, lacks = np.array(fit.model.columns(i)), who.probability < 0.5
+            start[columns - fit.model.n_elements] = fit.u[~lacks[fit.owner]][:, columns].mean(axis=0)
+            for column in (columns - fit.model.n_elements).tolist():
+                h[lacks, column], d[lacks, column], d[lacks, :, column] = 0.0, 0.0, 0.0
+    return h, d, start
 
 
 @dataclass(frozen=True, kw_only=True)

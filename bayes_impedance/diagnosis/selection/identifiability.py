@@ -1,9 +1,10 @@
 """Whether the effects that a search has found are identified, or together imitate physics outside the catalogue.
 
 A search over a catalogue can compose any smooth curve from enough effects: by Foster and Prony every passive one-port
-is a sum of resonances or of relaxations. Four signs of this are tested:
+is a sum of resonances or of relaxations. Five signs of this are tested:
 
 - structure remains, and is a large part of the median person's mismatch and larger than the noise;
+- structure remains beside as many effects as a search may add: what needs more than these is no list of effects;
 - the effects leave much unexplained relative to their gain, and a small unnamed network explains more than they do;
 - several relaxations or resonances are found that act at the same frequencies, and structure remains nevertheless;
 - two different effects of the body act at the same frequencies, and the recordings allow both at the same place: tissue
@@ -33,7 +34,7 @@ from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.residuals.missing_impedance import missing_one_ports
 from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, compare, log_evidence
 from bayes_impedance.diagnosis.selection.cross_validation import people_gain
-from bayes_impedance.diagnosis.selection.stepwise import Found, rivals
+from bayes_impedance.diagnosis.selection.stepwise import MOST_ADDITIONS, Found, rivals
 from bayes_impedance.diagnosis.selection.unnamed import Realised, stand_in_network
 from bayes_impedance.diagnosis.types import OnePort
 from bayes_impedance.network.operations import TRAITS
@@ -93,7 +94,7 @@ def names_that_hold(
             return _without_names(found), alone
     if len(refitter.data) < FEWEST_PEOPLE:
         return found, rest
-    if own and remains and not _mostly_explained(found):
+    if own and remains and (len(own) >= MOST_ADDITIONS or not _mostly_explained(found)):
         return _unnamed(refitter, found, rest, seed)
     doubtful = _of_one_thing(found, own, residuals, remains)
     if doubtful:

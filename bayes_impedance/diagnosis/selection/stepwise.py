@@ -29,6 +29,7 @@ from bayes_impedance.diagnosis.selection.deciding_people import where_few_decide
 from bayes_impedance.diagnosis.selection.exchange import Way, exchanged, pruned, without
 from bayes_impedance.diagnosis.selection.few_people import holds_beside
 from bayes_impedance.diagnosis.selection.finalists import EQUAL, MOST, SHARE, finalists, in_order, with_lookalikes
+from bayes_impedance.diagnosis.selection.in_some_people import in_some_people
 from bayes_impedance.diagnosis.selection.misfit import dependence
 from bayes_impedance.diagnosis.selection.score_scan import Screening, screen
 from bayes_impedance.diagnosis.selection.shortlist import ALPHA, Trial, from_afar, try_shortlist
@@ -229,6 +230,7 @@ def _explanations(
     fresh = try_shortlist(refitter, fit, screening, seed, begin, tried)
     if not known:
         fresh += from_afar(refitter, fit, effects, seed)
+        fresh += in_some_people(refitter, fit, effects, seed)
         ranked = finalists(refitter, fit, fresh, effects, seed)
         ranked = with_lookalikes(refitter, fit, screening, ranked, effects, seed)
         return fresh, where_few_decide(refitter, fit, ranked, effects, seed)
