@@ -86,6 +86,9 @@ def require_said_quantity(recordings: Recordings, assumed: Collection[str]) -> N
     of :mod:`bayes_impedance.recordings.driving_point`) none is asked about, 1 % if late, 9 % behind a filter of first
     order (masses nearly always), and of accelerance and dynamic stiffness 46 %.
 
+    The recordings' own network is no answer: where it decides, :func:`require_quantity` has refused them, and a passive
+    one describes such impedances behind a filter only. Of one with a delay or filter inside nothing is asked.
+
     Parameters
     ----------
     recordings : Recordings
@@ -101,6 +104,8 @@ def require_said_quantity(recordings: Recordings, assumed: Collection[str]) -> N
     from bayes_impedance.quality.point_anomalies import not_passive
     from bayes_impedance.recordings.plausibility import is_clearly_negative
 
+    if _turns_the_phase(recordings.network):
+        return
     sizes = []
     for one in recordings.subjects:
         if one.name in assumed and is_clearly_negative(one) and any(not_passive(one.frequency_hz, one.mean[None])):
@@ -115,6 +120,17 @@ def require_said_quantity(recordings: Recordings, assumed: Collection[str]) -> N
         f"which that of a passive load is not; as {' or '.join(forms)} they would be passive: give {options}, or, if "
         "they are impedances behind a filter of one channel, --form impedance"
     )
+
+
+def _turns_the_phase(network: str | None) -> bool:
+    """Whether a network has something inside that makes Re z negative; not if it cannot be read."""
+    from bayes_impedance.network.notation import parse
+    from bayes_impedance.network.passivity import known_passive
+
+    try:
+        return not known_passive(parse(network or ""))
+    except InputError:
+        return False
 
 
 def require_prior(recordings: Recordings, network: str | None, prior: GivenPrior | None) -> None:

@@ -47,8 +47,7 @@ def import_dataset(options: argparse.Namespace, progress: Progress) -> Imported:
     imported = import_recordings(options.sources, settings, progress)
     named = replace(imported.recordings, title=str(options.sources[0]))
     doubt = require_quantity(named, None)
-    if imported.recordings.network is None:
-        require_said_quantity(named, {one.subject for one in imported.spectra if QUANTITY in one.assumed})
+    require_said_quantity(named, {one.subject for one in imported.spectra if QUANTITY in one.assumed})
     imported = replace(imported, notes=(*imported.notes, *([doubt] if doubt else ())))
     require_distinct(named)
     if settings.who is None and imported.named_by_files:

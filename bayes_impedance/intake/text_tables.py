@@ -120,8 +120,10 @@ def read_text_table(data: bytes, file: str, how: TableFormat | None = None) -> C
         notes += cut_short(columns[-1], f"{file}, row {rows[-1]}")
     decimal = how.decimal or _decimal(columns, file)
     header, units = _header(lines[:first], width, split)
-    if header is None and any(2 * len(split(line)) == width for line in lines[:first]):  # every number is two cells
-        _require_points(lines[first], lines[first], split, file)
+    names = [] if header is not None else [len(split(line)) for line in lines[:first]]
+    if any(1 < count < width for count in names):  # numbers are two cells, surely so if all of them are
+        for line in lines[first : first + _LOOKED_AT]:
+            _require_points(lines[first], line, split, file, whole=any(2 * count == width for count in names))
     kept = [i for i in range(width) if header is None or header[i] or any(columns[i])]
     variables = []
     for i in kept:
@@ -249,10 +251,15 @@ def _columns(
     return list(zip(*records, strict=True)), np.array(rows)
 
 
-def _require_points(one: str, other: str, split: Splitter, file: str) -> None:
-    """Refuse decimal commas beside commas between columns, in two rows whose numbers of cells are not right."""
+def _require_points(one: str, other: str, split: Splitter, file: str, *, whole: bool = True) -> None:
+    """Refuse decimal commas beside commas between columns, in two rows whose numbers of cells are not right.
+
+    They are of numbers alone (`whole`), or a cell is nothing but digits behind a decimal mark, which may begin with a
+    zero before other digits.
+    """
     cells = [*split(one), *split(other)]
-    if one.count(",") == len(split(one)) - 1 and not any("." in cell for cell in cells) and all(map(_is_number, cells)):
+    parts = (whole and all(map(_is_number, cells))) or any(re.fullmatch(r"0\d+", cell) for cell in cells)
+    if one.count(",") == len(split(one)) - 1 and not any("." in cell for cell in cells) and parts:
         raise InputError(
             f"{file}: there seem to be decimal commas, and commas between the columns too, which cannot be told apart; "
             "export with semicolons or tabs between the columns, or with decimal points"

@@ -154,8 +154,11 @@ def write_together(contents: Mapping[Path, Content]) -> None:
         # Contexts end in reverse order, but the files are to be renamed in the given order.
         temporary = {file: stack.enter_context(replacing(file)) for file in reversed(list(contents))}
         for file, content in contents.items():
+            if isinstance(content, bytes):
+                temporary[file].write_bytes(content)
+                continue
             with temporary[file].open("wb") as stream:
-                stream.writelines([content] if isinstance(content, bytes) else content)
+                stream.writelines(content)
 
 
 def csv_bytes(rows: Iterable[Sequence[object]]) -> bytes:

@@ -119,3 +119,17 @@ def test_decimal_commas_beside_commas_are_refused(
     assert main(["import", str(file), "-o", str(tmp_path / "out")]) == 2
     assert "decimal commas, and commas between the columns too" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+    # Columns without decimals beside them, and numbers that happen to have none.
+    long = "".join(f"P1,1,{row}" for row in rows).replace(".", ",")
+    for content in (long, long.replace(",0000\n", "\n")):
+        file.write_text("subject,repetition,frequency_hz,z_re,z_im\n" + content)
+        assert main(["import", str(file), "-o", str(tmp_path / "out")]) == 2
+        assert "decimal commas, and commas between the columns too" in capsys.readouterr().err
+
+
+def test_whole_numbers_below_a_title_are_no_decimals(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "a.csv").write_text(
+        "Recorder, run 5\n" + "".join(f"{i},{i * 7 % 13},{i * 5 % 11}\n" for i in range(50))
+    )
+    assert main(["import", str(tmp_path / "a.csv"), "-o", str(tmp_path / "out")]) == 2
+    assert "no column is clearly the frequency (found: column 1, column 2, column 3)" in capsys.readouterr().err

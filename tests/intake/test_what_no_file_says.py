@@ -8,6 +8,8 @@ from known_impedance import FREQUENCY, impedance, table
 from lagged_recordings import LOADS, Chain, delayed, recorded
 
 from bayes_impedance.commands.cli import main
+from bayes_impedance.population.fingertip import FINGERTIP
+from bayes_impedance.population.simulate import simulate_recordings
 from bayes_impedance.recordings import Recordings, Subject, read_recordings, write_recordings
 
 S, Z = 2j * np.pi * FREQUENCY, impedance()
@@ -37,6 +39,26 @@ def test_another_quantity_with_the_letter_z_is_asked_for(
     assert "--form impedance" in said
     assert imports(tmp_path, values, "--form", form)
     np.testing.assert_allclose(read_recordings(tmp_path / "out").subjects[0].z[0], Z, rtol=1e-9)
+
+
+def test_a_network_that_describes_it_both_ways_is_no_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Apparent mass of a fingertip is an impedance of the same network behind a high-pass in the motion channel."""
+    people = simulate_recordings(FINGERTIP, 6, 1, np.geomspace(5, 5000, 40), seed=1).recordings
+    rows = ["subject,frequency_hz,z_re,z_im"]
+    for one in people.subjects:
+        values = one.z[0] / (2j * np.pi * one.frequency_hz)
+        rows += [f"{one.name},{f},{z.real},{z.imag}" for f, z in zip(one.frequency_hz, values, strict=True)]
+    (tmp_path / "a.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+
+    def status(network: str) -> int:
+        arguments = ["import", str(tmp_path / "a.csv"), "-o", str(tmp_path / "out"), "--overwrite"]
+        return main([*arguments, "--network", network])
+
+    network = str(people.network)
+    assert status(network) == 2
+    assert "nothing but the letter Z" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+    assert status(f"highpass[f1*]({network})") == 0  # says what makes Re z negative
 
 
 @pytest.mark.parametrize(
