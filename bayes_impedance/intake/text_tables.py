@@ -27,6 +27,8 @@ _COMMENTS = ("#", "%", "!", "//", "'")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?$")
 _COMMA_NUMBER = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?$")
 _COMPLEX = re.compile(r"\(?[+-]?[\d.]+(?:[eE][+-]?\d+)?\s*[+-]\s*[\d.]+(?:[eE][+-]?\d+)?\s*\*?[ij]\)?$")
+_WIDE = re.compile(r"\t|[ ]{2,}")
+"""Between names that are set in columns above rows with another separator, as Z60W and Autolab write them."""
 _BEGINNING = 1000
 """Lines in which the table must begin. By choice: headers of instruments have a hundred."""
 _SAMPLED = 2**16
@@ -119,7 +121,8 @@ def read_text_table(data: bytes, file: str, how: TableFormat | None = None) -> C
     if not text.endswith(("\n", "\r")):
         notes += cut_short(columns[-1], f"{file}, row {rows[-1]}")
     decimal = how.decimal or _decimal(columns, file)
-    header, units = _header(lines[:first], width, split)
+    empty = len(list(itertools.takewhile(lambda column: not any(column), reversed(columns))))
+    header, units = _header(lines[:first], width, split, empty)
     names = [] if header is not None else [len(split(line)) for line in lines[:first]]
     if any(1 < count < width for count in names):  # numbers are two cells, surely so if all of them are
         for line in lines[first : first + _LOOKED_AT]:
@@ -317,8 +320,11 @@ def _decimal(columns: Sequence[Sequence[str]], file: str) -> str:
     return "," if comma else "."
 
 
-def _header(above: Sequence[str], width: int, split: Splitter) -> tuple[list[str] | None, list[str]]:
-    """Names and units of the columns from the lines above the numbers; no names if there are none."""
+def _header(above: Sequence[str], width: int, split: Splitter, empty: int) -> tuple[list[str] | None, list[str]]:
+    """Names and units of the columns from the lines above the numbers; no names if there are none.
+
+    The names may be without those of the last columns, if these are empty: rows then end with the separator.
+    """
     blank = [""] * width
     filled = [line for line in above if line.strip()]
     candidates = []
@@ -326,10 +332,18 @@ def _header(above: Sequence[str], width: int, split: Splitter) -> tuple[list[str
         cells = split(line)
         if len(cells) != width and _is_comment(line):
             cells = split(line.lstrip().lstrip("#%!/'").strip())
+        if len(cells) > width and not any(cells[width:]):  # BioLogic ends the line of names alone with a tab
+            cells = cells[:width]
+        if 1 < len(cells) < width <= len(cells) + empty:
+            cells += [""] * (width - len(cells))
         if len(cells) == width and any(cells) and not all(map(_is_number, filter(None, cells))):
             candidates.append([cell.strip().strip('"').lstrip("#%!").strip() for cell in cells])
         if len(candidates) == 2:
             break
+    if not candidates and filled:
+        cells = [cell.strip() for cell in _WIDE.split(filled[-1].strip().strip('"').strip())]
+        if len(cells) == width > 1 and not any(map(_is_number, cells)):
+            candidates.append(cells)
     if not candidates:
         return None, blank
     if len(candidates) > 1 and _are_units(candidates[0]):
