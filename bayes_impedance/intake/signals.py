@@ -366,7 +366,9 @@ def _hammer(records: Sequence[Record], settings: SignalSettings) -> tuple[Ratio,
     }
     told = ", ".join(f"{count} {what}" for what, count in left_out.items() if count)
     if not len(force):
-        raise InputError(f"{first.file}: no hit can be used ({told or 'none was found'}); hit again, or give --segment")
+        whole = "a record is taken for one hit: if it holds several, give the length of each in seconds by --segment"
+        remedy = whole if length is None else "hit again, or give another --segment"
+        raise InputError(f"{first.file}: no hit can be used ({told or 'none was found'}); {remedy}")
     used = f"{len(force)} hits of {size / first.rate_hz:g} s are" if len(force) > 1 else "one hit is"
     notes = [f"{used} used{f'; left out: {told}' if told else ''}"]
     if len(force) == 1:

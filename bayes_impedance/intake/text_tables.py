@@ -21,6 +21,7 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.intake.contents import Array, Contents, Variable
 from bayes_impedance.intake.quantities import channel_of, hertz_factor, is_response_unit, radian_factor
 from bayes_impedance.runtime.user_table import shown
+from bayes_impedance.units import counted
 
 SEPARATORS = {"tab": "\t", "semicolon": ";", "comma": ",", "bar": "|", "space": " "}
 _COMMENTS = ("#", "%", "!", "//", "'")
@@ -246,9 +247,8 @@ def _columns(
             _require_points(lines[first], line, split, file)
             last = not any(rest.strip() for rest in lines[i + 1 :])
             cause = "the file is cut short: copy it again, or delete the row" if last else "correct the row"
-            raise InputError(
-                f"{file}, row {i + 1}: there are {len(cells)} cells, but {width} in the rows above; {cause}"
-            )
+            there = f"there {'is' if len(cells) == 1 else 'are'} {counted(len(cells), 'cell')}"
+            raise InputError(f"{file}, row {i + 1}: {there}, but {width} in the rows above; {cause}")
         records.append(cells)
         rows.append(i + 1)
     return list(zip(*records, strict=True)), np.array(rows)
