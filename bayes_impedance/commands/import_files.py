@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayes_impedance.commands.checking import require_quantity, require_said_quantity
+from bayes_impedance.commands.checking import doubt_of_quantity, require_quantity, require_said_quantity
 from bayes_impedance.commands.import_arguments import require_sources
 from bayes_impedance.errors import InputError
 from bayes_impedance.runtime.output_folder import output_folder
@@ -48,6 +48,8 @@ def import_dataset(options: argparse.Namespace, progress: Progress) -> Imported:
     named = replace(imported.recordings, title=str(options.sources[0]))
     doubt = require_quantity(named, None)
     require_said_quantity(named, {one.subject for one in imported.spectra if QUANTITY in one.assumed})
+    of_signals = any(one.samples is not None for one in imported.spectra)
+    doubt = doubt or doubt_of_quantity(named, of_signals)
     imported = replace(imported, notes=(*imported.notes, *([doubt] if doubt else ())))
     require_distinct(named)
     if settings.who is None and imported.named_by_files:

@@ -70,8 +70,32 @@ def test_a_network_that_describes_it_both_ways_is_no_answer(tmp_path: Path, caps
         ("frequency_hz Re(Z)/(Ns/m) Im(Z)/(Ns/m)", []),
     ],
 )
-def test_who_says_impedance_is_believed(names: str, options: list[str], tmp_path: Path) -> None:
+def test_who_says_impedance_is_believed(
+    names: str, options: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where only a unit or a name says so, it may be wrong: that is remarked on."""
     assert imports(tmp_path, S / Z, *options, names=names)
+    said = (
+        "as accelerance or dynamic stiffness these recordings would be those of a passive load"
+        in capsys.readouterr().out
+    )
+    assert said is ("--form" not in options)
+    assert imports(tmp_path, Z, *options, names=names)
+    assert "would be those of a passive load" not in capsys.readouterr().out
+
+
+def test_signals_are_told_of_their_units(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Velocity that is called acceleration."""
+    s = 2j * np.pi * np.maximum(np.fft.rfftfreq(2500, 1 / 5000), 1.0)
+    lines = np.arange(s.size) % 2 * (np.abs(s) > 100) * (np.abs(s) < 6000)
+    velocity = lines * np.exp(2j * np.pi * np.random.default_rng(1).random(s.size))
+    force = velocity * (0.01 * s + 3 + 1000 / s)
+    signals = {name: np.tile(np.fft.irfft(one), 5) for name, one in (("force", force), ("motion", velocity))}
+    np.savez(tmp_path / "a.npz", fs=5000.0, **signals)
+    for unit, doubted in (("m/s^2", True), ("m/s", False)):
+        channels = ["--force", "force[N]", "--motion", f"motion[{unit}]"]
+        assert main(["import", str(tmp_path / "a.npz"), *channels, "-o", str(tmp_path / "out"), "--overwrite"]) == 0
+        assert ("correct channel and unit of --force and --motion" in capsys.readouterr().out) is doubted
 
 
 @pytest.mark.parametrize("load", LOADS)
