@@ -11,6 +11,7 @@ from bayes_impedance.commands.checking import doubt_of_quantity, require_quantit
 from bayes_impedance.commands.import_arguments import require_sources
 from bayes_impedance.errors import InputError
 from bayes_impedance.runtime.output_folder import output_folder
+from bayes_impedance.units import ELECTRICAL_UNIT
 
 if TYPE_CHECKING:
     from bayes_impedance.intake import Imported, ImportSettings
@@ -36,7 +37,7 @@ def import_dataset(options: argparse.Namespace, progress: Progress) -> Imported:
     """
     from bayes_impedance.intake import import_recordings
     from bayes_impedance.intake.importing import BESIDE
-    from bayes_impedance.intake.one_person import repeated_by_name, require_persons
+    from bayes_impedance.intake.one_person import put_down_again, repeated_by_name, require_persons
     from bayes_impedance.intake.persons import covariates_of_subjects
     from bayes_impedance.intake.spectrum import QUANTITY
     from bayes_impedance.quality.copies import require_distinct
@@ -55,6 +56,8 @@ def import_dataset(options: argparse.Namespace, progress: Progress) -> Imported:
     if settings.who is None and imported.named_by_files:
         require_persons(named.subjects, named.title)
         remark = repeated_by_name(named.subjects)
+        if remark is None and named.unit != ELECTRICAL_UNIT:  # cells of one kind are as alike
+            remark = put_down_again(named.subjects)
         imported = replace(imported, notes=(*imported.notes, *([remark] if remark else ())))
     beside = imported.beside()
     if options.subjects is not None:
