@@ -86,8 +86,8 @@ def put_down_again(subjects: Sequence[Subject]) -> str | None:
         return None
     return (
         f"{len(subjects)} subjects, named by their files, differ by less than {apart:.2g} of |z| apart from noise, as "
-        "one finger does that is put down again, and people by tens of per cent: if they are one subject, say which part "
-        "of a name is the subject and which the repetition with --subject-from-name"
+        "one finger does that is put down again, and people by tens of per cent: if they are one subject, say which "
+        "part of a name is the subject and which the repetition with --subject-from-name"
     )
 
 
