@@ -55,6 +55,17 @@ def who(unit: str, number: int = 2) -> str:
     return single if number == 1 else plural
 
 
+def counted(number: int, what: str) -> str:
+    """A number with what it counts, which is named in the singular.
+
+    Examples
+    --------
+    >>> counted(1, "subject"), counted(12, "subject")
+    ('1 subject', '12 subjects')
+    """
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
 def ratio_of(unit: str) -> str:
     """Which quantity over which an impedance of this unit is: V/I of electrical recordings, else F/v."""
     return "V/I" if unit == ELECTRICAL_UNIT else "F/v"

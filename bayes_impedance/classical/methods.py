@@ -43,6 +43,7 @@ from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.results.curve_errors import ErrorCurves, common_grid, error_curves, lookup_table, on_grid
 from bayes_impedance.results.result import Result
 from bayes_impedance.runtime.progress import Progress
+from bayes_impedance.units import counted
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -137,7 +138,8 @@ class MethodComparison:
     problems: tuple[str, ...]
 
     def __repr__(self) -> str:
-        return f"<MethodComparison of {short(self.title)}: {len(self.methods)} methods, {len(self.observed)} subjects>"
+        count = f"{counted(len(self.methods), 'method')}, {counted(len(self.observed), 'subject')}"
+        return f"<MethodComparison of {short(self.title)}: {count}>"
 
     def _repr_html_(self) -> str:
         frame = self.to_dataframe()

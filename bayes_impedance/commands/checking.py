@@ -86,6 +86,9 @@ def require_said_quantity(recordings: Recordings, assumed: Collection[str]) -> N
     of :mod:`bayes_impedance.recordings.driving_point`) none is asked about, 1 % if late, 9 % behind a filter of first
     order (masses nearly always), and of accelerance and dynamic stiffness 46 %.
 
+    The recordings' own network is no answer: where it decides, :func:`require_quantity` has refused them, and a passive
+    one describes such impedances behind a filter only. Of one with a delay or filter inside nothing is asked.
+
     Parameters
     ----------
     recordings : Recordings
@@ -97,24 +100,66 @@ def require_said_quantity(recordings: Recordings, assumed: Collection[str]) -> N
     InputError
         If most subjects are such.
     """
-    from bayes_impedance.quality.negative_real_part import explain
-    from bayes_impedance.quality.point_anomalies import not_passive
-    from bayes_impedance.recordings.plausibility import is_clearly_negative
-
-    sizes = []
-    for one in recordings.subjects:
-        if one.name in assumed and is_clearly_negative(one) and any(not_passive(one.frequency_hz, one.mean[None])):
-            found = explain(one.frequency_hz, one.mean)
-            sizes += [found.size] if found.cause == "quantity" else []
-    if len(sizes) <= _MOST * len(recordings):
+    forms = None if _turns_the_phase(recordings.network) else _passive_as(recordings, assumed)
+    if forms is None:
         return
-    forms = ("apparent mass", "receptance") if sum(sizes) > 0 else ("accelerance", "dynamic stiffness")
     options = " or ".join(f"--form '{form}'" for form in forms)
     raise InputError(
         f"{recordings.title}: nothing but the letter Z of a name says that these are impedances, and Re z is negative, "
         f"which that of a passive load is not; as {' or '.join(forms)} they would be passive: give {options}, or, if "
         "they are impedances behind a filter of one channel, --form impedance"
     )
+
+
+def doubt_of_quantity(recordings: Recordings, of_signals: bool) -> str | None:
+    """A remark on what is said to be impedance, and would be passive as another quantity.
+
+    It may be that, or impedance behind a filter of one channel: nothing but the user, or a network, can tell.
+
+    Parameters
+    ----------
+    recordings : Recordings
+    of_signals : bool
+        Whether they were estimated from signals, whose units say the quantity.
+    """
+    if recordings.quantity is not None or _turns_the_phase(recordings.network):
+        return None
+    forms = _passive_as(recordings, recordings.names)
+    if forms is None:
+        return None
+    option = "correct channel and unit of --force and --motion" if of_signals else "give it with --form"
+    return (
+        f"Re z is negative, and as {' or '.join(forms)} these recordings would be those of a passive load: if the unit "
+        f"or name of the values is wrong, {option}; if they are impedances behind a filter of one channel, nothing is "
+        "to be done, and 'bayes-impedance diagnose' finds that"
+    )
+
+
+def _passive_as(recordings: Recordings, names: Collection[str]) -> tuple[str, str] | None:
+    """The quantities as which most subjects would be passive, if Re z of these is clearly negative; else None."""
+    from bayes_impedance.quality.negative_real_part import explain
+    from bayes_impedance.quality.point_anomalies import not_passive
+    from bayes_impedance.recordings.plausibility import is_clearly_negative
+
+    sizes = []
+    for one in recordings.subjects:
+        if one.name in names and is_clearly_negative(one) and any(not_passive(one.frequency_hz, one.mean[None])):
+            found = explain(one.frequency_hz, one.mean)
+            sizes += [found.size] if found.cause == "quantity" else []
+    if len(sizes) <= _MOST * len(recordings):
+        return None
+    return ("apparent mass", "receptance") if sum(sizes) > 0 else ("accelerance", "dynamic stiffness")
+
+
+def _turns_the_phase(network: str | None) -> bool:
+    """Whether a network has something inside that makes Re z negative; not if it cannot be read."""
+    from bayes_impedance.network.notation import parse
+    from bayes_impedance.network.passivity import known_passive
+
+    try:
+        return not known_passive(parse(network or ""))
+    except InputError:
+        return False
 
 
 def require_prior(recordings: Recordings, network: str | None, prior: GivenPrior | None) -> None:

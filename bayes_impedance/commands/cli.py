@@ -12,6 +12,7 @@ from bayes_impedance.commands.progress_bars import Bars
 from bayes_impedance.commands.result_text import tell_result
 from bayes_impedance.commands.terminal import complain, prepare_streams, sentence_of, tell
 from bayes_impedance.errors import BusyError, InputError, WorkerError
+from bayes_impedance.units import counted
 
 if TYPE_CHECKING:
     from bayes_impedance.diagnosis.verdict_types import Verdict
@@ -83,7 +84,7 @@ def _compare(options: argparse.Namespace) -> int:
     for problem in comparison.problems:
         tell(f"NOT RELIABLE (population rows): {problem}")
     tell()
-    tell(f"{len(comparison.observed)} subject(s), network {in_both(comparison.network, comparison.unit)}")
+    tell(f"{counted(len(comparison.observed), 'subject')}, network {in_both(comparison.network, comparison.unit)}")
     tell("error of one curve for all (eq. 5), mean ± standard deviation over frequency")
     tell()
     tell(f"{'':32}{'the paper':20}{'|z|, ' + comparison.unit:>20}{'phase, deg':>20}  passive")
@@ -283,8 +284,8 @@ def _import(options: argparse.Namespace) -> int:
     points = sorted({subject.frequency_hz.size for subject in subjects})
     count = f"{points[0]}" if len(points) == 1 else f"{points[0]} to {points[-1]}"
     tell(
-        f"{len(subjects)} subject(s), up to {imported.recordings.repetitions_max} repetition(s), {count} frequencies, "
-        f"z in {imported.recordings.unit}: {options.out}"
+        f"{counted(len(subjects), 'subject')}, up to {counted(imported.recordings.repetitions_max, 'repetition')}, "
+        f"{count} frequencies, z in {imported.recordings.unit}: {options.out}"
     )
     return DONE
 

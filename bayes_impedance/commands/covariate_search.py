@@ -12,6 +12,7 @@ from bayes_impedance.commands.fit_options import FitOptions
 from bayes_impedance.commands.jobs import selected
 from bayes_impedance.runtime.atomic_files import write_json, write_text
 from bayes_impedance.runtime.output_folder import output_folder
+from bayes_impedance.units import counted
 
 if TYPE_CHECKING:
     from bayes_impedance.diagnosis.covariate_search import CovariateSearch
@@ -71,7 +72,11 @@ def search_dataset(dataset: Path, out: Path, options: FitOptions, progress: Prog
 def lines_of(found: CovariateSearch) -> list[str]:
     """The search as text: remarks, the table, then what it says."""
     lines = [f"note: {remark}" for remark in found.remarks]
-    lines += ["", f"{found.subjects} subjects, network {found.network}, {found.tried} slopes tested", ""]
+    lines += [
+        "",
+        f"{counted(found.subjects, 'subject')}, network {found.network}, {counted(found.tried, 'slope')} tested",
+        "",
+    ]
     lines.append(f"{'element':10}{'covariate':24}{'slope (90 %)':34}{'p':>10}{'corrected':>12}")
     for t in found.trends[: max(_SHOWN, len(found.found))]:
         kind = "exponent" if t.transform == "log" else "per unit"

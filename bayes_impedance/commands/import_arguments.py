@@ -65,7 +65,7 @@ def _spectra(group: argparse._ArgumentGroup) -> None:
         "phase[deg], complex, subject, repetition, coherence, noise_sd (default: guessed where clear)",
     )
     group.add_argument(
-        "--recipe", metavar="NAME", help="columns of gamry, biologic, zview, autolab, zahner, chi, or a TOML file"
+        "--recipe", metavar="NAME", help="columns of gamry, biologic, zview, z60w, autolab, zahner, chi, or a TOML file"
     )
     group.add_argument(
         "--form", help="receptance, mobility, accelerance, dynamic stiffness, impedance or apparent mass (or: by unit)"

@@ -7,10 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayes_impedance.commands.checking import require_quantity, require_said_quantity
+from bayes_impedance.commands.checking import doubt_of_quantity, require_quantity, require_said_quantity
 from bayes_impedance.commands.import_arguments import require_sources
 from bayes_impedance.errors import InputError
 from bayes_impedance.runtime.output_folder import output_folder
+from bayes_impedance.units import ELECTRICAL_UNIT
 
 if TYPE_CHECKING:
     from bayes_impedance.intake import Imported, ImportSettings
@@ -36,7 +37,7 @@ def import_dataset(options: argparse.Namespace, progress: Progress) -> Imported:
     """
     from bayes_impedance.intake import import_recordings
     from bayes_impedance.intake.importing import BESIDE
-    from bayes_impedance.intake.one_person import repeated_by_name, require_persons
+    from bayes_impedance.intake.one_person import put_down_again, repeated_by_name, require_persons
     from bayes_impedance.intake.persons import covariates_of_subjects
     from bayes_impedance.intake.spectrum import QUANTITY
     from bayes_impedance.quality.copies import require_distinct
@@ -47,13 +48,16 @@ def import_dataset(options: argparse.Namespace, progress: Progress) -> Imported:
     imported = import_recordings(options.sources, settings, progress)
     named = replace(imported.recordings, title=str(options.sources[0]))
     doubt = require_quantity(named, None)
-    if imported.recordings.network is None:
-        require_said_quantity(named, {one.subject for one in imported.spectra if QUANTITY in one.assumed})
+    require_said_quantity(named, {one.subject for one in imported.spectra if QUANTITY in one.assumed})
+    of_signals = any(one.samples is not None for one in imported.spectra)
+    doubt = doubt or doubt_of_quantity(named, of_signals)
     imported = replace(imported, notes=(*imported.notes, *([doubt] if doubt else ())))
     require_distinct(named)
     if settings.who is None and imported.named_by_files:
         require_persons(named.subjects, named.title)
         remark = repeated_by_name(named.subjects)
+        if remark is None and named.unit != ELECTRICAL_UNIT:  # cells of one kind are as alike
+            remark = put_down_again(named.subjects)
         imported = replace(imported, notes=(*imported.notes, *([remark] if remark else ())))
     beside = imported.beside()
     if options.subjects is not None:

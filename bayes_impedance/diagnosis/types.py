@@ -10,6 +10,7 @@ import numpy as np
 from bayes_impedance.diagnosis.verdict_types import ParameterDifference, Verdict
 from bayes_impedance.display import Brief
 from bayes_impedance.population.fit import PopulationFit
+from bayes_impedance.units import counted
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -166,7 +167,7 @@ class Diagnosis:
     seconds: dict[str, float]
 
     def __repr__(self) -> str:
-        return f"<Diagnosis of {len(self.subjects)} subjects: {self.verdict.summary}>"
+        return f"<Diagnosis of {counted(len(self.subjects), 'subject')}: {self.verdict.summary}>"
 
     def _repr_html_(self) -> str:
         return self.verdict._repr_html_()

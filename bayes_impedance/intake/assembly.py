@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from bayes_impedance.errors import InputError
-from bayes_impedance.intake.shorter_files import remarks_on_short_files
+from bayes_impedance.intake.shorter_files import places_of, remarks_on_short_files
 from bayes_impedance.intake.spectrum import FREQUENCY_UNIT, FloatArray, Spectrum
 from bayes_impedance.recordings import frequency_scale
 from bayes_impedance.recordings.dataset import Subject
@@ -58,8 +58,9 @@ def assemble(
                 f"{spectra[0].unit}; import the two kinds into different datasets"
             )
         _check_values(spectrum)
-    downwards = {one.source for one in spectra if one.downwards}
-    short = shorter_grids([(one.source, one.frequency_hz) for one in spectra], downwards)
+    places = places_of(spectra)
+    downwards = {place for place, one in zip(places, spectra, strict=True) if one.downwards}
+    short = shorter_grids([(place, one.frequency_hz) for place, one in zip(places, spectra, strict=True)], downwards)
     if short and STOPPED not in believed:
         raise InputError(f"{short[0][0]}: {short[0][1]}, or give --stopped-sweeps if it was stopped there")
     notes = [f"{source}: {what}" for source, what in short] + remarks_on_short_files(spectra)
@@ -126,9 +127,12 @@ def _required(spectra: Sequence[Spectrum], subjects: Sequence[Subject], believed
             "the other way; give --conjugated if you have not, or leave it out"
         )
     if conjugate:
+        who = f"subject {shown(conjugate[0])}"
+        if len(conjugate) > 1:
+            who = f"{len(conjugate)} of {len(subjects)} subjects, the first {shown(conjugate[0])}"
         notes.append(
-            f"{len(conjugate)} of {len(subjects)} subjects, the first {shown(conjugate[0])}: the phase agrees with the "
-            "slope of the magnitude only if its sign is reversed; import these alone with --conjugated, or correct them"
+            f"{who}: the phase agrees with the slope of the magnitude only if its sign is reversed; import these alone "
+            "with --conjugated, or correct them"
         )
     turned = [one.name for one in subjects if SIGN not in believed and is_turned(one)]
     if len(turned) > 0.5 * len(subjects):

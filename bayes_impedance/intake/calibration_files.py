@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
-from collections.abc import Iterable, Sequence
 
 from bayes_impedance.intake.calibrating import Calibrated
 from bayes_impedance.intake.smooth_rig import PARAMETERS, SmoothRig, rig_around
@@ -22,13 +19,6 @@ def calibration_files(calibration: Calibrated) -> dict[str, bytes]:
     if calibration.rig is not None:
         files[RIG_FILE] = _rig_toml(calibration.rig, calibration.spectra[0].unit).encode()
     return files
-
-
-def csv_bytes(rows: Iterable[Sequence[object]]) -> bytes:
-    """A table as CSV."""
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    return text.getvalue().encode()
 
 
 def _rig_toml(rig: SmoothRig, unit: str) -> str:

@@ -212,7 +212,7 @@ def _best(contents: Contents, role: str, candidates: Sequence[Variable]) -> Colu
             negated, stem, unit = _read_name(variable)
             # F [N] is no frequency.
             fits = role != "frequency" or not unit or hertz_factor(unit) is not None
-            if fits and re.fullmatch(pattern, stem):
+            if fits and any(re.fullmatch(pattern, one) for one in (stem, _in_structure(variable))):
                 if role == "frequency" and not unit and _RADIAN_NAMES.fullmatch(stem):
                     unit = "rad/s"
                 fitting.append(Column(role=role, variable=variable, unit=unit, negated=negated))
@@ -250,6 +250,12 @@ def _read_name(variable: Variable) -> tuple[bool, str, str]:
     return negated, stem, variable.unit or unit
 
 
+def _in_structure(variable: Variable) -> str:
+    """The stem of a field's own name in a structure, as ``freq`` of ``data.freq``; an empty text of other names."""
+    match = re.fullmatch(r"[A-Za-z_]\w+\.(?:\w+\.)*(\w+)", variable.name)
+    return match[1].lower().replace("_", "") if match else ""
+
+
 def in_brackets(name: str) -> str:
     """What stands in brackets at the end of a column's name; an empty text if there are none."""
     match = re.fullmatch(r".+?\s*\[([^\[\]]+)\]", name.strip())
@@ -266,5 +272,5 @@ def looks_like_frequency(variable: Variable) -> bool:
     """Whether a column is guessed to be the frequency, by its name and unit."""
     _, stem, unit = _read_name(variable)
     return (not unit or hertz_factor(unit) is not None) and any(
-        re.fullmatch(pattern, stem) for pattern in _GUESSES["frequency"]
+        re.fullmatch(pattern, one) for pattern in _GUESSES["frequency"] for one in (stem, _in_structure(variable))
     )

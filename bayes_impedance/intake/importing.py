@@ -7,7 +7,6 @@ import json
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,7 @@ import numpy as np
 from bayes_impedance.display import Brief
 from bayes_impedance.intake.assembly import SIGN, STOPPED, assemble
 from bayes_impedance.intake.calibrating import Calibrated, CalibrationSettings, calibrated
-from bayes_impedance.intake.calibration_files import RIG_FILE, calibration_files, csv_bytes
+from bayes_impedance.intake.calibration_files import RIG_FILE, calibration_files
 from bayes_impedance.intake.moderated_noise import moderated
 from bayes_impedance.intake.names import who_is
 from bayes_impedance.intake.reading import Progress, ReadingSettings, read_spectra
@@ -23,6 +22,7 @@ from bayes_impedance.intake.spectrum import Spectrum
 from bayes_impedance.recordings.calibration_map import MAP_FILE
 from bayes_impedance.recordings.dataset import Recordings
 from bayes_impedance.recordings.metadata import DRIVING_POINT, HERTZ, IMPEDANCE
+from bayes_impedance.runtime.atomic_files import Content, csv_bytes
 
 COHERENCE_FILE, REPETITIONS_FILE = "coherence.csv", "repetitions.csv"
 CALIBRATION_SD_FILE = "calibration_sd.csv"
@@ -85,13 +85,14 @@ class Imported(Brief):
         """Whether every subject is called as its file is."""
         return all(one.subject == who_is(one.source, None).subject for one in self.spectra)
 
-    def _rows(self, name: str) -> Iterator[list[str]]:
-        """Each spectrum's values of one kind, by frequency; one row after the other, as they may be millions."""
+    def _table(self, name: str, columns: Sequence[str]) -> Iterator[bytes]:
+        """Each spectrum's values of one kind, by frequency; one spectrum after the other, as rows may be millions."""
+        yield csv_bytes([["subject", "repetition", "frequency_hz", *columns]])
         for one in self.spectra:
             values = getattr(one, name)
             if values is not None:
-                for row in np.column_stack([one.frequency_hz, values]).tolist():
-                    yield [one.subject, one.repetition, *map(repr, row)]
+                rows = np.column_stack([one.frequency_hz, values]).tolist()
+                yield csv_bytes([one.subject, one.repetition, *map(repr, row)] for row in rows)
 
     def recipe(self, arguments: Sequence[str]) -> str:
         """The table ``[import]`` of dataset.toml: arguments, sources with their digests, notes."""
@@ -100,16 +101,15 @@ class Imported(Brief):
             lines += ["", "[[import.sources]]", f"file = {_toml(name)}", f"sha256 = {_toml(digest)}"]
         return "\n".join(lines) + "\n"
 
-    def beside(self) -> dict[str, bytes]:
-        """Other files of the dataset: coherence, and what is noted of the repetitions."""
-        files = calibration_files(self.calibration)
+    def beside(self) -> dict[str, Content]:
+        """Other files of the dataset: coherence, and what is noted of the repetitions; each can be read once."""
+        files: dict[str, Content] = {**calibration_files(self.calibration)}
         for file, name, columns in (
             (COHERENCE_FILE, "coherence", ["coherence"]),
             (CALIBRATION_SD_FILE, "calibration_sd", ["calibration_sd_re", "calibration_sd_im"]),
         ):
             if any(getattr(one, name) is not None for one in self.spectra):
-                header = ["subject", "repetition", "frequency_hz", *columns]
-                files[file] = csv_bytes(chain([header], self._rows(name)))
+                files[file] = self._table(name, columns)
         names = list(dict.fromkeys(name for one in self.spectra for name in _facts(one)))
         if names:
             noted: list[list[object]] = [["subject", "repetition", *names]]

@@ -41,6 +41,11 @@ ALIKE = 1.2
 take a part of the signal for all of it."""
 TRANSIENT_LEVEL = 0.001
 """Probability of taking a settled first period for a transient. By choice."""
+CHANCE, LARGE = 1e-6, 0.1
+"""Probability below which a repetition is no chance, and amplitude over the largest of the lines that are asked. By
+choice. Of 2100 records of springs, fingers, masses, dampers and beams under random accelerations 1204 have a force that
+resembles itself at some lag; the least likely has 2.3e-6. Of 300 multisines with noise 295 repeat, and two of the
+others had been given a wrong period."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -246,3 +251,34 @@ def find_period(signal: FloatArray, largest: int) -> int | None:
     while last < largest and difference[last + 1] <= difference[last]:
         last += 1
     return int(last)
+
+
+def repeats(signal: FloatArray, period: int) -> bool:
+    r"""Whether the periods of a signal are more alike than those of noise, which may resemble itself at some lag.
+
+    The force of a spring under noise of its acceleration is nearly all in the lowest lines, and there is a lag at which
+    so few resemble themselves. At a line of noise :math:`F = P |\overline{X}|^2 / s^2` of P periods has the
+    distribution F(2, 2 (P - 1)), and :math:`-\ln p = (P - 1) \ln(1 + F / (P - 1))` is exponential; its sum over the
+    lines above :data:`LARGE` of the largest one is a gamma variable.
+
+    Parameters
+    ----------
+    signal : ndarray of float, shape (N,)
+    period : int
+        In samples.
+    """
+    from scipy.stats import gamma
+
+    count = signal.size // period
+    if count < FEWEST_PERIODS:
+        return False
+    lines = np.fft.rfft(signal[-count * period :].reshape(count, period), axis=1)[:, 1:-1]
+    if count >= 2 * FEWEST_PERIODS:  # the later half has settled
+        lines = lines[count // 2 :]
+    level = np.sqrt(np.mean(np.abs(lines) ** 2, axis=0))
+    asked = lines[:, level >= LARGE * level.max(initial=0.0)]
+    periods, size = asked.shape
+    mean, scatter = np.abs(asked.mean(axis=0)) ** 2, asked.var(axis=0, ddof=1)
+    ratio = periods * mean / np.maximum(scatter, np.finfo(float).eps * mean + np.finfo(float).tiny)
+    surprise = np.sum((periods - 1) * np.log1p(ratio / (periods - 1)))
+    return bool(size and gamma.sf(surprise, size) < CHANCE)

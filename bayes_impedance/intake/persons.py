@@ -14,6 +14,7 @@ from bayes_impedance.intake.formats.registry import read_file
 from bayes_impedance.intake.text_tables import TableFormat
 from bayes_impedance.recordings.csv_table import parse_covariates
 from bayes_impedance.runtime.user_table import shown
+from bayes_impedance.units import counted
 
 
 def covariates_of_subjects(file: Path, names: Sequence[str], how: TableFormat) -> tuple[bytes, list[str]]:
@@ -56,7 +57,7 @@ def covariates_of_subjects(file: Path, names: Sequence[str], how: TableFormat) -
     )
     surplus = [name for name in who if name not in names]
     if surplus:
-        told.append(f"{file}: there are no recordings of {len(surplus)} of its {len(who)} subjects")
+        told.append(f"{file}: there are no recordings of {len(surplus)} of its {counted(len(who), 'subject')}")
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["subject", *cells])

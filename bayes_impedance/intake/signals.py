@@ -24,6 +24,7 @@ from bayes_impedance.intake.periodic import (
     excited_lines,
     find_period,
     period_spectra,
+    repeats,
     transient_periods,
 )
 from bayes_impedance.intake.quantities import FORMS, IMPEDANCE_UNIT, si_response
@@ -169,7 +170,7 @@ def spectrum_of(records: Sequence[Record], who: Who, settings: SignalSettings) -
     excitation, period = settings.excitation, None
     notes = []
     if excitation is None:
-        period = _found_period(first) if settings.period_s is None else None
+        period = _found_period(first, surely=True) if settings.period_s is None else None
         excitation = _kind(first, settings, period)
         notes.append(f"{first.file}: the excitation is taken for {excitation}; --excitation says otherwise")
     estimate = {"noise": _noise, "hammer": _hammer, "stepped sine": _stepped}.get(excitation, _noise)
@@ -234,9 +235,11 @@ def _kind(record: Record, settings: SignalSettings, period: int | None) -> str:
     return "noise" if period is None else "periodic"
 
 
-def _found_period(record: Record) -> int | None:
+def _found_period(record: Record, *, surely: bool = False) -> int | None:
+    """The period of the reference or force, if there is one; if `surely`, one that is no chance resemblance."""
     signal = record.reference if record.reference is not None else record.force.samples
-    return find_period(signal, signal.size // FEWEST_PERIODS)
+    period = find_period(signal, signal.size // FEWEST_PERIODS)
+    return None if period is not None and surely and not repeats(signal, period) else period
 
 
 def _periodic(records: Sequence[Record], settings: SignalSettings, period: int | None) -> tuple[Ratio, list[str]]:
@@ -279,7 +282,8 @@ def _periodic(records: Sequence[Record], settings: SignalSettings, period: int |
         lines = np.flatnonzero(sent > 0.01 * sent.max())
     if not lines.size:
         raise InputError(
-            f"{first.file}: no line of the period stands out of the noise; check --period and the channels"
+            f"{first.file}: no line of the period stands out of the noise; check --period and the channels, or give "
+            "--excitation noise"
         )
     drop = settings.drop
     if drop is None:
@@ -362,7 +366,9 @@ def _hammer(records: Sequence[Record], settings: SignalSettings) -> tuple[Ratio,
     }
     told = ", ".join(f"{count} {what}" for what, count in left_out.items() if count)
     if not len(force):
-        raise InputError(f"{first.file}: no hit can be used ({told or 'none was found'}); hit again, or give --segment")
+        whole = "a record is taken for one hit: if it holds several, give the length of each in seconds by --segment"
+        remedy = whole if length is None else "hit again, or give another --segment"
+        raise InputError(f"{first.file}: no hit can be used ({told or 'none was found'}); {remedy}")
     used = f"{len(force)} hits of {size / first.rate_hz:g} s are" if len(force) > 1 else "one hit is"
     notes = [f"{used} used{f'; left out: {told}' if told else ''}"]
     if len(force) == 1:

@@ -21,12 +21,15 @@ from bayes_impedance.errors import InputError
 from bayes_impedance.intake.contents import Array, Contents, Variable
 from bayes_impedance.intake.quantities import channel_of, hertz_factor, is_response_unit, radian_factor
 from bayes_impedance.runtime.user_table import shown
+from bayes_impedance.units import counted
 
 SEPARATORS = {"tab": "\t", "semicolon": ";", "comma": ",", "bar": "|", "space": " "}
 _COMMENTS = ("#", "%", "!", "//", "'")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?$")
 _COMMA_NUMBER = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?$")
 _COMPLEX = re.compile(r"\(?[+-]?[\d.]+(?:[eE][+-]?\d+)?\s*[+-]\s*[\d.]+(?:[eE][+-]?\d+)?\s*\*?[ij]\)?$")
+_WIDE = re.compile(r"\t|[ ]{2,}")
+"""Between names that are set in columns above rows with another separator, as Z60W and Autolab write them."""
 _BEGINNING = 1000
 """Lines in which the table must begin. By choice: headers of instruments have a hundred."""
 _SAMPLED = 2**16
@@ -119,9 +122,12 @@ def read_text_table(data: bytes, file: str, how: TableFormat | None = None) -> C
     if not text.endswith(("\n", "\r")):
         notes += cut_short(columns[-1], f"{file}, row {rows[-1]}")
     decimal = how.decimal or _decimal(columns, file)
-    header, units = _header(lines[:first], width, split)
-    if header is None and any(2 * len(split(line)) == width for line in lines[:first]):  # every number is two cells
-        _require_points(lines[first], lines[first], split, file)
+    empty = len(list(itertools.takewhile(lambda column: not any(column), reversed(columns))))
+    header, units = _header(lines[:first], width, split, empty)
+    names = [] if header is not None else [len(split(line)) for line in lines[:first]]
+    if any(1 < count < width for count in names):  # numbers are two cells, surely so if all of them are
+        for line in lines[first : first + _LOOKED_AT]:
+            _require_points(lines[first], line, split, file, whole=any(2 * count == width for count in names))
     kept = [i for i in range(width) if header is None or header[i] or any(columns[i])]
     variables = []
     for i in kept:
@@ -241,18 +247,22 @@ def _columns(
             _require_points(lines[first], line, split, file)
             last = not any(rest.strip() for rest in lines[i + 1 :])
             cause = "the file is cut short: copy it again, or delete the row" if last else "correct the row"
-            raise InputError(
-                f"{file}, row {i + 1}: there are {len(cells)} cells, but {width} in the rows above; {cause}"
-            )
+            there = f"there {'is' if len(cells) == 1 else 'are'} {counted(len(cells), 'cell')}"
+            raise InputError(f"{file}, row {i + 1}: {there}, but {width} in the rows above; {cause}")
         records.append(cells)
         rows.append(i + 1)
     return list(zip(*records, strict=True)), np.array(rows)
 
 
-def _require_points(one: str, other: str, split: Splitter, file: str) -> None:
-    """Refuse decimal commas beside commas between columns, in two rows whose numbers of cells are not right."""
+def _require_points(one: str, other: str, split: Splitter, file: str, *, whole: bool = True) -> None:
+    """Refuse decimal commas beside commas between columns, in two rows whose numbers of cells are not right.
+
+    They are of numbers alone (`whole`), or a cell is nothing but digits behind a decimal mark, which may begin with a
+    zero before other digits.
+    """
     cells = [*split(one), *split(other)]
-    if one.count(",") == len(split(one)) - 1 and not any("." in cell for cell in cells) and all(map(_is_number, cells)):
+    parts = (whole and all(map(_is_number, cells))) or any(re.fullmatch(r"0\d+", cell) for cell in cells)
+    if one.count(",") == len(split(one)) - 1 and not any("." in cell for cell in cells) and parts:
         raise InputError(
             f"{file}: there seem to be decimal commas, and commas between the columns too, which cannot be told apart; "
             "export with semicolons or tabs between the columns, or with decimal points"
@@ -310,8 +320,11 @@ def _decimal(columns: Sequence[Sequence[str]], file: str) -> str:
     return "," if comma else "."
 
 
-def _header(above: Sequence[str], width: int, split: Splitter) -> tuple[list[str] | None, list[str]]:
-    """Names and units of the columns from the lines above the numbers; no names if there are none."""
+def _header(above: Sequence[str], width: int, split: Splitter, empty: int) -> tuple[list[str] | None, list[str]]:
+    """Names and units of the columns from the lines above the numbers; no names if there are none.
+
+    The names may be without those of the last columns, if these are empty: rows then end with the separator.
+    """
     blank = [""] * width
     filled = [line for line in above if line.strip()]
     candidates = []
@@ -319,10 +332,18 @@ def _header(above: Sequence[str], width: int, split: Splitter) -> tuple[list[str
         cells = split(line)
         if len(cells) != width and _is_comment(line):
             cells = split(line.lstrip().lstrip("#%!/'").strip())
+        if len(cells) > width and not any(cells[width:]):  # BioLogic ends the line of names alone with a tab
+            cells = cells[:width]
+        if 1 < len(cells) < width <= len(cells) + empty:
+            cells += [""] * (width - len(cells))
         if len(cells) == width and any(cells) and not all(map(_is_number, filter(None, cells))):
             candidates.append([cell.strip().strip('"').lstrip("#%!").strip() for cell in cells])
         if len(candidates) == 2:
             break
+    if not candidates and filled:
+        cells = [cell.strip() for cell in _WIDE.split(filled[-1].strip().strip('"').strip())]
+        if len(cells) == width > 1 and not any(map(_is_number, cells)):
+            candidates.append(cells)
     if not candidates:
         return None, blank
     if len(candidates) > 1 and _are_units(candidates[0]):

@@ -15,6 +15,7 @@ import numpy as np
 from bayes_impedance.errors import InputError
 from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.runtime.user_table import hint, shown
+from bayes_impedance.units import counted
 
 LARGEST_CONDITION = 30.0
 """Of the standardised design matrix: from 30 on a dependency is strong and damages estimates, by Belsley, Kuh and
@@ -70,8 +71,9 @@ def standardised_covariates(recordings: Recordings, names: tuple[str, ...]) -> n
         columns.append(_standardised(values, what, recordings.names))
     if names and len(subjects) < len(names) + 2:
         raise InputError(
-            f"{len(names)} covariates are too many for {len(subjects)} subjects: fewer than {len(names) + 2} "
-            "leave nothing to estimate the remaining dispersion from; leave some covariates out"
+            f"{counted(len(names), 'covariate')} {'is' if len(names) == 1 else 'are'} too many for "
+            f"{counted(len(subjects), 'subject')}: fewer than {len(names) + 2} leave nothing to estimate the remaining "
+            "dispersion from; leave some covariates out"
         )
     design = np.array(columns).T if columns else np.zeros((len(subjects), 0))
     _require_independent(design, names)

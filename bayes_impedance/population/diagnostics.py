@@ -14,6 +14,7 @@ from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.posterior import RARELY
 from bayes_impedance.population.sharded_likelihood import KeptDraws
 from bayes_impedance.recordings.files import Recordings
+from bayes_impedance.units import counted
 
 MISSED_LIMIT = 1.0
 """Largest error of the log likelihood from moving draws with shared parameters. By choice: as for its noise, below."""
@@ -130,7 +131,7 @@ class Diagnostics(Brief):
         if not self.effective_draws_rarely >= FEWEST_DRAWS_BELIEVED:
             poor = int(np.sum(self.effective_draws < FEWEST_DRAWS_BELIEVED))
             found.append(
-                f"the likelihood of {poor} subject(s) rests on {self.effective_draws.min():.1f} draws or so: "
+                f"the likelihood of {counted(poor, 'subject')} rests on {self.effective_draws.min():.1f} draws or so: "
                 "the recordings leave elements undetermined along more than one direction, or a subject is far from "
                 "the others; use a smaller network, a wider band, or leave the subject out"
             )
@@ -179,7 +180,7 @@ class Diagnostics(Brief):
         bad = int(np.sum(self.pareto_k > PARETO_LIMIT))
         if bad:
             found.append(
-                f"{bad} subject(s) have importance weights with a heavy tail (Pareto k up to "
+                f"the importance weights of {counted(bad, 'subject')} have a heavy tail (Pareto k up to "
                 f"{self.pareto_k.max():.2f}): "
                 "their own posteriors are less certain than they look."
             )

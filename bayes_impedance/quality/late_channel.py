@@ -27,8 +27,9 @@ def late_channel(recordings: Recordings) -> tuple[str | None, str] | None:
     size = float(np.median(sizes))
     late, other = ("motion", "force") if size > 0 else ("force", "motion")
     only = recordings.subjects[0].name if len(found) == 1 else None
+    whose = f"{len(sizes)} of {len(found)} subjects" if only is None else f'subject "{only}"'
     return only, (
-        f"{len(sizes)} of {len(found)} subjects: the phase differs from that of the magnitude by an angle that grows "
+        f"{whose}: the phase differs from that of the magnitude by an angle that grows "
         f"with frequency, as if the {late} were recorded about {number_with_unit(abs(size), 's', 1)} later than the "
         f"{other}; 'bayes-impedance diagnose' measures such a delay and says whether it is one"
     )

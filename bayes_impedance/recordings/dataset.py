@@ -19,6 +19,7 @@ from bayes_impedance.recordings.calibration import CommonError
 from bayes_impedance.recordings.calibration_map import CalibrationMap
 from bayes_impedance.recordings.csv_table import ComplexArray, FloatArray, has_control_character
 from bayes_impedance.runtime.user_table import shown, similar
+from bayes_impedance.units import counted
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -190,8 +191,8 @@ class Recordings:
         low = min(float(s.frequency_hz[0]) for s in self.subjects)
         high = max(float(s.frequency_hz[-1]) for s in self.subjects)
         return (
-            f"<Recordings {self.title!r}: {len(self)} subjects, up to {self.repetitions_max} repetitions, {low:g} to "
-            f"{high:g} Hz, in {self.unit}>"
+            f"<Recordings {self.title!r}: {counted(len(self), 'subject')}, up to "
+            f"{counted(self.repetitions_max, 'repetition')}, {low:g} to {high:g} Hz, in {self.unit}>"
         )
 
     def _repr_html_(self) -> str:
@@ -231,7 +232,7 @@ class Recordings:
         >>> list(recordings.to_dataframe())
         ['subject', 'repetition', 'frequency_hz', 'z_re', 'z_im']
         >>> recordings
-        <Recordings 'simulated recordings': 2 subjects, up to 1 repetitions, 10 to 100 Hz, in N s/m>
+        <Recordings 'simulated recordings': 2 subjects, up to 1 repetition, 10 to 100 Hz, in N s/m>
 
         Returns
         -------
@@ -295,7 +296,9 @@ class Recordings:
             if name not in known:
                 guess = similar(name, known)
                 hint = f'did you mean "{guess}"?' if guess else f"there are {', '.join(list(known)[:10])}"
-                raise InputError(f'subject "{name}" is not among the {len(self)} subjects of {self.title}; {hint}')
+                raise InputError(
+                    f'subject "{name}" is not among the {counted(len(self), "subject")} of {self.title}; {hint}'
+                )
             if chosen.count(name) > 1:
                 raise InputError(f'subject "{name}" is selected twice; name it once')
         return replace(self, subjects=tuple(known[name] for name in chosen))

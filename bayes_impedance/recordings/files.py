@@ -7,7 +7,6 @@ CSV file. Everything is checked before it is returned.
 
 from __future__ import annotations
 
-import csv
 import gzip
 import hashlib
 import io
@@ -31,7 +30,7 @@ from bayes_impedance.recordings.parquet import SUFFIX, parquet_table, partitions
 from bayes_impedance.recordings.plausibility import Plausibility
 from bayes_impedance.recordings.repetitions import is_conjugated, signed_factor, subjects_of
 from bayes_impedance.recordings.shorter_grid import shorter_grids
-from bayes_impedance.runtime.atomic_files import write_together
+from bayes_impedance.runtime.atomic_files import Content, csv_bytes, write_together
 from bayes_impedance.runtime.input_files import LARGEST_DESCRIPTION, read_bytes
 
 __all__ = ["Recordings", "Subject", "read_recordings", "write_recordings"]
@@ -285,7 +284,7 @@ def write_recordings(
     significant_digits: int | None = None,
     compress: bool = False,
     recipe: str = "",
-    beside: Mapping[str, bytes] | None = None,
+    beside: Mapping[str, Content] | None = None,
 ) -> Path:
     """Write a dataset that `read_recordings` reads; an existing dataset is replaced.
 
@@ -303,7 +302,7 @@ def write_recordings(
         Write `recordings.csv.gz`. The same data give the same bytes.
     recipe : str
         TOML that is appended to `dataset.toml`: the table that records how the dataset was made.
-    beside : mapping of str to bytes, optional
+    beside : mapping of str to bytes, or to parts of bytes one after the other, optional
         Further files of the folder, which appear together with the others; a `subjects.csv` replaces that of the
         covariates.
 
@@ -320,8 +319,8 @@ def write_recordings(
     if not recordings.subjects:
         raise InputError(f"{folder}: there are no subjects to write")
     target = Path(folder)
-    table = _recordings_csv(recordings, significant_digits).encode()
-    contents = {RECORDINGS_FILES[compress]: _gzip(table) if compress else table}
+    table = _recordings_csv(recordings, significant_digits)
+    contents: dict[str, Content] = {RECORDINGS_FILES[compress]: _gzip(b"".join(table)) if compress else table}
     if any(subject.covariates for subject in recordings.subjects):
         contents[SUBJECTS_FILE] = recordings.subjects_table().to_csv(lineterminator="\n").encode()
     noted = circumstances_csv(recordings.subjects)
@@ -339,14 +338,14 @@ def write_recordings(
     return target
 
 
-def _recordings_csv(recordings: Recordings, significant_digits: int | None) -> str:
+def _recordings_csv(recordings: Recordings, significant_digits: int | None) -> Iterator[bytes]:
+    """The table in parts, one for each recording: as text it is several times as large as its numbers in memory."""
+
     def number(value: float) -> str:
         return repr(value) if significant_digits is None else f"{value:.{significant_digits}g}"
 
     with_noise = any(subject.noise_sd is not None for subject in recordings.subjects)
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["subject", "repetition", "frequency_hz", *CARTESIAN, *(["noise_sd"] if with_noise else [])])
+    yield csv_bytes([["subject", "repetition", "frequency_hz", *CARTESIAN, *(["noise_sd"] if with_noise else [])]])
     for subject in recordings.subjects:
         frequencies = [repr(value) for value in subject.frequency_hz.tolist()]
         for j, repetition in enumerate(subject.repetitions):
@@ -356,8 +355,7 @@ def _recordings_csv(recordings: Recordings, significant_digits: int | None) -> s
             elif with_noise:
                 columns.append(map(str, [""] * len(frequencies)))
             names = ([name] * len(frequencies) for name in (subject.name, repetition))
-            writer.writerows(zip(*names, frequencies, *columns, strict=True))
-    return text.getvalue()
+            yield csv_bytes(zip(*names, frequencies, *columns, strict=True))
 
 
 def _metadata_toml(recordings: Recordings) -> str:

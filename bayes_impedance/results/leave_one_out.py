@@ -50,6 +50,7 @@ from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.results.arviz_layout import for_file
 from bayes_impedance.results.result import DENSITY_ATTRIBUTE, Result
 from bayes_impedance.runtime.progress import Progress
+from bayes_impedance.units import counted
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -84,7 +85,7 @@ class LeftOut:
 
     def __repr__(self) -> str:
         elpd, error = self.total
-        return f"<LeftOut of {len(self.subjects)} subjects: elpd {elpd:.1f}, standard error {error:.1f}>"
+        return f"<LeftOut of {counted(len(self.subjects), 'subject')}: elpd {elpd:.1f}, standard error {error:.1f}>"
 
     def _repr_html_(self) -> str:
         rows = list(zip(self.subjects, self.elpd.tolist(), self.pareto_k.tolist(), self.refitted.tolist(), strict=True))

@@ -9,17 +9,22 @@ exception removes it at once.
 
 from __future__ import annotations
 
+import csv
 import errno
+import io
 import json
 import math
 import os
 import secrets
 import socket
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
+
+Content = bytes | Iterable[bytes]
+"""Bytes of a file, or parts of them one after the other, so that they need not be in memory together."""
 
 TEMPORARY_SUFFIX = ".tmp"
 """Suffix of the temporary file's name."""
@@ -143,10 +148,21 @@ def write_json(file: Path, content: Any, *, indent: int = 2) -> Path:
     return write_text(file, json.dumps(content, indent=indent, allow_nan=False) + "\n")
 
 
-def write_together(contents: dict[Path, bytes]) -> None:
-    """Write several files; none is replaced before all are complete."""
+def write_together(contents: Mapping[Path, Content]) -> None:
+    """Write several files, each as a whole or part by part; none is replaced before all are complete."""
     with ExitStack() as stack:
         # Contexts end in reverse order, but the files are to be renamed in the given order.
-        temporary = {file: stack.enter_context(replacing(file)) for file in reversed(contents)}
+        temporary = {file: stack.enter_context(replacing(file)) for file in reversed(list(contents))}
         for file, content in contents.items():
-            temporary[file].write_bytes(content)
+            if isinstance(content, bytes):
+                temporary[file].write_bytes(content)
+                continue
+            with temporary[file].open("wb") as stream:
+                stream.writelines(content)
+
+
+def csv_bytes(rows: Iterable[Sequence[object]]) -> bytes:
+    """Rows as CSV."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue().encode()

@@ -65,6 +65,24 @@ def test_one_person_in_71_files_is_refused(tmp_path: Path, capsys: pytest.Captur
     assert [len(one.repetitions) for one in read_recordings(out).subjects] == [71]
 
 
+@pytest.mark.parametrize(
+    ("spread", "options", "told"),
+    [
+        (0.04, (), True),
+        (0.3, (), False),
+        (0.04, ("--unit", "ohm"), False),
+        (0.04, ("--subject-from-name", "(?P<subject>.+)"), False),
+    ],
+)
+def test_a_finger_that_was_put_down_again_is_pointed_out(
+    spread: float, options: tuple[str, ...], told: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """People differ by more; cells of one kind do not, and who says what the names are is believed."""
+    files = written(tmp_path / "files", curves(np.random.default_rng(8), 20, spread, 0.01))
+    assert main(["import", str(files), "-o", str(tmp_path / "out"), *options]) == 0
+    assert ("as one finger does that is put down again" in capsys.readouterr().out) is told
+
+
 @pytest.mark.parametrize(("again", "told"), [(0.03, True), (0.3, False)])
 def test_names_of_repetitions_are_pointed_out(
     again: float, told: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -119,3 +137,17 @@ def test_decimal_commas_beside_commas_are_refused(
     assert main(["import", str(file), "-o", str(tmp_path / "out")]) == 2
     assert "decimal commas, and commas between the columns too" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+    # Columns without decimals beside them, and numbers that happen to have none.
+    long = "".join(f"P1,1,{row}" for row in rows).replace(".", ",")
+    for content in (long, long.replace(",0000\n", "\n")):
+        file.write_text("subject,repetition,frequency_hz,z_re,z_im\n" + content)
+        assert main(["import", str(file), "-o", str(tmp_path / "out")]) == 2
+        assert "decimal commas, and commas between the columns too" in capsys.readouterr().err
+
+
+def test_whole_numbers_below_a_title_are_no_decimals(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "a.csv").write_text(
+        "Recorder, run 5\n" + "".join(f"{i},{i * 7 % 13},{i * 5 % 11}\n" for i in range(50))
+    )
+    assert main(["import", str(tmp_path / "a.csv"), "-o", str(tmp_path / "out")]) == 2
+    assert "no column is clearly the frequency (found: column 1, column 2, column 3)" in capsys.readouterr().err

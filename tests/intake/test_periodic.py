@@ -1,15 +1,19 @@
 """Periodic excitation: exact lines, true intervals, distortion where it is and nowhere else."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from simulated_signals import Multisine, share_within
 
+from bayes_impedance.commands.cli import main
 from bayes_impedance.intake.periodic import (
     best_linear_approximation,
     distortion,
     excited_lines,
     find_period,
     period_spectra,
+    repeats,
     transient_periods,
 )
 
@@ -106,7 +110,40 @@ def test_the_period_is_found(sines: Multisine, noise: float) -> None:
     found = find_period(force, force.size // 2)
     # The period of the signal, which is a fraction of the record's if its lines have a common divisor.
     assert found == sines.samples // int(np.gcd.reduce(sines.lines))
+    for count in (3, 6):  # of two periods and three lines it may be chance
+        assert repeats(force[: count * sines.samples], found)
 
 
 def test_noise_has_no_period() -> None:
     assert find_period(np.random.default_rng(1).normal(size=20_000), 10_000) is None
+
+
+def finger_under_random_acceleration(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Force of 800 N/m, 3 N s/m and 1 g, and acceleration; at 5 kHz, nothing below 2 Hz."""
+    rng = np.random.default_rng(seed)
+    size = 2 * int(rng.choice([8000, 20_000]))
+    s = 2j * np.pi * np.maximum(np.fft.rfftfreq(size, 1 / 5000), 1e-3)
+    acceleration = np.fft.rfft(rng.normal(size=size)) * (np.abs(s) > 2 * np.pi * 2)
+    force = np.fft.irfft(acceleration / s * (800 / s + 3 + 1e-3 * s))[: size // 2]
+    return force + 1e-3 * force.std() * rng.normal(size=force.size), np.fft.irfft(acceleration)[: size // 2]
+
+
+def test_a_resemblance_by_chance_is_no_period() -> None:
+    """The force of a spring under noise is nearly all in its lowest lines, which often resemble themselves."""
+    resembling = 0
+    for seed in range(40):
+        force, _ = finger_under_random_acceleration(seed)
+        found = find_period(force, force.size // 2)
+        if found is not None:
+            resembling += 1
+            assert not repeats(force, found)
+    assert resembling >= 10
+
+
+def test_what_resembles_itself_by_chance_is_imported_as_noise(tmp_path: Path, capsys) -> None:
+    made = (finger_under_random_acceleration(seed) for seed in range(40))
+    force, motion = next(pair for pair in made if find_period(pair[0], pair[0].size // 2) is not None)
+    np.savez(tmp_path / "a.npz", fs=5000.0, force=force, motion=motion)
+    arguments = ["import", str(tmp_path / "a.npz"), "--force", "force[N]", "--motion", "motion[m/s^2]"]
+    assert main([*arguments, "-o", str(tmp_path / "out")]) == 0
+    assert "taken for noise" in capsys.readouterr().out

@@ -121,6 +121,9 @@ def test_hits_in_one_record_and_a_double_one_left_out(tmp_path: Path, capsys: py
     np.testing.assert_allclose(subject.z[0], 1 / mobility_at(subject.frequency_hz, rate), rtol=0.01)
     assert "3 hits of 0.5 s are used; left out: 1 hit twice" in capsys.readouterr().out
     assert (tmp_path / "imported" / "coherence.csv").exists()
+    whole = [str(part) for part in channels if part not in ("--segment", 0.5)]
+    assert main(["import", str(tmp_path / "h.npz"), *whole, "-o", str(tmp_path / "out")]) == 2
+    assert "if it holds several, give the length of each in seconds by --segment" in capsys.readouterr().err
 
 
 FORCE, X = SINES.periods(4, 1)

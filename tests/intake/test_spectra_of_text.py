@@ -144,7 +144,7 @@ REFUSED = {
     "blank": (b" \n\n", (), "the file is empty"),
     "binary": (bytes(range(256)) * 40, (), "binary file"),
     "no numbers": (b"a,b,c\nx,y,z\n", (), "no rows of numbers"),
-    "truncated": (GOOD.encode()[:-25], (), "row 26: there are 1 cells"),
+    "truncated": (GOOD.encode()[:-25], (), "row 26: there is 1 cell, but"),
     "short row": (GOOD.replace("\n5.0,", "\n", 1).encode(), (), "cells, but"),
     "text for a number": (GOOD.replace("5.0", "five", 1).encode(), (), 'row 2: f is "five"'),
     "unknown form": (table({"f": F, "re": Z.real, "im": Z.imag}).encode(), (), "no unit says what"),

@@ -8,6 +8,8 @@ from known_impedance import FREQUENCY, impedance, table
 from lagged_recordings import LOADS, Chain, delayed, recorded
 
 from bayes_impedance.commands.cli import main
+from bayes_impedance.population.fingertip import FINGERTIP
+from bayes_impedance.population.simulate import simulate_recordings
 from bayes_impedance.recordings import Recordings, Subject, read_recordings, write_recordings
 
 S, Z = 2j * np.pi * FREQUENCY, impedance()
@@ -39,6 +41,26 @@ def test_another_quantity_with_the_letter_z_is_asked_for(
     np.testing.assert_allclose(read_recordings(tmp_path / "out").subjects[0].z[0], Z, rtol=1e-9)
 
 
+def test_a_network_that_describes_it_both_ways_is_no_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Apparent mass of a fingertip is an impedance of the same network behind a high-pass in the motion channel."""
+    people = simulate_recordings(FINGERTIP, 6, 1, np.geomspace(5, 5000, 40), seed=1).recordings
+    rows = ["subject,frequency_hz,z_re,z_im"]
+    for one in people.subjects:
+        values = one.z[0] / (2j * np.pi * one.frequency_hz)
+        rows += [f"{one.name},{f},{z.real},{z.imag}" for f, z in zip(one.frequency_hz, values, strict=True)]
+    (tmp_path / "a.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+
+    def status(network: str) -> int:
+        arguments = ["import", str(tmp_path / "a.csv"), "-o", str(tmp_path / "out"), "--overwrite"]
+        return main([*arguments, "--network", network])
+
+    network = str(people.network)
+    assert status(network) == 2
+    assert "nothing but the letter Z" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+    assert status(f"highpass[f1*]({network})") == 0  # says what makes Re z negative
+
+
 @pytest.mark.parametrize(
     ("names", "options"),
     [
@@ -48,8 +70,32 @@ def test_another_quantity_with_the_letter_z_is_asked_for(
         ("frequency_hz Re(Z)/(Ns/m) Im(Z)/(Ns/m)", []),
     ],
 )
-def test_who_says_impedance_is_believed(names: str, options: list[str], tmp_path: Path) -> None:
+def test_who_says_impedance_is_believed(
+    names: str, options: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where only a unit or a name says so, it may be wrong: that is remarked on."""
     assert imports(tmp_path, S / Z, *options, names=names)
+    said = (
+        "as accelerance or dynamic stiffness these recordings would be those of a passive load"
+        in capsys.readouterr().out
+    )
+    assert said is ("--form" not in options)
+    assert imports(tmp_path, Z, *options, names=names)
+    assert "would be those of a passive load" not in capsys.readouterr().out
+
+
+def test_signals_are_told_of_their_units(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Velocity that is called acceleration."""
+    s = 2j * np.pi * np.maximum(np.fft.rfftfreq(2500, 1 / 5000), 1.0)
+    lines = np.arange(s.size) % 2 * (np.abs(s) > 100) * (np.abs(s) < 6000)
+    velocity = lines * np.exp(2j * np.pi * np.random.default_rng(1).random(s.size))
+    force = velocity * (0.01 * s + 3 + 1000 / s)
+    signals = {name: np.tile(np.fft.irfft(one), 5) for name, one in (("force", force), ("motion", velocity))}
+    np.savez(tmp_path / "a.npz", fs=5000.0, **signals)
+    for unit, doubted in (("m/s^2", True), ("m/s", False)):
+        channels = ["--force", "force[N]", "--motion", f"motion[{unit}]"]
+        assert main(["import", str(tmp_path / "a.npz"), *channels, "-o", str(tmp_path / "out"), "--overwrite"]) == 0
+        assert ("correct channel and unit of --force and --motion" in capsys.readouterr().out) is doubted
 
 
 @pytest.mark.parametrize("load", LOADS)

@@ -207,6 +207,8 @@ def test_small_delay_of_the_rig_is_found_by_the_phase() -> None:
     finding = only(replace(data, subjects=tuple(late)), "lag")
     assert finding.subject is None
     assert "the force were recorded" in finding.message
+    (alone,) = (finding for finding in check_recordings(replace(data, subjects=(late[2],))) if finding.id == "lag")
+    assert alone.message.startswith(f'subject "{late[2].name}": the phase differs')
 
 
 # Notes, and small data

@@ -144,3 +144,32 @@ def test_shorter_signals_are_remarked_on(
     assert main(["import", str(tmp_path), "-o", str(tmp_path.parent / "signals_out"), *channels, "--overwrite"]) == 0
     said = capsys.readouterr().out
     assert (told in said) if told else ("samples, where" not in said)
+
+
+@pytest.mark.parametrize(
+    ("left_out", "words"),
+    [
+        (2, 'subject "F", repetition "3": the frequencies end at 40 Hz after 4, where 17 others'),
+        (6, 'subject "F" of the table has 2 of the 3 repetitions that all others have'),
+        (13, 'subject "F", repetition "1": the frequencies end at'),
+        (18, ""),
+    ],
+)
+def test_one_table_of_many_that_was_cut_between_its_rows(
+    left_out: int, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where a whole subject is missing nothing says so."""
+    rng = np.random.default_rng(1)
+    table = [
+        f"{who},{j},{f},{rng.normal(2 + ord(who) / 9, 0.01):.5f},{rng.normal(f * 0.02 - 60 / f, 0.01):.5f}\n"
+        for who in "ABCDEF"
+        for j in (1, 2, 3)
+        for f in FREQUENCIES
+    ]
+    file = tmp_path / "a.csv"
+    file.write_text(HEADER + "".join(table[:-left_out]), encoding="utf-8")
+    status = main(["import", str(file), "-o", str(tmp_path / "out")])
+    told = capsys.readouterr()
+    assert status == (2 if "frequencies end" in words else 0)
+    assert words in told.err + told.out
+    assert ("cut" in told.err + told.out) is bool(words)

@@ -68,6 +68,20 @@ def test_files_that_belong_together_are_replaced_together(tmp_path: Path) -> Non
     assert (one.read_bytes(), two.read_bytes()) == (b"11", b"22")
 
 
+def test_a_file_is_written_part_by_part(tmp_path: Path) -> None:
+    one, two = write_bytes(tmp_path / "one", b"1"), tmp_path / "two"
+    write_together({one: iter([b"1", b"", b"2"]), two: b"22"})
+    assert (one.read_bytes(), two.read_bytes()) == (b"12", b"22")
+
+    def ends_early():
+        yield b"3"
+        raise ValueError("no more parts")
+
+    with pytest.raises(ValueError, match="no more parts"):
+        write_together({two: b"4", one: ends_early()})
+    assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == {"one": b"12", "two": b"22"}
+
+
 def test_json_has_no_numbers_that_are_not_finite(tmp_path: Path) -> None:
     assert write_json(tmp_path / "a.json", {"a": [1, 2.5]}, indent=1).read_text() == '{\n "a": [\n  1,\n  2.5\n ]\n}\n'
     with pytest.raises(ValueError, match="JSON compliant"):

@@ -23,7 +23,7 @@ from bayes_impedance.diagnosis.heterogeneity.bootstrap import Residuals, replica
 from bayes_impedance.diagnosis.heterogeneity.person_likelihoods import PersonLikelihoods
 from bayes_impedance.diagnosis.heterogeneity.reml import Fit, FullCovariance, centred_fit
 from bayes_impedance.diagnosis.multiple_testing import bonferroni, holm
-from bayes_impedance.units import NORMAL_Q95
+from bayes_impedance.units import NORMAL_Q95, counted
 
 REPLICATES = 200
 """Number of replicates. They only scale the scores and their sum: 200 give a standard deviation to 5 %."""
@@ -117,7 +117,7 @@ def correlation_test(likelihoods: PersonLikelihoods, seed: int, count: int = REP
 
     n = len(likelihoods)
     if n < MINIMUM_PERSONS:
-        return _nothing(n, f"only {n} subjects; at least {MINIMUM_PERSONS} are needed")
+        return _nothing(n, f"only {counted(n, 'subject')}; at least {MINIMUM_PERSONS} are needed")
     _, diagonal = centred_fit(likelihoods, diagonal=True)
     kept = np.flatnonzero(diagonal.determined)
     remarks = tuple(

@@ -34,6 +34,7 @@ from bayes_impedance.diagnosis.heterogeneity.trends import (
 )
 from bayes_impedance.diagnosis.multiple_testing import bonferroni
 from bayes_impedance.errors import InputError
+from bayes_impedance.units import counted
 
 _SPARE_PERSONS = 3
 """Persons required in addition to one per covariate: for the mean, and two degrees of freedom for the variance."""
@@ -64,7 +65,7 @@ def find_covariates(
                 f"covariate '{name}' has shape {np.shape(values)}: give one number for each of {n} subjects"
             )
     if n < MINIMUM_PERSONS:
-        return Trends((), 0, reason=f"only {n} subjects; at least {MINIMUM_PERSONS} are needed")
+        return Trends((), 0, reason=f"only {counted(n, 'subject')}; at least {MINIMUM_PERSONS} are needed")
     if not covariates:
         return Trends((), 0, reason="there are no covariates")
     remarks: list[str] = []

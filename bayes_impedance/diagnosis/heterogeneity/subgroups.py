@@ -40,7 +40,7 @@ from bayes_impedance.diagnosis.heterogeneity.two_groups import (
 )
 from bayes_impedance.diagnosis.multiple_testing import bonferroni
 from bayes_impedance.population.em_state import PRIOR_PERSONS
-from bayes_impedance.units import NORMAL_Q95
+from bayes_impedance.units import NORMAL_Q95, counted
 
 REPLICATES = 200
 """Twenty replicates lie in the highest tenth, from which the tail is extrapolated
@@ -137,7 +137,7 @@ def find_subgroup(
 
     n, elements = len(likelihoods), likelihoods.elements
     if n < MINIMUM_PERSONS:
-        return _nothing(n, len(elements), f"only {n} subjects; at least {MINIMUM_PERSONS} are needed")
+        return _nothing(n, len(elements), f"only {counted(n, 'subject')}; at least {MINIMUM_PERSONS} are needed")
     _, fit = centred_fit(likelihoods.around(mu), covariance + 1e-6 * np.eye(len(elements)))
     kept = np.flatnonzero(fit.determined)
     remarks = tuple(f"{e} is not determined by the recordings" for k, e in enumerate(elements) if k not in kept)

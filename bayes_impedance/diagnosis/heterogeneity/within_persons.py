@@ -48,6 +48,7 @@ from bayes_impedance.diagnosis.heterogeneity.trends import (
 )
 from bayes_impedance.diagnosis.multiple_testing import bonferroni
 from bayes_impedance.errors import InputError
+from bayes_impedance.units import counted
 
 DRIFT = "repetition"
 """Name of the number of the repetition among the variables."""
@@ -163,7 +164,8 @@ def find_within_persons(repetitions: RepetitionLikelihoods, *, alpha: float = AL
     """
     n = sum(len(order) > 1 for order in repetitions.order)
     if n < MINIMUM_PERSONS:
-        return Trends((), 0, reason=f"only {n} subjects have repetitions; at least {MINIMUM_PERSONS} are needed")
+        have = f"{counted(n, 'subject')} {'has' if n == 1 else 'have'}"
+        return Trends((), 0, reason=f"only {have} repetitions; at least {MINIMUM_PERSONS} are needed")
     remarks: list[str] = []
     variables = variables_of(repetitions, remarks)
     beside: list[str] = []

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from bayes_impedance.errors import InputError
 from bayes_impedance.intake.contents import Contents
+from bayes_impedance.intake.formats.gamry import spectrum_alone
 from bayes_impedance.intake.text_tables import TableFormat, read_text_table
 from bayes_impedance.runtime.input_files import read_bytes
 
@@ -57,7 +58,7 @@ def read_file(file: Path, how: TableFormat, record: str | None = None) -> list[C
             raise InputError(f"{file}: the file is empty; copy it again")
         reader: Reader = import_module(f"bayes_impedance.intake.formats.{_READERS[suffix]}").read
         return reader(file, record)
-    return [read_text_table(read_bytes(file), str(file), how)]
+    return [read_text_table(spectrum_alone(read_bytes(file)), str(file), how)]
 
 
 def files_of(source: Path) -> list[Path]:

@@ -181,6 +181,8 @@ def test_covariates_are_collected_by_name_with_nan_where_unknown() -> None:
 def test_what_cannot_be_tested_is_remarked_upon() -> None:
     _, remarks = entries(toy(*TOY, seed=9, n=4), np.ones(4))
     assert remarks == ["Covariates: only 4 subjects; at least 5 are needed"]
+    _, remarks = entries(toy(*TOY, seed=9, n=1), np.ones(1))
+    assert remarks == ["Covariates: only 1 subject; at least 5 are needed"]
 
 
 TEMPERATURE = np.random.default_rng(12).uniform(5.0, 40.0, N)
