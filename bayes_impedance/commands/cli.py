@@ -12,6 +12,7 @@ from bayes_impedance.commands.progress_bars import Bars
 from bayes_impedance.commands.result_text import tell_result
 from bayes_impedance.commands.terminal import complain, prepare_streams, sentence_of, tell
 from bayes_impedance.errors import BusyError, InputError, WorkerError
+from bayes_impedance.runtime.freed_memory import return_freed_memory
 from bayes_impedance.units import counted
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         0 done, 1 failed (or a result that must not be used), 2 bad input.
     """
     prepare_streams()
+    return_freed_memory()
     try:
         options = parser_of_commands().parse_args(arguments)
         return _JOBS[options.command](options)

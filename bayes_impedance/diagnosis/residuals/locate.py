@@ -36,6 +36,7 @@ from bayes_impedance.diagnosis.residuals.windows import (
     refined,
     scatter_between,
     scatter_ratios,
+    variances,
     visible,
     windows,
 )
@@ -212,7 +213,7 @@ def _coherent(
     scatter = np.ones(usable.size)
     if pooled.persons > 1:
         scatter = np.maximum((ratios.excess * ratios.noise)[: usable.size], 1.0)
-    whole = np.sum(templates * (covariance @ templates), axis=0)
+    whole = variances(covariance, templates)
     found: list[_Found] = []
     p_first = 1.0
     sums, left = pooled.scores.sum(axis=0), covariance

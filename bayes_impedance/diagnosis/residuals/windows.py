@@ -152,8 +152,9 @@ class Ratios:
 def scatter_ratios(pooled: Pooled, windows: Windows, use_contrasts: bool) -> Ratios:
     """Compare the scatter between persons with the noise, in all templates and windows."""
     templates, inside = windows.templates(), windows.inside
-    score, variance = pooled.scores @ templates, pooled.variance(templates)
-    between, freedom = _between(pooled, templates, score, variance)
+    matrix = contrast_matrix(pooled.owner) if use_contrasts else None
+    some = [_of_templates(pooled, own, matrix) for own in _in_pieces(templates)]
+    between, freedom, within = np.concatenate(some, axis=1)
 
     node, n = pooled.node_variance(), pooled.by_person(pooled.count)
     node_sum, all_n = pooled.by_person(pooled.scores), np.maximum(n.sum(axis=0), 1.0)
@@ -162,23 +163,31 @@ def scatter_ratios(pooled: Pooled, windows: Windows, use_contrasts: bool) -> Rat
     expected = np.sum(pooled.by_person(node) / n, axis=0) - node.sum(axis=0) / all_n
     top = np.concatenate([between, _in_windows(energy, inside)])
     freedom = np.maximum(np.concatenate([freedom, _in_windows(expected, inside)]), 0.0)
-    if not use_contrasts:
+    if matrix is None:
         ones = np.ones(freedom.size)
         return Ratios(top / np.maximum(freedom, 1e-300), freedom, np.full(freedom.size, np.inf), ones)
 
-    matrix = contrast_matrix(pooled.owner)
-    s, v = matrix @ score, matrix**2 @ variance
-    usable = v > 1e-6 * (matrix**2 @ (pooled.count @ templates**2)).max(axis=0)
-    within = np.sum(np.divide(s**2, v, out=np.zeros_like(s), where=usable), axis=0)
     n = np.maximum(matrix**2 @ pooled.count, 1.0)
     energy = _in_windows(np.sum((matrix @ pooled.scores) ** 2 / n, axis=0), inside)
     expected = _in_windows(np.sum((matrix**2 @ node) / n, axis=0), inside)
     # All points of a window estimate its noise better than one template does, unless the noise is not white.
     level = energy / np.maximum(expected, 1e-300)
     home = windows.home()
-    noise = np.concatenate([np.maximum(within / np.maximum(usable.sum(axis=0), 1), level[home]), level])
+    noise = np.concatenate([np.maximum(within, level[home]), level])
     noise_freedom = np.concatenate([expected[home], expected])
     return Ratios(top / np.maximum(freedom * noise, 1e-300), freedom, noise_freedom, noise)
+
+
+def _of_templates(pooled: Pooled, templates: np.ndarray, matrix: np.ndarray | None) -> np.ndarray:
+    """Chi-square between persons, its degrees of freedom, and noise of the contrasts over what was assumed (3, M)."""
+    score, variance = pooled.scores @ templates, pooled.variance(templates)
+    between, freedom = _between(pooled, templates, score, variance)
+    if matrix is None:
+        return np.array([between, freedom, np.ones(between.size)])
+    s, v = matrix @ score, matrix**2 @ variance
+    usable = v > 1e-6 * (matrix**2 @ (pooled.count @ templates**2)).max(axis=0)
+    within = np.sum(np.divide(s**2, v, out=np.zeros_like(s), where=usable), axis=0)
+    return np.array([between, freedom, within / np.maximum(usable.sum(axis=0), 1)])
 
 
 def scatter_between(pooled: Pooled, templates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -312,12 +321,22 @@ def _resampling(n: int, size: int, rng: np.random.Generator) -> np.ndarray:
     return np.bincount(chosen.ravel(), minlength=n * n).reshape(n, n) / size
 
 
+def variances(covariance: np.ndarray, templates: np.ndarray) -> np.ndarray:
+    """Variances of the scores of templates (2 G, M) with noise of some covariance (2 G, 2 G), shape (M,)."""
+    return np.concatenate([np.einsum("gm,gm->m", own, covariance @ own) for own in _in_pieces(templates)])
+
+
+def _in_pieces(templates: np.ndarray) -> list[np.ndarray]:
+    """Views of a few templates each."""
+    return [templates[:, b : b + _TEMPLATES_AT_ONCE] for b in range(0, templates.shape[1], _TEMPLATES_AT_ONCE)]
+
+
 def visible(pooled: Pooled, windows: Windows, covariance: np.ndarray) -> np.ndarray:
     """Whether the elements leave enough of each template and of each window, bool, shape (2 T + 2 B,)."""
     templates, count = windows.templates(), pooled.count.sum(axis=0)
-    left = np.sum(templates * (covariance @ templates), axis=0)
+    left = variances(covariance, templates)
     area = _in_windows(np.diag(covariance), windows.inside)
-    whole = np.concatenate([count @ templates**2, _in_windows(count, windows.inside)])
+    whole = np.concatenate([variances(np.diag(count), templates), _in_windows(count, windows.inside)])
     seen = np.concatenate([left, area]) > _ABSORBED * whole
     t = templates.shape[1]
     seen[:t] &= seen[t + windows.home()]
