@@ -15,6 +15,7 @@ from bayes_impedance.diagnosis.catalogue.effect import Effect
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals
 from bayes_impedance.diagnosis.residuals.locate import locate
 from bayes_impedance.diagnosis.residuals.missing_impedance import missing_one_ports
+from bayes_impedance.diagnosis.selection import identifiability
 from bayes_impedance.diagnosis.selection.identifiability import felt, names_that_hold
 from bayes_impedance.diagnosis.selection.stepwise import Found, search
 from bayes_impedance.diagnosis.selection.unnamed import Realised, stand_in_network, structure_remains
@@ -212,6 +213,13 @@ def test_names_at_different_places_in_different_bands_stay(remains: bool) -> Non
     result = searched(("mass", "loss"), ("mass", "hysteresis"))
     assert result.names == [("body.hysteresis", "n1"), ("body.mass", "port")]
     assert_kept(result, result.held(remains))
+
+
+def test_as_many_names_as_are_looked_for_are_taken_back_if_structure_remains(monkeypatch: pytest.MonkeyPatch) -> None:
+    result = searched(("mass", "loss"), ("mass", "hysteresis"))
+    monkeypatch.setattr(identifiability, "MOST_ADDITIONS", 2)
+    assert_taken_back(result, result.held(remains=True))
+    assert_kept(result, result.held(remains=False))
 
 
 @pytest.mark.parametrize("remains", [False, True])
