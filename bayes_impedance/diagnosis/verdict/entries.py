@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
-from scipy.special import ndtri
 
 from bayes_impedance.diagnosis.fit.coefficient_posterior import (
     CoefficientPosterior,
@@ -17,7 +15,7 @@ from bayes_impedance.diagnosis.fit.coefficient_posterior import (
 from bayes_impedance.diagnosis.fit.extend import dispersion_of_shared
 from bayes_impedance.diagnosis.fit.model import Model
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
-from bayes_impedance.diagnosis.fit.spike_slab import Members, members
+from bayes_impedance.diagnosis.fit.spike_slab import members
 from bayes_impedance.diagnosis.next_experiment.expected_separation import best_sentence, separation
 from bayes_impedance.diagnosis.selection.step import Step
 from bayes_impedance.diagnosis.selection.stepwise import Found, rivals
@@ -68,8 +66,6 @@ def effect_entry(
     item = model.additions[addition]
     effect = item.effect
     who = members(found.final, addition) if item.only_in_some else None
-    if who is not None:  # the coefficient among those who have it
-        posterior = _of_members(posterior, model.columns(addition)[0] - model.n_elements, who)
     elements = posterior.elements
     if elements is None:
         elements = found.final.u[:, : model.n_elements].mean(axis=0)
@@ -81,7 +77,7 @@ def effect_entry(
         dispersion = dispersion_of_shared(found.final, addition, 1)
         low, high = (float(q) for q in np.quantile(dispersion, (0.05, 0.95)))
         interval = (low, high)
-    elif who is None and not few_people:  # among those who have it, the spread is an estimate without an interval
+    elif not few_people:
         interval = rows[0].dispersion_interval
     side: str | None = effect.side
     if few_people:
@@ -128,16 +124,6 @@ def parameters_of(rows: Sequence[Reported]) -> dict[str, Parameter]:
 def names_of(probability: np.ndarray, names: Sequence[str]) -> tuple[str, ...]:
     """Names of those who more probably belong to a group than not."""
     return tuple(names[i] for i in np.flatnonzero(probability > 0.5).tolist())
-
-
-def _of_members(posterior: CoefficientPosterior, column: int, who: Members) -> CoefficientPosterior:
-    """The posterior with one coefficient's distribution replaced by that among those who have it."""
-    central, relative = posterior.central.copy(), posterior.relative_dispersion.copy()
-    order = np.argsort(np.argsort(central[:, column]))
-    quantiles = (order + 0.5) / len(order)
-    central[:, column] = who.mean + who.mean_sd * ndtri(quantiles)  # keeps the correlation with the shapes
-    relative[:, column] = who.dispersion
-    return replace(posterior, central=central, relative_dispersion=relative)
 
 
 def _score_of(step: Step, key: tuple[str, str, str]) -> float:
