@@ -18,6 +18,7 @@ from bayes_impedance.diagnosis.fit.normal_equations import (
     Stack,
     counts,
     equations_at,
+    log_densities,
     marginal,
     owners,
     quadratic,
@@ -163,3 +164,15 @@ def test_marginal_is_a_gaussian_integral() -> None:
         rest = np.diag(prior_sd**2) - gain @ np.tile(np.diag(prior_sd**2), (1, n)).T
         np.testing.assert_allclose(np.linalg.inv(result.precision), rest, rtol=1e-7, atol=1e-12)
     np.testing.assert_allclose(np.diff(found), np.diff(expected), rtol=1e-9)
+
+
+def test_of_two_additions_of_one_curve_the_sum_is_known() -> None:
+    """One differs between people, the other does not. In single numbers what tells them apart is lost to rounding."""
+    model, size = two_additions(toy(*TOY, seed=1, n=1)), 1e18
+    d, h = np.full((3, 2, 2), size), np.full((3, 2), 1e-3 * size)
+    d[:, 0, 0] *= np.array([1.0, 0.9, 1.1])
+    d[:, 0, 1] = d[:, 1, 0] = d[:, 1, 1] = d[:, 0, 0]
+    h *= np.array([[1.0], [0.9], [1.1]])
+    tau = np.column_stack([np.geomspace(1e-9, 1e-6, 20), np.zeros(20)])
+    assert np.isfinite(log_densities(model, h, d, tau)).all()
+    assert marginal(model, h, d, tau[0]).mean.sum() == pytest.approx(1e-3, rel=1e-3)
