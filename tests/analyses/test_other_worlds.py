@@ -324,3 +324,15 @@ def test_a_trial_runs_from_drawing_to_the_table(tmp_path: Path, capsys: pytest.C
     capsys.readouterr()
     assert run.main(arguments) == 2
     assert "take another seed" in capsys.readouterr().out
+
+
+def test_what_was_drawn_is_the_same_to_within_rounding() -> None:
+    one = {"band": [1.0, 2.0], "effects": [{"id": "x", "values": {"mass": 1e-3}, "share": 1.0}], "people": 9}
+    rounded = {
+        "band": [1.0, 2.0 * (1 + 1e-15)],
+        "effects": [{"id": "x", "values": {"mass": 1e-3}, "share": 1.0}],
+        "people": 9,
+    }
+    assert run._equal(one, rounded)
+    for changed in ({"people": 8}, {"band": [1.0, 2.00001]}, {"band": [1.0]}, {"effects": [{"id": "y"}]}):
+        assert not run._equal(one, one | changed)
