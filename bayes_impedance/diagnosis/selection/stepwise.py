@@ -2,9 +2,10 @@
 
 Each step screens all candidates with the previous additions in the model, refits the most promising ones with the whole
 population and keeps the best. The search stops when no candidate is significant after correction for all that were
-tried, when none improves the evidence, or when there are too few people for more additions. What later additions have
-made superfluous is removed, and earlier choices are made anew beside what is left (:mod:`.exchange`), until nothing
-changes.
+tried, when none improves the evidence, or when there are too few people for more additions. Where a choice leaves
+structure and another explanation that it does not exclude leaves none, that one is chosen (:mod:`.what_remains`). What
+later additions have made superfluous is removed, and earlier choices are made anew beside what is left
+(:mod:`.exchange`), until nothing changes.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from functools import partial
 import numpy as np
 
 from bayes_impedance.diagnosis.catalogue.effect import Effect
-from bayes_impedance.diagnosis.fit.coefficient_posterior import CoefficientPosterior
+from bayes_impedance.diagnosis.fit.coefficient_posterior import CoefficientPosterior, coefficient_posterior
 from bayes_impedance.diagnosis.fit.extend import measured
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.model import Addition
@@ -34,6 +35,7 @@ from bayes_impedance.diagnosis.selection.misfit import dependence
 from bayes_impedance.diagnosis.selection.score_scan import Screening, screen
 from bayes_impedance.diagnosis.selection.shortlist import ALPHA, Trial, from_afar, try_shortlist
 from bayes_impedance.diagnosis.selection.step import Step
+from bayes_impedance.diagnosis.selection.what_remains import that_leaves_nothing
 from bayes_impedance.runtime.progress import Progress
 
 MOST_ADDITIONS = 4
@@ -159,7 +161,12 @@ def _forward(
         else:
             screening = screen(begin, person_residuals(begin, names, executor), possible, seed, executor)
         step = Step(before=fit, residuals=residuals, screening=screening)
-        if number < most and step.log_p < np.log(ALPHA):
+        structured = step.log_p < np.log(ALPHA)
+        if structured and steps and (other := that_leaves_nothing(steps[-1], names, possible, seed, executor)):
+            steps[-1], fit = replace(steps[-1], chosen=other), other.fit
+            posterior = coefficient_posterior(fit, seed)
+            continue
+        if number < most and structured:
             trials, ranked = _explanations(refitter, fit, screening, possible, seed, begin, known)
             contest = _Contest(refitter, fit, ranked, possible, seed)
             chosen, better, unpredictive = None, None, False
