@@ -199,9 +199,11 @@ def test_the_posterior_is_that_without_the_order_cut_off() -> None:
     """Two compliances that cannot be exchanged and are equal: the order cuts off about half of the posterior."""
     population = replace(TWO_SPRINGS, central={"n1": 3e-4, "m1": 1e-3, "r1": 1.0, "n2": 3e-4})
     springs = simulate_recordings(population, 8, 1, np.geomspace(5, 5000, 16), seed=10).recordings
-    free = fit_population(springs, settings=SHORT, seed=1)
+    # With SHORT the ratio of two standard deviations has an error of 0.13, with these draws and steps one of 0.05.
+    precise = replace(SHORT, draws=512, sampler=replace(SHORT.sampler, effective=1600.0, longest=2400))
+    free = fit_population(springs, settings=precise, seed=1)
     for order in (("n1", "n2"), ("n2", "n1")):
-        fit = fit_population(springs, settings=ordered(order), seed=1)
+        fit = fit_population(springs, settings=replace(precise, prior=GivenPrior(order=(order,), elements={})), seed=1)
         low, high = (fit.kernel.elements.index(name) for name in order)
         assert np.all(fit.parameters.mu[:, low] < fit.parameters.mu[:, high])
         assert not fit.diagnostics.problems
@@ -209,8 +211,8 @@ def test_the_posterior_is_that_without_the_order_cut_off() -> None:
         assert 0.4 < len(kept) / len(free.parameters.mu) < 0.6
         for of in (low, high):
             sd = kept[:, of].std()
-            assert fit.parameters.mu[:, of].mean() == pytest.approx(kept[:, of].mean(), abs=0.3 * sd)
-            assert fit.parameters.mu[:, of].std() == pytest.approx(sd, rel=0.25)
+            assert fit.parameters.mu[:, of].mean() == pytest.approx(kept[:, of].mean(), abs=0.25 * sd)
+            assert fit.parameters.mu[:, of].std() == pytest.approx(sd, rel=0.2)
         apart, expected = fit.parameters.mu[:, high] - fit.parameters.mu[:, low], kept[:, high] - kept[:, low]
         np.testing.assert_allclose(
             np.quantile(apart, [0.1, 0.5, 0.9]), np.quantile(expected, [0.1, 0.5, 0.9]), atol=0.06
