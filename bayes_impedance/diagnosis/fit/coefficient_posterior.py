@@ -129,8 +129,8 @@ def _of_those_who_have_it(
         if not addition.only_in_some or not addition.effect.operation:
             continue
         who = members(fit, i)
-        if who.only_some:
-            columns, lacks = np.array(fit.model.columns(i)), who.probability < 0.5
+        columns, lacks = np.array(fit.model.columns(i)), who.probability < 0.5
+        if who.only_some and not lacks.all():
             start[columns - fit.model.n_elements] = fit.u[~lacks[fit.owner]][:, columns].mean(axis=0)
             for column in (columns - fit.model.n_elements).tolist():
                 h[lacks, column], d[lacks, column], d[lacks, :, column] = 0.0, 0.0, 0.0
