@@ -126,7 +126,7 @@ def _of_those_who_have_it(
     """Slopes (N, A), curvatures (N, A, A) and mean values (A,), of what only some have without those who lack it."""
     h, d, start = h.copy(), d.copy(), start.copy()
     for i, addition in enumerate(fit.model.additions):
-        if not addition.only_in_some or not addition.effect.operation:
+        if not addition.absent_in_some:
             continue
         who = members(fit, i)
         columns, lacks = np.array(fit.model.columns(i)), who.probability < 0.5

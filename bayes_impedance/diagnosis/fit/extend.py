@@ -10,7 +10,7 @@ import numpy as np
 from bayes_impedance.diagnosis.catalogue.effect import Candidate, Effect
 from bayes_impedance.diagnosis.fit.coefficient_posterior import CoefficientPosterior, coefficient_posterior
 from bayes_impedance.diagnosis.fit.fitter import Refitter
-from bayes_impedance.diagnosis.fit.model import DISPERSION_IN_SOME, Addition, Model, build
+from bayes_impedance.diagnosis.fit.model import Addition, Model, build
 from bayes_impedance.diagnosis.fit.normal_equations import Population
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.fit.spike_slab import members
@@ -23,9 +23,7 @@ _SCALED = {"m": 1, "r": 1, "p": 1, "k": 1, "n": -1}
 def extended(model: Model, candidate: Candidate, pooling: str, size: float) -> Model:
     """The model with one more addition."""
     effect = candidate.effect
-    addition = Addition(effect=effect, place=candidate.place, pooling=pooling)
-    if addition.only_in_some:
-        addition = replace(addition, dispersion=DISPERSION_IN_SOME)
+    addition = Addition.of(candidate, pooling)
     shape = candidate.shape
     if not effect.operation:  # scaled as a whole: masses and dampers in proportion, compliances inversely
         factor = max(size, 1e-12) if effect.connection == "beside" else 1 / max(size, 1e-12)
@@ -139,7 +137,7 @@ def with_measured_dispersions(refitter: Refitter, fit: Refit, posterior: Coeffic
         if addition.pooling != "shared":
             columns = [c - model.n_elements for c in model.columns(i)]
             middle = np.clip(np.median(posterior.relative_dispersion[:, columns], axis=0), *_DISPERSIONS)
-            if addition.only_in_some:  # the posterior's is among those who have it, that of a fit among all
+            if addition.absent_in_some:  # the posterior's is among those who have it, that of a fit among all
                 middle[0] = addition.dispersion
             model = with_pooling(model, i, addition.pooling, middle.tolist())
     return refitter.fit(model, *extended_start(fit, model))

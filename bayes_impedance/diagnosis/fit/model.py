@@ -12,7 +12,7 @@ from itertools import count
 import numpy as np
 
 from bayes_impedance.diagnosis.catalogue.coefficient import Scales
-from bayes_impedance.diagnosis.catalogue.effect import Effect, operation_constants
+from bayes_impedance.diagnosis.catalogue.effect import Candidate, Effect, operation_constants
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Element, Network, Parallel, Place, Wrapped, parse
 from bayes_impedance.network.operations import Operation
@@ -64,6 +64,17 @@ class Addition:
     dispersion: float = TYPICAL_DISPERSION
     shape_dispersions: tuple[float, ...] = ()
     correlation: float = 0.0
+
+    @classmethod
+    def of(cls, candidate: Candidate, pooling: str) -> Addition:
+        """A candidate as an addition, with the dispersion that its kind has before it is estimated."""
+        addition = cls(effect=candidate.effect, place=candidate.place, pooling=pooling)
+        return replace(addition, dispersion=DISPERSION_IN_SOME) if addition.absent_in_some else addition
+
+    @property
+    def absent_in_some(self) -> bool:
+        """Whether it is claimed of some people only, in whom its coefficient is not zero."""
+        return self.only_in_some and bool(self.effect.operation)
 
     @property
     def only_in_some(self) -> bool:

@@ -66,7 +66,7 @@ def from_the_leader(refitter: Refitter, leader: Refit, candidate: Candidate, rou
     pooling = old.additions[last].pooling
     if pooling == "free" and not has_shapes(candidate.effect):
         pooling = "varying"
-    addition = Addition(effect=candidate.effect, place=candidate.place, pooling=pooling)
+    addition = Addition.of(candidate, pooling)
     starts = [*starts_of(old)[:last], _shape(old, candidate)]
     model = build(old.network, [*old.additions[:last], addition], old.scales, starts)
     u, population = extended_start(leader, model)

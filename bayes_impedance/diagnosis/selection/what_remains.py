@@ -3,7 +3,7 @@
 The evidence of two explanations says which of them is the better one, not whether either is right. A wrong one with
 shapes that differ between people may come within a few units of the right one, or ahead of it by chance, and still
 leave structure in the residuals, for which a further name is then looked for. The right one leaves none. A delay was
-4.5 +- 7.1 behind a resonator in 25 people: the resonator left structure (p = 1e-9) and the delay none (p = 0.5).
+4.5 +- 7.1 behind a resonator in 25 people: the resonator left structure (p = 1e-9) and the delay none (p = 0.4).
 
 Only explanations that are not excluded are asked, and only where the chosen one leaves structure. If all leave some, or
 physics is missing besides, the choice stays.

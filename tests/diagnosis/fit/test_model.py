@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,9 +12,7 @@ from fingertip_effects import CENTRE, FOOT, FREQUENCY, NAIL, NETWORK, PAD, SCALE
 from hypothesis import given
 from strategies import network_impedance, networks_with_elements, repeatable
 
-from bayes_impedance.diagnosis.catalogue.effect import (
-    Effect,
-)
+from bayes_impedance.diagnosis.catalogue.effect import Candidate, Effect
 from bayes_impedance.diagnosis.fit.model import Addition, Model, build, inner_places, scales_of
 from bayes_impedance.network.elements import kind_of
 from bayes_impedance.network.kernel import Kernel
@@ -274,3 +273,19 @@ def test_scales_are_those_of_the_recordings() -> None:
     )
     assert (scales.low, scales.middle, scales.high) == pytest.approx(2 * np.pi * np.array([2, 20, 200]))
     assert (scales.z_low, scales.z_middle, scales.z_high, scales.unit) == (2.0, 2.0, 2.0, "ohm")
+
+
+@pytest.mark.parametrize(
+    ("effect", "pooling", "dispersion"),
+    [
+        (entry("body.subgroup"), "varying", 1.343968),  # 40 % have it: sqrt((1 + 0.35^2) / 0.4 - 1)
+        (entry("rig.delay"), "varying", 1.343968),
+        (entry("rig.delay"), "shared", 0.35),
+        (entry("body.relaxation"), "varying", 0.35),
+        (replace(NAIL, pooling="some"), "varying", 0.35),  # a branch: its elements are logarithms, which are not zero
+    ],
+)
+def test_what_some_people_lack_differs_more_between_all_of_them(
+    effect: Effect, pooling: str, dispersion: float
+) -> None:
+    assert Addition.of(Candidate(effect, "port", {}), pooling).dispersion == pytest.approx(dispersion)
