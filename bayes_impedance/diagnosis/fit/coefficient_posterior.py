@@ -123,7 +123,10 @@ def coefficient_posterior(fit: Refit, seed: int, n_draws: int = _DRAWS) -> Coeff
 def _of_those_who_have_it(
     fit: Refit, h: np.ndarray, d: np.ndarray, start: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Slopes (N, A), curvatures (N, A, A) and mean values (A,), of what only some have without those who lack it."""
+    """Slopes (N, A), curvatures (N, A, A) and mean values (A,), of what only some have without those who lack it.
+
+    Who lacks it has a coefficient of zero, and shapes where they are: the slopes are of absolute values.
+    """
     h, d, start = h.copy(), d.copy(), start.copy()
     for i, addition in enumerate(fit.model.additions):
         if not addition.absent_in_some:
@@ -133,6 +136,9 @@ def _of_those_who_have_it(
         if who.only_some and not lacks.all():
             start[columns - fit.model.n_elements] = fit.u[~lacks[fit.owner]][:, columns].mean(axis=0)
             for column in (columns - fit.model.n_elements).tolist():
+                if not fit.model.parameters[column].is_coefficient:  # without a coefficient it may have any value
+                    own = fit.u[:, fit.model.n_elements + column][np.searchsorted(fit.owner, np.flatnonzero(lacks))]
+                    h[lacks] -= d[lacks, :, column] * own[:, None]
                 h[lacks, column], d[lacks, column], d[lacks, :, column] = 0.0, 0.0, 0.0
     return h, d, start
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from bayes_impedance.diagnosis.catalogue.effect import Candidate, Effect
-from bayes_impedance.diagnosis.fit.coefficient_posterior import CoefficientPosterior, coefficient_posterior
+from bayes_impedance.diagnosis.fit.coefficient_posterior import coefficient_posterior
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.model import Addition, Model, build
 from bayes_impedance.diagnosis.fit.normal_equations import Population
@@ -105,11 +105,6 @@ def has_shapes(effect: Effect) -> bool:
     return any(c.link != "linear" for c in effect.coefficients[1:])
 
 
-_DISPERSIONS = (0.03, 1.5)
-"""Bounds of the relative dispersions that are taken over from a posterior. By choice: below the first, a coefficient is
-nearly shared; above the second, a coefficient of one sign cannot vary."""
-
-
 def with_pooling(
     model: Model, addition: int, pooling: str, dispersions: Sequence[float] = (), correlation: float | None = None
 ) -> Model:
@@ -128,30 +123,6 @@ def rebuilt(model: Model, additions: Sequence[Addition], kept: Sequence[int]) ->
     """The model with other additions; `kept` is the old index of each, from which its shapes' centres are taken."""
     starts = starts_of(model)
     return build(model.network, additions, model.scales, [starts[k] for k in kept])
-
-
-def with_measured_dispersions(refitter: Refitter, fit: Refit, posterior: CoefficientPosterior) -> Refit:
-    """Refit with the dispersions of varying parameters at their posterior medians."""
-    model = fit.model
-    for i, addition in enumerate(model.additions):
-        if addition.pooling != "shared":
-            columns = [c - model.n_elements for c in model.columns(i)]
-            middle = np.clip(np.median(posterior.relative_dispersion[:, columns], axis=0), *_DISPERSIONS)
-            if addition.absent_in_some:  # the posterior's is among those who have it, that of a fit among all
-                middle[0] = addition.dispersion
-            model = with_pooling(model, i, addition.pooling, middle.tolist())
-    return refitter.fit(model, *extended_start(fit, model))
-
-
-def measured(refitter: Refitter, fit: Refit, seed: int) -> tuple[Refit, CoefficientPosterior]:
-    """The fit with dispersions at their posterior medians, and the joint posterior of the additions."""
-    posterior = coefficient_posterior(fit, seed)
-    for _ in range(2):
-        if all(a.pooling == "shared" for a in fit.model.additions):
-            break
-        fit = with_measured_dispersions(refitter, fit, posterior)
-        posterior = coefficient_posterior(fit, seed)
-    return fit, posterior
 
 
 def columns_kept(model: Model, kept: Sequence[int]) -> list[int]:

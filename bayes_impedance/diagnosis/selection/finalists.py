@@ -20,6 +20,7 @@ from bayes_impedance.diagnosis.fit.extend import extended_start, has_shapes, is_
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.recordings_alone import recordings_alone
 from bayes_impedance.diagnosis.fit.refit import Refit
+from bayes_impedance.diagnosis.fit.shape_starts import searched_shapes
 from bayes_impedance.diagnosis.selection.compare import FEWEST_TO_VARY, LEAST_GAIN, log_evidence
 from bayes_impedance.diagnosis.selection.far_starts import network_from_afar
 from bayes_impedance.diagnosis.selection.score_scan import Screening
@@ -174,9 +175,10 @@ def _settled(refitter: Refitter, fit: Refit, trial: Trial, seed: int, tries: int
 
 
 def _searched(refitter: Refitter, fit: Refit, seed: int, tries: int = 6, rounds: int = 3) -> Refit:
-    """The fit after a search for better optima of the network, of people and of single recordings."""
+    """The fit after a search for better optima of the network, of people, of their frequencies and of single recordings."""
     fit = network_from_afar(refitter, fit, seed, ROUNDS)
-    return recordings_alone(refitter, refitter.settle(fit, seed, tries=tries, rounds=rounds))
+    fit = searched_shapes(refitter, refitter.settle(fit, seed, tries=tries, rounds=rounds))
+    return recordings_alone(refitter, fit)
 
 
 def again(trial: Trial, grown: Refit, fit: Refit) -> Trial:

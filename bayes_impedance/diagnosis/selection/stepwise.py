@@ -18,9 +18,9 @@ from functools import partial
 import numpy as np
 
 from bayes_impedance.diagnosis.catalogue.effect import Effect
-from bayes_impedance.diagnosis.fit.coefficient_posterior import CoefficientPosterior, coefficient_posterior
-from bayes_impedance.diagnosis.fit.extend import measured
+from bayes_impedance.diagnosis.fit.coefficient_posterior import CoefficientPosterior
 from bayes_impedance.diagnosis.fit.fitter import Refitter
+from bayes_impedance.diagnosis.fit.measured import measured, posterior_of
 from bayes_impedance.diagnosis.fit.model import Addition
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
@@ -164,7 +164,7 @@ def _forward(
         structured = step.log_p < np.log(ALPHA)
         if structured and steps and (other := that_leaves_nothing(steps[-1], names, possible, seed, executor)):
             steps[-1], fit = replace(steps[-1], chosen=other), other.fit
-            posterior = coefficient_posterior(fit, seed)
+            posterior = posterior_of(refitter, fit, seed)
             continue
         if number < most and structured:
             trials, ranked = _explanations(refitter, fit, screening, possible, seed, begin, known)

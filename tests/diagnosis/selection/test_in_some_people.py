@@ -8,7 +8,7 @@ from experiments import Experiment, entry, toy
 
 from bayes_impedance.diagnosis.catalogue.effect import registered
 from bayes_impedance.diagnosis.fit.cold_start import driven_away
-from bayes_impedance.diagnosis.fit.extend import measured
+from bayes_impedance.diagnosis.fit.measured import measured
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.fit.spike_slab import members
 from bayes_impedance.diagnosis.selection.compare import log_evidence
