@@ -106,6 +106,11 @@ class Coefficient(Brief):
                 return float(np.log(inside / (1 - inside)))
         return value / self.scale(scales)
 
+    def within_grid(self, u: float, scales: Scales) -> float:
+        """The unbounded parameter of a shape, or the nearest one of its grid if it is outside."""
+        grid = [self.unbounded(value, scales) for value in self.values(scales)]
+        return min(max(u, min(grid)), max(grid)) if grid else u
+
     def scale(self, scales: Scales) -> float:
         """Value of a linear coefficient that changes the impedance by about its magnitude where the effect peaks."""
         s = scales

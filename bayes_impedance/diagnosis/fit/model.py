@@ -234,7 +234,9 @@ def build(network: Network, additions: Sequence[Addition], scales: Scales, start
             own = []
             for k, coefficient in enumerate(effect.coefficients):
                 centre_only = k > 0 and coefficient.link != "linear"  # a shape
-                centre = coefficient.unbounded(shape[coefficient.name], scales) if centre_only else 0.0
+                start = coefficient.unbounded(shape[coefficient.name], scales) if centre_only else 0.0
+                # A fit may have driven a shape out of its grid, where it begins again, but is not likelier for that.
+                centre = coefficient.within_grid(start, scales) if centre_only else 0.0
                 sd = coefficient.prior_sd if centre_only else COEFFICIENT_SD
                 name = f"{effect.id}.{coefficient.name}.{i}"
                 varies = addition.pooling == "free" or (addition.pooling == "varying" and not centre_only)
@@ -249,7 +251,7 @@ def build(network: Network, additions: Sequence[Addition], scales: Scales, start
                         shared=not varies,
                         centre=centre,
                         prior_sd=sd,
-                        start=centre,
+                        start=start,
                         is_coefficient=not centre_only,
                         dispersion=spread,
                     )
