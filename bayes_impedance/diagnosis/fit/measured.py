@@ -7,9 +7,9 @@ everybody's frequencies are searched (:mod:`.shape_starts`), dispersions are tak
 **In some people.** A fit holds everybody's coefficient to one normal distribution, the mean of which lies between those
 who have an effect and those who lack it. It is wide, and members who determine their own coefficient are found where
 they are. Where coefficient and time constant can only be told together, along a curved ridge, a member is held to a
-point of it that is too near to zero, and what is expanded there is off: the compliance of 13 people's layer was 20 % too
-small and its time constant 20 % too long, both by 2.5 standard deviations. So members are fitted again under their own
-distribution, as the posterior gives it, with everything else held; the expansions of their likelihoods are taken there.
+point of it that is too near to zero, and what is expanded there is off: the compliance of 13 people's layer was 20 %
+too small and its time constant 20 % too long, both by 2.5 standard deviations. So members are fitted again under their
+own distribution, as the posterior gives it, with everything else held; their likelihoods are expanded there.
 """
 
 from __future__ import annotations

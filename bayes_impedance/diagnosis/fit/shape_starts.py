@@ -27,8 +27,7 @@ _STEPS = np.linspace(-2.5, 2.5, 11)
 dispersion neighbours are a sixth apart, as much as a resonance with a damping ratio of 0.1 is wide."""
 
 _FIRST_ROUNDS, _ROUNDS = 3, 20
-"""Rounds from each start, and from the best. By choice: from a start within the resonance's width the frequency is right
-to a tenth of it after two."""
+"""Rounds from each start, and from the best. By choice: the first only rank the starts."""
 
 _LEAST_GAIN = 0.2
 """Log evidence of a person below which two optima are the same one."""

@@ -175,7 +175,7 @@ def _settled(refitter: Refitter, fit: Refit, trial: Trial, seed: int, tries: int
 
 
 def _searched(refitter: Refitter, fit: Refit, seed: int, tries: int = 6, rounds: int = 3) -> Refit:
-    """The fit after a search for better optima of the network, of people, of their frequencies and of single recordings."""
+    """The fit after a search for better optima of the network, of people, of their shapes and of recordings."""
     fit = network_from_afar(refitter, fit, seed, ROUNDS)
     fit = searched_shapes(refitter, refitter.settle(fit, seed, tries=tries, rounds=rounds))
     return recordings_alone(refitter, fit)

@@ -12,7 +12,7 @@ from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.fit.spike_slab import members
 
 NETWORK = "(n2|r2)-(m1|r1|n1)"
-CENTRES = {'m1': 1.7, 'n1': 3.1e-05, 'n2': 0.00036, 'r1': 3.7, 'r2': 34.0}
+CENTRES = {"m1": 1.7, "n1": 3.1e-05, "n2": 0.00036, "r1": 3.7, "r2": 34.0}
 N, COMPLIANCE, TIME, MASS = 36, 1.8e-6, 1.4e-3, 1.1e-3
 HAS_IT = np.arange(N) % 3 == 0
 LAYER, RIG = entry("body.subgroup"), entry("rig.mass")
@@ -53,8 +53,9 @@ def test_sizes_are_those_of_members_and_who_lacks_the_layer_does_not_move_the_ri
     assert world.coefficients is not None
     posterior = posterior_of(world.refitter, fit, 1)
     scales = fit.model.scales
-    own = world.coefficients[HAS_IT].mean() / LAYER.coefficients[0].value(1.0, scales)
-    truth = np.array([own, *(c.unbounded(v, scales) for c, v in ((LAYER.coefficients[1], TIME), (RIG.coefficients[0], MASS)))])
+    own = float(world.coefficients[HAS_IT].mean() / LAYER.coefficients[0].value(1.0, scales))
+    time, mass = LAYER.coefficients[1].unbounded(TIME, scales), RIG.coefficients[0].unbounded(MASS, scales)
+    truth = np.array([own, time, mass])
     sd = posterior.central.std(axis=0)
     np.testing.assert_array_less(np.abs(posterior.central.mean(axis=0) - truth), 2.5 * sd)
     np.testing.assert_array_less(sd, [0.15 * own, 0.15, 0.1 * truth[2]])

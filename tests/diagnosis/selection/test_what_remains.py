@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ from experiments import MASS, TOY, Experiment, Serial, entry, recovered, toy
 from bayes_impedance.diagnosis.catalogue.effect import Candidate, registered
 from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
+from bayes_impedance.diagnosis.selection import stepwise
+from bayes_impedance.diagnosis.selection.exchange import Way
 from bayes_impedance.diagnosis.selection.score_scan import screen
 from bayes_impedance.diagnosis.selection.shortlist import Trial
 from bayes_impedance.diagnosis.selection.step import Step
@@ -72,3 +75,18 @@ def test_what_is_excluded_or_has_not_come_to_rest_is_not_asked(step: Step) -> No
     moving = replace(mass, fit=replace(mass.fit, settled=False))
     assert that_leaves_nothing(replace(equal, trials=(moving, equal.trials[1])), NAMES, EFFECTS, 1, Serial()) is None
     assert that_leaves_nothing(replace(equal, chosen=None), NAMES, EFFECTS, 1, Serial()) is None
+
+
+def test_beside_other_additions_the_steps_of_other_fits_are_not_asked(
+    world: Experiment, step: Step, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mass, delay = step.trials
+    monkeypatch.setattr(
+        stepwise, "that_leaves_nothing", lambda *_: pytest.fail("the way's fit is not of its last step")
+    )
+    way = Way(step.before, step.before, (replace(step, chosen=delay),), None)
+    forward = partial(stepwise._forward, world.refitter, names=NAMES, effects=EFFECTS, seed=1, executor=Serial())
+    longer = forward(way, progress=lambda *_: None, begin=step.before, steps_left=1)
+    chosen = longer.steps[-1].chosen
+    assert chosen is not None
+    assert chosen.effect is mass.effect
