@@ -1,0 +1,83 @@
+"""Explanations of a step are measured before the leading one is believed."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from bayes_impedance.diagnosis.catalogue.effect import Candidate, registered
+from bayes_impedance.diagnosis.selection import stepwise
+from bayes_impedance.diagnosis.selection.shortlist import Trial
+
+EFFECTS = {e.id: e for e in registered() if e.form == ""} | {e.id: e for e in registered()}
+RESONATOR, DELAY, MASS = (EFFECTS[k] for k in ("body.resonator", "rig.delay", "rig.mass"))
+NOTHING: Any = None
+WITHOUT: Any = SimpleNamespace(evidence=0.0)
+
+
+def trial(effect: Any, evidence: float) -> Trial:
+    addition = SimpleNamespace(key=(effect.id, effect.form, "port"))
+    fit: Any = SimpleNamespace(evidence=evidence, model=SimpleNamespace(additions=(addition,)), name=effect.id)
+    return Trial(Candidate(effect, "port", {}), "varying", fit, evidence, True)
+
+
+@pytest.fixture
+def measured(monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
+    """Evidence of each effect with its own dispersions; what was measured is taken out."""
+    found = {RESONATOR.id: 93.0, DELAY.id: 100.0, MASS.id: 20.0}
+
+    def measure(_: Any, fit: Any, _seed: int) -> tuple[Any, str]:
+        return SimpleNamespace(**{**vars(fit), "evidence": found.pop(fit.name)}), f"posterior of {fit.name}"
+
+    monkeypatch.setattr(stepwise, "measured", measure)
+    monkeypatch.setattr(stepwise, "log_evidence", lambda fit: fit.evidence)
+    return found
+
+
+def contest(*trials: Trial) -> stepwise._Contest:
+    return stepwise._Contest(NOTHING, WITHOUT, trials, list(EFFECTS.values()), 1)
+
+
+def test_what_leads_only_before_it_is_measured_gives_way(measured: dict[str, float]) -> None:
+    race = contest(trial(RESONATOR, 115.0), trial(DELAY, 99.0), trial(MASS, 20.0))
+    leader, posterior = race.leader()
+    assert leader is not None
+    assert (leader.effect, leader.gain) == (DELAY, 100.0)
+    assert posterior == "posterior of rig.delay"
+    assert list(measured) == [MASS.id]  # nobody asked what is far behind
+    assert race.leader()[0] is leader  # nothing is measured twice
+
+
+def test_who_is_dropped_does_not_lead_again(measured: dict[str, float]) -> None:
+    race = contest(trial(RESONATOR, 115.0), trial(DELAY, 99.0))
+    leader, _ = race.leader()
+    assert leader is not None
+    race.drop(leader)
+    second, _ = race.leader()
+    assert second is not None
+    assert (second.effect, second.gain) == (RESONATOR, 93.0)
+    race.drop(second)
+    assert race.leader() == (None, None)
+    assert measured == {MASS.id: 20.0}
+
+
+def test_rivals_that_are_not_told_apart_are_measured_too(
+    measured: dict[str, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def compare(one: Any, other: Any) -> Any:
+        return SimpleNamespace(decided=abs(one.evidence - other.evidence) > 10)
+
+    monkeypatch.setattr(stepwise, "compare", compare)
+    slow, near, far = trial(DELAY, 120.0), trial(RESONATOR, 115.0), trial(MASS, 20.0)
+    race = contest(slow, near, far)
+    leader, _ = race.leader()
+    assert leader is not None
+    race.measure_rivals_of(leader)
+    assert list(measured) == [MASS.id]
+    known = race.among((slow, near, far))
+    assert sorted((t.effect.id, t.gain) for t in known if t.effect is not MASS) == [
+        (RESONATOR.id, 93.0),
+        (DELAY.id, 100.0),
+    ]  # each once, as it was measured
