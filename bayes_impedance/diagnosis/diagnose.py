@@ -31,6 +31,7 @@ from bayes_impedance.diagnosis.rig_instead import beyond_calibration, rig_instea
 from bayes_impedance.diagnosis.selection.compare import log_evidence
 from bayes_impedance.diagnosis.selection.cross_validation import held_out
 from bayes_impedance.diagnosis.selection.restart import another_beginning
+from bayes_impedance.diagnosis.selection.stepwise import first_step
 from bayes_impedance.diagnosis.types import Diagnosis
 from bayes_impedance.diagnosis.verdict.model_bands import snapshot
 from bayes_impedance.diagnosis.verdict.ranking import ranking
@@ -245,7 +246,16 @@ def _found(
     with clock.measure("fit"):
         first = fit_without_hum(compared, network, job.seed, job.executor, job.progress, job.checkpoint, job.prior)
         base, begin = _start(claimed, first.fitted, job)
-    look = find(first.fitted, base, begin, job.effects, job.seed, job.executor, job.progress, clock)
+    way = None
+    if first.hum is not None:  # what looked like it may be gone with the first name, and the search begins anew
+        with clock.measure("search"):
+            own = first.fitted
+            names = own.recordings.names
+            way = first_step(own.refitter, base, names, job.effects, job.seed, job.executor, job.progress, begin)
+        if way.fit.model.additions and first.imagined(way.fit, job.executor):
+            first, way = first.of_everything(), None
+            base, begin = _start(claimed, first.fitted, job)
+    look = find(first.fitted, base, begin, job.effects, job.seed, job.executor, job.progress, clock, way)
     if look.final.model.additions and first.imagined(look.final, job.executor):
         first = first.of_everything()
         base, begin = _start(claimed, first.fitted, job)

@@ -20,6 +20,7 @@ from bayes_impedance.diagnosis.residuals.locate import Location, locate
 from bayes_impedance.diagnosis.residuals.missing_impedance import missing_one_ports
 from bayes_impedance.diagnosis.selection.compare import SCATTERS, log_evidence
 from bayes_impedance.diagnosis.selection.cross_validation import people_gain
+from bayes_impedance.diagnosis.selection.exchange import Way
 from bayes_impedance.diagnosis.selection.identifiability import names_that_hold
 from bayes_impedance.diagnosis.selection.predictive_gain import Gain, names_that_predict
 from bayes_impedance.diagnosis.selection.shortlist import Trial
@@ -102,6 +103,7 @@ def find(
     executor: Executor,
     progress: Progress,
     clock: Clock,
+    way: Way | None = None,
 ) -> Findings:
     """Find what is missing.
 
@@ -119,10 +121,12 @@ def find(
     progress : callable
     clock : Clock
         Measures the stages.
+    way : Way, optional
+        The first step of the search, if it is made already.
     """
     names = fitted.recordings.names
     with clock.measure("search"):
-        found = search(fitted.refitter, base, names, effects, seed, executor, progress, begin)
+        found = search(fitted.refitter, base, names, effects, seed, executor, progress, begin, way)
         found, gains = names_that_predict(fitted.refitter, found, seed)
     with clock.measure("locate"):
         progress("locating", 0, 2)

@@ -91,6 +91,7 @@ def search(
     executor: Executor,
     progress: Progress,
     begin: Refit | None = None,
+    way: Way | None = None,
 ) -> Found:
     """Find what is missing.
 
@@ -107,9 +108,14 @@ def search(
     progress : callable
     begin : Refit, optional
         Fit of the same model as `base`, at which the first step screens and starts its refits.
+    way : Way, optional
+        The first step of this search, if it is made already (:func:`first_step`).
     """
     forward = partial(_forward, refitter, names=names, effects=effects, seed=seed, executor=executor, progress=progress)
-    way = forward(Way(base, base, (), None), begin=begin)
+    if way is None:
+        way = forward(Way(base, base, (), None), begin=begin)
+    elif way.steps[-1].chosen is not None:
+        way = forward(way)
     for _ in range(_EXCHANGES):
         way = pruned(way, _backward(refitter, way.base, way.fit, seed))
         if is_no_list(way):
@@ -125,6 +131,20 @@ def search(
         final, posterior = measured(refitter, final, seed)
     progress("looking for what is missing", MOST_ADDITIONS + 1, MOST_ADDITIONS + 1)
     return Found(way.base, final, way.steps, posterior if final.model.additions else None)
+
+
+def first_step(
+    refitter: Refitter,
+    base: Refit,
+    names: Sequence[str],
+    effects: Sequence[Effect],
+    seed: int,
+    executor: Executor,
+    progress: Progress,
+    begin: Refit | None = None,
+) -> Way:
+    """The first step of a search, with the parameters of :func:`search`, which may go on from it."""
+    return _forward(refitter, Way(base, base, (), None), names, effects, seed, executor, progress, begin, steps_left=1)
 
 
 def is_no_list(way: Way) -> bool:
