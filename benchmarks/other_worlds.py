@@ -224,7 +224,7 @@ def table(results: Mapping[str, Mapping[str, Any]]) -> str:
     head += ["NUTS: ours is", "means differ by", "spreads, ratio"]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     base = results.get("shipped", {}).get("at full size", {}).get("processor seconds")
-    for name in (name for name in WORLDS if name in results):
+    for name in (name for name in WORLDS if "at full size" in results.get(name, {})):
         row = results[name]["at full size"]
         seconds = f"{row['processor seconds']:.0f}" + (f" ({row['processor seconds'] / base:.2f}x)" if base else "")
         rate, rhat = f"{row['per processor second']:.0f}", f"{row['R-hat']:.3f}"
