@@ -2,8 +2,9 @@
 
 Hum is looked for before anything else that may be missing, because it acts on few points, which are left out. But
 physics that is missing leaves structure in the residuals, and where that is narrow and near the mains it looks like
-hum: beside a resonance of the rig, hum was claimed with p = 9e-4. So when the search has found something, hum is looked
-for again in what is left of all points; if there is none, the search begins anew with all of them.
+hum: beside a resonance of the rig, hum was claimed with p = 9e-4. So when the search has found its first effect, and
+when it has ended, hum is looked for again in what is left of all points; if there is none, the search begins anew with
+all of them.
 """
 
 from __future__ import annotations

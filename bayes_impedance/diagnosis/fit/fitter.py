@@ -43,7 +43,7 @@ from bayes_impedance.diagnosis.fit.normal_equations import (
     equations_at,
     sums,
 )
-from bayes_impedance.diagnosis.fit.only_person import settled_alone
+from bayes_impedance.diagnosis.fit.only_person import BETTER, settled_alone
 from bayes_impedance.diagnosis.fit.outliers_alone import ends_of_outliers
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.fit.rounds import (
@@ -261,7 +261,7 @@ class Refitter:
                 if k < _ALONE_TRIES:
                     start = ends_of_outliers(fit, start, rng, self.executor, hopeful)
                 trial = self.fit(fit.model, start, fit.population, 15, hold_population=True, hold_additions=True)
-                better = trial.evidence > best_evidence + 0.2
+                better = trial.evidence > best_evidence + BETTER
                 hopeful &= better
                 best_evidence = np.where(better, trial.evidence, best_evidence)
                 best_u = np.where(better[self.owner, None], trial.u, best_u)

@@ -26,7 +26,7 @@ from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.fit.shape_starts import searched_shapes
 from bayes_impedance.diagnosis.fit.spike_slab import members
 
-_TIMES, _ROUNDS = 2, 20
+_PASSES, _ROUNDS = 2, 20
 """How often members are fitted under their own distribution, and rounds of each. By choice: the second time the
 distribution is that of the first, and changes little."""
 
@@ -59,7 +59,7 @@ def posterior_of(refitter: Refitter, fit: Refit, seed: int) -> CoefficientPoster
     """
     posterior = coefficient_posterior(fit, seed)
     if any(a.absent_in_some for a in fit.model.additions):
-        for _ in range(_TIMES):
+        for _ in range(_PASSES):
             posterior = coefficient_posterior(_under_their_own(refitter, fit, posterior), seed)
     return posterior
 

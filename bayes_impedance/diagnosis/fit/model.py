@@ -211,8 +211,8 @@ def build(network: Network, additions: Sequence[Addition], scales: Scales, start
     additions : sequence of Addition
     scales : Scales
     starts : sequence of dict
-        For each addition the shapes at which it was found, which are the centres of their priors; for a branch, start
-        values of its elements.
+        For each addition the shapes at which it was found; the centres of their priors are there, or at the nearest
+        values of their grids. For a branch, start values of its elements.
 
     Returns
     -------

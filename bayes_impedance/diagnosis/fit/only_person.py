@@ -43,8 +43,9 @@ _BEST_ENDS = 3
 """Best ends that are fitted with the additions free. By choice: while these are held, a right valley may lie a little
 behind."""
 
-_BETTER = 0.2
-"""Difference of log evidence from which an end replaces the fit: as for people in a population."""
+BETTER = 0.2
+"""Difference of log evidence from which another end replaces the fit of a person, the only one or one of many. By
+choice: less may be the same optimum, approached from elsewhere."""
 
 
 def settled_alone(refitter: Refitter, fit: Refit, rng: np.random.Generator, rounds: int, hold: bool) -> Refit:
@@ -77,7 +78,7 @@ def settled_alone(refitter: Refitter, fit: Refit, rng: np.random.Generator, roun
         best = np.argsort(-np.nan_to_num(ends.evidence, nan=-np.inf), kind="stable")[:_BEST_ENDS]
         again = [refitter.fit(fit.model, ends.u[ends.owner == k], fit.population, hold_additions=hold) for k in best]
         better = max(again, key=lambda other: float(np.nan_to_num(other.evidence[0], nan=-np.inf)))
-        if not better.evidence[0] > fit.evidence[0] + _BETTER:
+        if not better.evidence[0] > fit.evidence[0] + BETTER:
             break
         fit = better
     return fit

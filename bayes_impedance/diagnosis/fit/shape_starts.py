@@ -17,6 +17,7 @@ import numpy as np
 
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.model import TYPICAL_DISPERSION, Model
+from bayes_impedance.diagnosis.fit.only_person import BETTER
 from bayes_impedance.diagnosis.fit.refit import Refit
 
 _TIMES = ("Hz", "s")
@@ -28,9 +29,6 @@ dispersion neighbours are a sixth apart, as much as a resonance with a damping r
 
 _FIRST_ROUNDS, _ROUNDS = 3, 20
 """Rounds from each start, and from the best. By choice: the first only rank the starts."""
-
-_LEAST_GAIN = 0.2
-"""Log evidence of a person below which two optima are the same one."""
 
 
 def searched_shapes(refitter: Refitter, fit: Refit) -> Refit:
@@ -77,7 +75,7 @@ def _searched(refitter: Refitter, fit: Refit, coefficient: int, shape: int) -> R
         best = np.where(better, trial.evidence, best)
         u = np.where(better[fit.owner, None], trial.u, u)
     there = refitter.fit(model, u, population, _ROUNDS, hold_population=True, hold_additions=True)
-    better = there.evidence > fit.evidence + _LEAST_GAIN
+    better = there.evidence > fit.evidence + BETTER
     if not better.any():
         return fit
     u = np.where(better[fit.owner, None], there.u, fit.u)

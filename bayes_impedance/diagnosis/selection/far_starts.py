@@ -131,7 +131,7 @@ def refits_from_afar(refitter: Refitter, fit: Refit, candidate: Candidate, seed:
         found = {c.name: float(c.value(end[column], model.scales)) for column, c in shapes.items()}
         model = extended(
             fit.model, replace(candidate, shape=found), "shared", 1.0
-        )  # the prior of shapes is around them
+        )  # the prior of shapes is around them, within their grids
         begin = np.tile(end, (len(u), 1))
         around = population if refitter.one_person else population_around(population, end[: model.n_elements])
         refits.append(refitter.fit(model, begin, around, rounds))

@@ -182,7 +182,7 @@ def _forward(
             screening = screen(begin, person_residuals(begin, names, executor), possible, seed, executor)
         step = Step(before=fit, residuals=residuals, screening=screening)
         structured = step.log_p < np.log(ALPHA)
-        just_made = begin is None and bool(steps) and steps[-1].after is fit  # beside others, steps are of other fits
+        just_made = bool(steps) and steps[-1].after is fit  # where a choice is made anew, steps are of other fits
         if structured and just_made and (other := that_leaves_nothing(steps[-1], names, possible, seed, executor)):
             steps[-1], fit = replace(steps[-1], chosen=other), other.fit
             posterior = posterior_of(refitter, fit, seed)
