@@ -20,6 +20,7 @@ from bayes_impedance.diagnosis.findings import Findings, find
 from bayes_impedance.diagnosis.first_fit import FirstFit, fit_without_hum
 from bayes_impedance.diagnosis.fit.baseline import Fitted
 from bayes_impedance.diagnosis.fit.calibration_error import Corrected, without_calibration_error
+from bayes_impedance.diagnosis.fit.evidence_posterior import evidence_posterior
 from bayes_impedance.diagnosis.fit.majority import joined
 from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
@@ -69,23 +70,23 @@ _QUICK_IS_EXACT = (
 
 _NO_POSTERIOR = (
     "The posterior of the network with what was found is not reliable, and the intervals of what was found are those "
-    "of a normal approximation"
+    "of Laplace's approximation"
 )
 _WITH_PRIOR = (
     "The given prior holds in the first estimate and in the posterior of the network with what was found; the search "
     "for effects leaves the elements free."
 )
 _COMBINED = (
-    "elements of what was found and of the network together: the intervals of what was found are those of a normal "
-    "approximation."
+    "elements of what was found and of the network together: the intervals of what was found are those of "
+    "Laplace's approximation."
 )
 _IN_SOME = (
     "is in some subjects only, and the population of a network has it in all: the intervals of what was found are "
-    "those of a normal approximation"
+    "those of Laplace's approximation"
 )
 _NOT_IN_NETWORK = (
     "cannot be written as a network, and without it the posterior of a network does not describe the recordings: the "
-    "intervals of what was found are those of a normal approximation"
+    "intervals of what was found are those of Laplace's approximation"
 )
 
 
@@ -136,7 +137,7 @@ def diagnose(
         Whether the claimed population has independent elements; by default they may be correlated.
     quick : bool
         Without held-out frequencies, without proposals of measurements to separate rivals, and without the population's
-        posterior of the network with what was found: intervals are then those of a normal approximation.
+        posterior of the network with what was found: intervals are then those of Laplace's approximation.
     seed : int
         The same seed and data give the same verdict on one machine.
     workers : int
@@ -218,6 +219,10 @@ def _diagnose(inside: Corrected, claimed: Claim | None, job: _Job, clock: Clock)
         if not job.quick:
             with clock.measure("posterior"):
                 evidence, fit = _measured(evidence, extended, measured, start, job)
+    if evidence.posterior is None and evidence.found.final.model.additions:
+        with clock.measure("posterior"):
+            near = evidence_posterior(first.fitted.refitter, evidence.found.final, job.seed)
+            evidence = replace(evidence, posterior=near)
     with clock.measure("verdict"):
         verdict = make_verdict(inside.recordings, first.fitted, evidence, extended, job.seed)
         verdict = verdict if start is None else replace(verdict, start=medians(start))

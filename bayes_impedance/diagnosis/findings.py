@@ -176,4 +176,4 @@ def _one_network(
     total, total_se = people_gain(refitter, found.base, grown, seed)
     whole = Candidate(branch_effects()[0], "port", {})
     trial = Trial(whole, "varying", grown, log_evidence(grown) - log_evidence(found.base), True)
-    return Found(found.base, found.base, found.steps[:1], None), Realised(trial, total, total_se)
+    return Found(found.base, found.base, found.steps[:1]), Realised(trial, total, total_se)

@@ -26,7 +26,7 @@ def test_a_bypass_beside_a_damper_ends_with_a_remark() -> None:
     assert [entry.id for entry in diagnosis.verdict.physics] == ["body.bypass"]
     (said,) = (remark for remark in diagnosis.verdict.remarks if "determine only" in remark)
     assert "r1 + r2" in said
-    assert "normal approximation" in said
+    assert "Laplace's approximation" in said
     assert diagnosis.fit is not None
     assert "r1_r2" in diagnosis.fit.kernel.elements
     stiffness = diagnosis.verdict.physics[0].parameters["stiffness"].median

@@ -15,7 +15,8 @@ from dataclasses import replace
 import numpy as np
 
 from bayes_impedance.diagnosis.fit.model import Model, with_dispersions
-from bayes_impedance.diagnosis.fit.normal_equations import Stack, equations_at, marginal, quadratic
+from bayes_impedance.diagnosis.fit.normal_equations import Population, Stack, equations_at, marginal, quadratic
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.fit.rounds import Layout, State, log_misfit, means_of
 from bayes_impedance.person.likelihood import Likelihood
 
@@ -73,10 +74,7 @@ def move_additions(
     e, a = slice(0, model.n_elements), slice(model.n_elements, None)
     varying = ~model.shared[a]
     h, d, response = quadratic(model, data, u, state.equations, population.covariance)
-    now = u[0, a].copy()
-    now[varying] = population.mu[a]
-    tau = np.zeros(now.size)
-    tau[varying] = np.sqrt(np.diag(population.covariance)[a])
+    now, tau = _central(model, u, population), _dispersion(model, population)
     target = marginal(model, h, d, tau)
     whole = target.mean - now
     force = target.precision @ whole
@@ -84,17 +82,13 @@ def move_additions(
     linear = np.array([p.is_coefficient for p in model.parameters])
     longest = np.maximum(_LONGEST_STEP * np.minimum(prior, 1.0), _LONGEST_SHARE * np.abs(now) * linear)
     part = begun = share / max(1.0, float(np.abs(whole / longest).max()))
-    # A well-determined coefficient does not follow the population's mean: dc_i/dmu = (1 + T D_cc)^-1.
-    follows = np.linalg.inv(np.eye(int(varying.sum())) + np.diag(tau[varying] ** 2) @ d[:, varying][:, :, varying])
+    follows = _follows(d, tau, varying)
     pull = h - np.einsum("nab,nb->na", d, means_of(u[:, a], layout.owner, n))
     for _ in range(_TRIES):
         step = part * whole
         own = np.tile(step, (n, 1))
         own[:, varying] = follows @ step[varying]
-        trial = u.copy()
-        trial[:, a] += own[layout.owner]
-        moved = np.einsum("mea,ma->me", response, own[layout.owner])
-        trial[:, e] += np.clip(moved, -_LONGEST_RESPONSE, _LONGEST_RESPONSE)
+        trial = _moved(u, own[layout.owner], response)
         equations = equations_at(model, stack, trial, executor)
         said = float(np.sum(0.5 * np.einsum("na,nab,nb->n", own, d, own) - np.sum(pull * own, axis=1)))
         misfit = float(np.sum(log_misfit(layout, equations.chi) - log_misfit(layout, state.equations.chi)))
@@ -113,3 +107,51 @@ def move_additions(
             return state, min(1.0, share), length
         part *= _SHORTER
     return state, 1.0, 0.0
+
+
+def central_values(fit: Refit) -> np.ndarray:
+    """Shared parameters and means of varying ones of the additions, shape (A,)."""
+    return _central(fit.model, fit.u, fit.population)
+
+
+def following(fit: Refit, step: np.ndarray) -> Refit:
+    """Parameters and population where they are expected after a step of the central values (A,), to fit from there."""
+    model, population = fit.model, fit.population
+    varying = ~model.shared[model.n_elements :]
+    _, d, response = quadratic(model, fit.data, fit.u, fit.equations, population.covariance)
+    own = np.tile(step, (len(fit.data), 1))
+    own[:, varying] = _follows(d, _dispersion(model, population), varying) @ step[varying]
+    mu = population.mu.copy()
+    mu[model.n_elements :] += step[varying]
+    return replace(fit, u=_moved(fit.u, own[fit.owner], response), population=replace(population, mu=mu))
+
+
+def _central(model: Model, u: np.ndarray, population: Population) -> np.ndarray:
+    now = u[0, model.n_elements :].copy()
+    now[~model.shared[model.n_elements :]] = population.mu[model.n_elements :]
+    return now
+
+
+def _dispersion(model: Model, population: Population) -> np.ndarray:
+    """Standard deviations of the additions' parameters between people, zero of shared ones, shape (A,)."""
+    tau = np.zeros(len(model.parameters))
+    tau[~model.shared[model.n_elements :]] = np.sqrt(np.diag(population.covariance)[model.n_elements :])
+    return tau
+
+
+def _follows(d: np.ndarray, tau: np.ndarray, varying: np.ndarray) -> np.ndarray:
+    """How each person's coefficients follow the population's means, shape (N, C, C).
+
+    A well-determined coefficient does not: dc_i/dmu = (1 + T D_cc)^-1.
+    """
+    inside = np.eye(int(varying.sum())) + np.diag(tau[varying] ** 2) @ d[:, varying][:, :, varying]
+    return np.asarray(np.linalg.inv(inside))
+
+
+def _moved(u: np.ndarray, own: np.ndarray, response: np.ndarray) -> np.ndarray:
+    """Parameters after a step (M, A) of the additions', to which the elements respond."""
+    size = response.shape[1]
+    trial = u.copy()
+    trial[:, size:] += own
+    trial[:, :size] += np.clip(np.einsum("mea,ma->me", response, own), -_LONGEST_RESPONSE, _LONGEST_RESPONSE)
+    return trial

@@ -29,7 +29,7 @@ from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.fit.spike_slab import members
 from bayes_impedance.units import INTERVAL, unit_of
 
-_DRAWS = 2000
+DRAWS = 2000
 """Draws of the posterior: the 5 % quantile then has an error of a twentieth of a standard deviation."""
 
 _GRID = np.r_[0.0, np.geomspace(0.01, 3.0, 60)]
@@ -63,8 +63,13 @@ class CoefficientPosterior:
     settled: bool = True
     elements: np.ndarray | None = None
 
+    @property
+    def is_sampled(self) -> bool:
+        """Whether it is the population's posterior, and no approximation."""
+        return self.elements is not None
 
-def coefficient_posterior(fit: Refit, seed: int, n_draws: int = _DRAWS) -> CoefficientPosterior:
+
+def coefficient_posterior(fit: Refit, seed: int, n_draws: int = DRAWS) -> CoefficientPosterior:
     """Draws of the posterior of all additions.
 
     Parameters

@@ -114,7 +114,7 @@ def with_pooling(
     if correlation is not None:
         changed = replace(changed, correlation=correlation)
     if dispersions:
-        changed = replace(changed, dispersion=dispersions[0], shape_dispersions=tuple(dispersions[1:]))
+        changed = replace(changed, dispersion=dispersions[0], other_dispersions=tuple(dispersions[1:]))
     additions[addition] = changed
     return rebuilt(model, additions, list(range(len(additions))))
 

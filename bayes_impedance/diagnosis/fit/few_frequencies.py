@@ -33,6 +33,7 @@ def few_frequencies(model: Model, stack: Stack, u: np.ndarray, executor: Executo
     u : ndarray, shape (M, P)
     executor : Executor
     """
+    u = stack.felt(u)
     tasks = [(lent, (model.kernel, u[rows])) for rows, lent in stack.pieces]
     pieces, rest = [], np.empty(len(u))
     for (rows, _), found in zip(stack.pieces, Lent.ask(executor, _summed, tasks), strict=True):
@@ -40,7 +41,7 @@ def few_frequencies(model: Model, stack: Stack, u: np.ndarray, executor: Executo
             return None
         blocks, rest[rows] = found
         pieces.append((rows, Lent(blocks)))
-    return Stack(stack.owner, tuple(pieces), rest)
+    return Stack(stack.owner, tuple(pieces), rest, stack.silent)
 
 
 def worth_it(stack: Stack) -> bool:

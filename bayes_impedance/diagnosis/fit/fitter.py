@@ -28,6 +28,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -111,6 +112,12 @@ class Refitter:
     def subset(self, people: np.ndarray) -> Refitter:
         """Refitter of some of the people."""
         return Refitter([self.data[i] for i in people], self.executor, self.one_person)
+
+    def without(self, silent: np.ndarray) -> Refitter:
+        """Refitter of people some of whom do not feel some parameters (bool, (N, P)), because they lack the effect."""
+        other = copy(self)
+        other.stack = replace(self.stack, silent=silent[self.owner])
+        return other
 
     def fit(
         self,

@@ -52,8 +52,9 @@ class Addition:
         not; ``free``: the shapes differ too.
     dispersion : float
         Of a varying coefficient between people, relative to its mean.
-    shape_dispersions : tuple of float
-        Of shapes that differ between people; :data:`SHAPE_DISPERSION` where none is given.
+    other_dispersions : tuple of float
+        Of the operation's other parameters that differ between people; where none is given :data:`SHAPE_DISPERSION` for
+        a shape, and that of the first for a coefficient.
     correlation : float
         Between coefficient and first shape over people, where both differ.
     """
@@ -62,7 +63,7 @@ class Addition:
     place: str
     pooling: str
     dispersion: float = TYPICAL_DISPERSION
-    shape_dispersions: tuple[float, ...] = ()
+    other_dispersions: tuple[float, ...] = ()
     correlation: float = 0.0
 
     @classmethod
@@ -240,10 +241,8 @@ def build(network: Network, additions: Sequence[Addition], scales: Scales, start
                 sd = coefficient.prior_sd if centre_only else COEFFICIENT_SD
                 name = f"{effect.id}.{coefficient.name}.{i}"
                 varies = addition.pooling == "free" or (addition.pooling == "varying" and not centre_only)
-                spread = addition.dispersion
-                if centre_only:
-                    given = addition.shape_dispersions
-                    spread = given[k - 1] if k <= len(given) else SHAPE_DISPERSION
+                spreads = (addition.dispersion, *addition.other_dispersions)
+                typical = SHAPE_DISPERSION if centre_only else addition.dispersion
                 own.append(
                     Parameter(
                         name=name,
@@ -253,7 +252,7 @@ def build(network: Network, additions: Sequence[Addition], scales: Scales, start
                         prior_sd=sd,
                         start=start,
                         is_coefficient=not centre_only,
-                        dispersion=spread,
+                        dispersion=spreads[k] if k < len(spreads) else typical,
                     )
                 )
             parameters += own

@@ -111,11 +111,18 @@ class Stack:
     rest : ndarray, shape (M,), optional
         What is to be added to each recording's chi-square, where the pieces hold recordings that are summed up
         (:mod:`.few_frequencies`).
+    silent : ndarray of bool, shape (M, P), optional
+        Which coefficients a recording does not feel, because its person lacks the effect.
     """
 
     owner: np.ndarray
     pieces: tuple[tuple[np.ndarray, Lent], ...]
     rest: np.ndarray | None = None
+    silent: np.ndarray | None = None
+
+    def felt(self, u: np.ndarray) -> np.ndarray:
+        """Parameters (M, P) that the recordings feel: coefficients of zero where a person lacks the effect."""
+        return u if self.silent is None else np.where(self.silent, 0.0, u)
 
     @classmethod
     def of(cls, data: Sequence[Likelihood]) -> Stack:
@@ -191,6 +198,7 @@ def equations_at(
     Only those of some people (bool, shape (N,)) are computed if the others' are known.
     """
     m, p = u.shape
+    u = stack.felt(u)
     if known is None or people is None:
         result, wanted = Equations(np.empty(m), np.empty((m, p)), np.empty((m, p, p))), np.ones(m, dtype=bool)
     else:
@@ -206,6 +214,10 @@ def equations_at(
         result.chi[rows], result.gradient[rows], result.information[rows] = found
         if stack.rest is not None:
             result.chi[rows] = np.maximum(result.chi[rows] + stack.rest[rows], 0.0)
+    if stack.silent is not None:
+        result.gradient[stack.silent] = 0.0
+        result.information[stack.silent] = 0.0
+        np.swapaxes(result.information, 1, 2)[stack.silent] = 0.0
     return result
 
 

@@ -26,7 +26,7 @@ from typing import Protocol
 
 import numpy as np
 
-from bayes_impedance.diagnosis.fit.coefficient_posterior import CoefficientPosterior
+from bayes_impedance.diagnosis.fit.evidence_surface import climbed
 from bayes_impedance.diagnosis.fit.extend import columns_kept, rebuilt, shrunk, unphysical
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.lost_elements import lost_elements, with_lost_elements
@@ -47,12 +47,22 @@ _ROUNDS = 40
 
 @dataclass(frozen=True)
 class Way:
-    """Where a search has come to: the model that it began with, the last one, the steps between, and its posterior."""
+    """Where a search has come to.
+
+    Attributes
+    ----------
+    base, fit : Refit
+        Of the model that it began with, and of the last one.
+    steps : tuple of Step
+        Between them.
+    measured : bool
+        Whether the last one is (:mod:`bayes_impedance.diagnosis.fit.measured`).
+    """
 
     base: Refit
     fit: Refit
     steps: tuple[Step, ...]
-    posterior: CoefficientPosterior | None
+    measured: bool = False
 
 
 class StepFrom(Protocol):
@@ -74,7 +84,7 @@ def without(refitter: Refitter, fit: Refit, addition: int, seed: int) -> Refit:
     smaller = shrunk(refitter, fit, model, kept)
     begin = fit.u[:, columns_kept(fit.model, kept)]
     smaller = with_lost_elements(refitter, smaller, begin, lost_elements(fit), _ROUNDS)
-    return network_from_afar(refitter, smaller, seed, _ROUNDS)
+    return climbed(refitter, network_from_afar(refitter, smaller, seed, _ROUNDS), seed)
 
 
 def _left(fit: Refit, addition: int) -> tuple[list[int], Model]:
@@ -95,7 +105,7 @@ def pruned(way: Way, fit: Refit) -> Way:
         return way
     kept = _keys(fit)
     steps = tuple(step for step in way.steps if step.chosen is None or _key(step) in kept)
-    return Way(way.base, fit, steps, None)
+    return Way(way.base, fit, steps)
 
 
 def exchanged(refitter: Refitter, way: Way, step_from: StepFrom, seed: int) -> tuple[Way, bool]:
@@ -130,14 +140,14 @@ def exchanged(refitter: Refitter, way: Way, step_from: StepFrom, seed: int) -> t
         others = (*made[:k], *made[k + 1 :])
         left_out = _index(way.fit, _key(step))
         smaller, begin = without(refitter, way.fit, left_out, seed), _elements_kept(refitter, way.fit, left_out)
-        anew = step_from(Way(way.base, smaller, others, None), begin=begin)
+        anew = step_from(Way(way.base, smaller, others), begin=begin)
         new = anew.steps[len(others)]
         if senseless := _senseless_beside(new) & {_key(other) for other in others}:
             for key in senseless:
                 smaller = without(refitter, smaller, _index(smaller, key), seed)
                 begin = _elements_kept(refitter, begin, _index(begin, key))
             others = tuple(other for other in others if _key(other) not in senseless)
-            anew = step_from(Way(way.base, smaller, others, None), begin=begin)
+            anew = step_from(Way(way.base, smaller, others), begin=begin)
             new = anew.steps[len(others)]
         if new.chosen is None:
             continue
@@ -165,7 +175,8 @@ def _senseless_beside(step: Step) -> set[tuple[str, str, str]]:
     trials = [t for t in (*step.trials, *([step.chosen] if step.chosen else [])) if np.isfinite(t.gain)]
     if not trials:
         return set()
-    fit = max(trials, key=lambda t: t.gain).fit
+    # By its evidence as it is fitted: what other dispersions would bring is foretold from afar where a sign is wrong.
+    fit = max((t.fit for t in trials), key=lambda fit: float(fit.evidence.sum()))
     wrong = unphysical(fit)
     if len(fit.model.additions) - 1 in wrong:
         return set()

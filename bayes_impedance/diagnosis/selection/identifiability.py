@@ -26,7 +26,6 @@ import numpy as np
 from bayes_impedance.diagnosis.catalogue.effect import Effect
 from bayes_impedance.diagnosis.fit.extend import rebuilt, shrunk
 from bayes_impedance.diagnosis.fit.fitter import Refitter
-from bayes_impedance.diagnosis.fit.measured import posterior_of
 from bayes_impedance.diagnosis.fit.model import Addition
 from bayes_impedance.diagnosis.fit.normal_equations import counts
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals
@@ -193,8 +192,8 @@ def without(refitter: Refitter, found: Found, additions: Sequence[Addition]) -> 
     final = shrunk(refitter, found.final, smaller, kept)
     if not kept:
         return _without_names(found)
-    return replace(found, final=final, posterior=posterior_of(refitter, final, 1))
+    return replace(found, final=final)
 
 
 def _without_names(found: Found) -> Found:
-    return Found(found.base, found.base, found.steps[:1], None)
+    return Found(found.base, found.base, found.steps[:1])

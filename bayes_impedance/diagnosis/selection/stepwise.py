@@ -18,9 +18,8 @@ from functools import partial
 import numpy as np
 
 from bayes_impedance.diagnosis.catalogue.effect import Effect
-from bayes_impedance.diagnosis.fit.coefficient_posterior import CoefficientPosterior
 from bayes_impedance.diagnosis.fit.fitter import Refitter
-from bayes_impedance.diagnosis.fit.measured import measured, posterior_of
+from bayes_impedance.diagnosis.fit.measured import measured
 from bayes_impedance.diagnosis.fit.model import Addition
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
@@ -65,14 +64,11 @@ class Found:
     base, final : Refit
     steps : tuple of Step
         In order; the last step added nothing.
-    posterior : CoefficientPosterior or None
-        Joint posterior of all additions, from the quadratic expansion.
     """
 
     base: Refit
     final: Refit
     steps: tuple[Step, ...]
-    posterior: CoefficientPosterior | None
 
     def step_of(self, addition: Addition) -> Step | None:
         """The step in which an addition was found."""
@@ -113,7 +109,7 @@ def search(
     """
     forward = partial(_forward, refitter, names=names, effects=effects, seed=seed, executor=executor, progress=progress)
     if way is None:
-        way = forward(Way(base, base, (), None), begin=begin)
+        way = forward(Way(base, base, ()), begin=begin)
     elif way.steps[-1].chosen is not None:
         way = forward(way)
     for _ in range(_EXCHANGES):
@@ -126,11 +122,11 @@ def search(
         way = forward(way)
     else:
         way = pruned(way, _backward(refitter, way.base, way.fit, seed))
-    final, posterior = way.fit, way.posterior
-    if final.model.additions and posterior is None:
-        final, posterior = measured(refitter, final, seed)
+    final = way.fit
+    if final.model.additions and not way.measured:
+        final = measured(refitter, final, seed)
     progress("looking for what is missing", MOST_ADDITIONS + 1, MOST_ADDITIONS + 1)
-    return Found(way.base, final, way.steps, posterior if final.model.additions else None)
+    return Found(way.base, final, way.steps)
 
 
 def first_step(
@@ -144,7 +140,7 @@ def first_step(
     begin: Refit | None = None,
 ) -> Way:
     """The first step of a search, with the parameters of :func:`search`, which may go on from it."""
-    return _forward(refitter, Way(base, base, (), None), names, effects, seed, executor, progress, begin, steps_left=1)
+    return _forward(refitter, Way(base, base, ()), names, effects, seed, executor, progress, begin, steps_left=1)
 
 
 def is_no_list(way: Way) -> bool:
@@ -167,7 +163,7 @@ def _forward(
     """At most so many steps from there, until nothing is significant, or better, any more."""
     most, of_any_kind = MOST_ADDITIONS, max(1, len(refitter.data) // _PEOPLE_PER_ADDITION)
     of_the_chain = tuple(e for e in effects if e.side == "rig" and e.operation and len(e.coefficients) == 1)
-    base, fit, steps, posterior = way.base, way.fit, list(way.steps), way.posterior
+    base, fit, steps, is_measured = way.base, way.fit, list(way.steps), way.measured
     number, repeats = len(steps), 0
     known: tuple[Trial, ...] = ()  # explanations of this step, from before the model without them was better fitted
     last = min(most, number + steps_left - 1)
@@ -185,14 +181,13 @@ def _forward(
         just_made = bool(steps) and steps[-1].after is fit  # where a choice is made anew, steps are of other fits
         if structured and just_made and (other := that_leaves_nothing(steps[-1], names, possible, seed, executor)):
             steps[-1], fit = replace(steps[-1], chosen=other), other.fit
-            posterior = posterior_of(refitter, fit, seed)
             continue
         if number < most and structured:
             trials, ranked = _explanations(refitter, fit, screening, possible, seed, begin, known)
             contest = _Contest(refitter, fit, ranked, possible, seed)
             chosen, better, unpredictive = None, None, False
             for _ in range(_SECOND_CHANCES):
-                trial, measure = contest.leader()
+                trial = contest.leader()
                 if trial is None:
                     break
                 better = _without_last(refitter, fit, trial.fit) if repeats < _REPEATS else None
@@ -201,7 +196,7 @@ def _forward(
                 better_than_without = compare(trial.fit, fit)
                 decided = better_than_without.decided
                 if decided and (number == 0 or _earns_its_place(refitter, fit, trial.fit, seed, few)):
-                    chosen, posterior = replace(trial, gain=better_than_without.difference), measure
+                    chosen, is_measured = replace(trial, gain=better_than_without.difference), True
                     contest.measure_rivals_of(chosen)
                     if max(other.gain for other in contest.trials) <= trial.gain + EQUAL:
                         break  # none of the rivals is ahead now that they are measured
@@ -225,7 +220,7 @@ def _forward(
             break
         fit = step.chosen.fit
         number, known = number + 1, ()
-    return Way(base, fit, tuple(steps), posterior)
+    return Way(base, fit, tuple(steps), is_measured)
 
 
 def _earns_its_place(refitter: Refitter, fit: Refit, grown: Refit, seed: int, few: bool) -> bool:
@@ -286,18 +281,17 @@ class _Contest:
     ) -> None:
         self.refitter, self.fit, self.effects, self.seed = refitter, fit, effects, seed
         self.trials = list(ranked)
-        self.measures: list[tuple[Trial, CoefficientPosterior]] = []
+        self.measured: list[Trial] = []
         self.unmeasured = {trial.fit.model.additions[-1].key: trial.fit for trial in ranked}
 
-    def leader(self) -> tuple[Trial | None, CoefficientPosterior | None]:
-        """The best explanation, measured, and its posterior; None if there is none."""
+    def leader(self) -> Trial | None:
+        """The best explanation, measured; None if there is none."""
         while self.trials:
             trial = in_order(self.trials, self.effects)[0]
-            for known, measure in self.measures:
-                if known is trial:
-                    return trial, measure
+            if any(known is trial for known in self.measured):
+                return trial
             self._measure(trial)
-        return None, None
+        return None
 
     def measure_rivals_of(self, chosen: Trial) -> None:
         """Measure what cannot be told from the chosen explanation, before it is said so.
@@ -307,21 +301,20 @@ class _Contest:
         """
         equal = self.unmeasured.get(chosen.fit.model.additions[-1].key, chosen.fit)
         for trial in list(self.trials):
-            if all(known is not trial for known, _ in self.measures) and not compare(equal, trial.fit).decided:
+            if all(known is not trial for known in self.measured) and not compare(equal, trial.fit).decided:
                 self._measure(trial)
 
     def among(self, trials: Sequence[Trial]) -> tuple[Trial, ...]:
         """All explanations of a step, those that were measured only so."""
-        known = [trial for trial, _ in self.measures]
-        keys = {trial.fit.model.additions[-1].key for trial in known}
-        return (*(t for t in (*trials, *self.trials) if t.fit.model.additions[-1].key not in keys), *known)
+        keys = {trial.fit.model.additions[-1].key for trial in self.measured}
+        return (*(t for t in (*trials, *self.trials) if t.fit.model.additions[-1].key not in keys), *self.measured)
 
     def _measure(self, trial: Trial) -> None:
-        grown, measure = measured(self.refitter, trial.fit, self.seed)
+        grown = measured(self.refitter, trial.fit, self.seed)
         self.drop(trial)
         trial = replace(trial, fit=grown, gain=log_evidence(grown) - log_evidence(self.fit))
         self.trials.append(trial)
-        self.measures.append((trial, measure))
+        self.measured.append(trial)
 
     def drop(self, trial: Trial) -> None:
         """An explanation that is out of the contest."""

@@ -162,7 +162,7 @@ class Evidence:
     remaining : tuple of PersonResiduals
         Of the final model, if structure remains that no named effect explains.
     posterior : CoefficientPosterior or None
-        Of all parameters that were added, from the population's posterior; the normal approximation of the search
+        Of all parameters that were added, from the population's posterior; the approximation of the search
         counts where there is none.
     """
 
@@ -243,7 +243,7 @@ def make_verdict(
             *_limits_of_few(recordings),
         ),
         version=version("bayes_impedance"),
-        joint=joint_of(found.final.model, _posterior(evidence)) if len(effects) > 1 else None,
+        joint=joint_of(found.final.model, evidence.posterior) if len(effects) > 1 else None,
         parameters_differ=None
         if differences is None
         else tuple(d for d in differences if d.p_value < _SIGNIFICANT_DIFFERENCE),
@@ -266,7 +266,8 @@ def _at_rest(evidence: Evidence) -> bool:
     """
     if evidence.found.base.settled:
         return True
-    return evidence.changed and (evidence.final.settled or evidence.posterior is not None)
+    is_sampled = evidence.posterior is not None and evidence.posterior.is_sampled
+    return evidence.changed and (evidence.final.settled or is_sampled)
 
 
 def _left_out(evidence: Evidence) -> tuple[str, ...]:
@@ -292,16 +293,11 @@ def _shortcomings(recordings: Recordings, final: Refit, remains: bool) -> tuple[
     return gross, badly_described(recordings.names, scale)
 
 
-def _posterior(evidence: Evidence) -> CoefficientPosterior | None:
-    return evidence.found.posterior if evidence.posterior is None else evidence.posterior
-
-
 def _physics(recordings: Recordings, evidence: Evidence) -> tuple[Physics, ...]:
     """All entries: effects of the catalogue, structures of the population, hum, and last unnamed physics."""
     found, names = evidence.found, recordings.names
     entries = []
-    posterior = _posterior(evidence)
-    if posterior is not None:
+    if (posterior := evidence.posterior) is not None:
         few = len(names) < FEW_PEOPLE
         first = len(found.base.model.additions)
         for i, gain in enumerate(evidence.gains, first):

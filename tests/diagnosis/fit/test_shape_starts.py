@@ -29,7 +29,7 @@ def world() -> Experiment:
 
 def fitted(world: Experiment, pooling: str) -> Refit:
     """From everybody's true elements, and the resonance of most people."""
-    addition = Addition(effect=RESONATOR, place="port", pooling=pooling, shape_dispersions=(0.4, 0.1))
+    addition = Addition(effect=RESONATOR, place="port", pooling=pooling, other_dispersions=(0.4, 0.1))
     shapes = {"frequency": 2 * np.pi * FREQUENCY_HZ, "damping_ratio": DAMPING_RATIO}
     model = build(world.model.network, [addition], world.model.scales, [shapes])
     u, population = enlarged(world.fit(), model)

@@ -28,8 +28,8 @@ def measured(monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
     """Evidence of each effect with its own dispersions; what was measured is taken out."""
     found = {RESONATOR.id: 93.0, DELAY.id: 100.0, MASS.id: 20.0}
 
-    def measure(_: Any, fit: Any, _seed: int) -> tuple[Any, str]:
-        return SimpleNamespace(**{**vars(fit), "evidence": found.pop(fit.name)}), f"posterior of {fit.name}"
+    def measure(_: Any, fit: Any, _seed: int) -> Any:
+        return SimpleNamespace(**{**vars(fit), "evidence": found.pop(fit.name)})
 
     monkeypatch.setattr(stepwise, "measured", measure)
     monkeypatch.setattr(stepwise, "log_evidence", lambda fit: fit.evidence)
@@ -42,24 +42,23 @@ def contest(*trials: Trial) -> stepwise._Contest:
 
 def test_what_leads_only_before_it_is_measured_gives_way(measured: dict[str, float]) -> None:
     race = contest(trial(RESONATOR, 115.0), trial(DELAY, 99.0), trial(MASS, 20.0))
-    leader, posterior = race.leader()
+    leader = race.leader()
     assert leader is not None
     assert (leader.effect, leader.gain) == (DELAY, 100.0)
-    assert posterior == "posterior of rig.delay"
     assert list(measured) == [MASS.id]  # nobody asked what is far behind
-    assert race.leader()[0] is leader  # nothing is measured twice
+    assert race.leader() is leader  # nothing is measured twice
 
 
 def test_who_is_dropped_does_not_lead_again(measured: dict[str, float]) -> None:
     race = contest(trial(RESONATOR, 115.0), trial(DELAY, 99.0))
-    leader, _ = race.leader()
+    leader = race.leader()
     assert leader is not None
     race.drop(leader)
-    second, _ = race.leader()
+    second = race.leader()
     assert second is not None
     assert (second.effect, second.gain) == (RESONATOR, 93.0)
     race.drop(second)
-    assert race.leader() == (None, None)
+    assert race.leader() is None
     assert measured == {MASS.id: 20.0}
 
 
@@ -72,7 +71,7 @@ def test_rivals_that_are_not_told_apart_are_measured_too(
     monkeypatch.setattr(stepwise, "compare", compare)
     slow, near, far = trial(DELAY, 120.0), trial(RESONATOR, 115.0), trial(MASS, 20.0)
     race = contest(slow, near, far)
-    leader, _ = race.leader()
+    leader = race.leader()
     assert leader is not None
     race.measure_rivals_of(leader)
     assert list(measured) == [MASS.id]

@@ -6,6 +6,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
+import numpy as np
 import pytest
 
 from bayes_impedance.diagnosis.catalogue.effect import Effect, registered
@@ -15,15 +16,16 @@ from bayes_impedance.diagnosis.selection.shortlist import Trial
 from bayes_impedance.diagnosis.selection.step import Step
 
 EFFECTS = {effect.id: effect for effect in registered()}
-RESONATOR, RESONANCE, HIGHPASS, DELAY = (
-    EFFECTS[k] for k in ("body.resonator", "rig.resonance", "rig.highpass", "rig.delay")
+RESONATOR, RESONANCE, HIGHPASS, DELAY, MASS = (
+    EFFECTS[k] for k in ("body.resonator", "rig.resonance", "rig.highpass", "rig.delay", "rig.mass")
 )
 NOTHING: Any = None
 
 
-def fit_of(*names: str) -> Any:
+def fit_of(*names: str, evidence: float = 0.0) -> Any:
     additions = tuple(SimpleNamespace(key=(name, "", "port")) for name in names)
-    return SimpleNamespace(name="+".join(names), model=SimpleNamespace(additions=additions), settled=True)
+    own = np.array([evidence])
+    return SimpleNamespace(name="+".join(names), model=SimpleNamespace(additions=additions), settled=True, evidence=own)
 
 
 def names_of(fit: Any) -> tuple[str, ...]:
@@ -43,12 +45,12 @@ def step_of(chosen: Trial | None, *trials: Trial, before: Any = None) -> Step:
 FIRST = step_of(trial_of(RESONATOR, 100.0), trial_of(DELAY, 30.0))
 SECOND = step_of(trial_of(HIGHPASS, 50.0, RESONATOR.id), before=fit_of(RESONATOR.id))
 LAST = step_of(None)
-WAY: Any = Way(fit_of(), fit_of(RESONATOR.id, HIGHPASS.id), (FIRST, SECOND, LAST), NOTHING)
+WAY: Any = Way(fit_of(), fit_of(RESONATOR.id, HIGHPASS.id), (FIRST, SECOND, LAST), True)
 
 
 @pytest.fixture
 def without(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Fits without an addition have its name left out; their evidence is in their posterior's place."""
+    """Fits without an addition have its name left out; their evidence follows from the names."""
 
     def left(_: Any, fit: Any, addition: int, _seed: int) -> Any:
         names = list(names_of(fit))
@@ -88,10 +90,10 @@ class OneStep:
         self.asked.append(way)
         self.begun.append(begin)
         if self.effect is None:
-            return Way(way.base, way.fit, (*way.steps, LAST), NOTHING)
+            return Way(way.base, way.fit, (*way.steps, LAST))
         before = names_of(way.fit)
         new = step_of(trial_of(self.effect, 90.0, *before), trial_of(RESONATOR, 34.0, *before), before=way.fit)
-        return Way(way.base, fit_of(*before, self.effect.id), (*way.steps, new), cast(Any, "its own"))
+        return Way(way.base, fit_of(*before, self.effect.id), (*way.steps, new), True)
 
 
 @pytest.mark.usefixtures("without")
@@ -102,7 +104,7 @@ def test_what_is_better_beside_the_later_ones_takes_the_place_of_the_earlier_cho
     assert [(names_of(w.fit), w.steps) for w in step_from.asked] == [((HIGHPASS.id,), (SECOND,))]
     assert [(names_of(begin), begin.kept) for begin in step_from.begun] == [((HIGHPASS.id,), True)]
     assert names_of(way.fit) == (HIGHPASS.id, RESONANCE.id)
-    assert way.posterior == cast(Any, "its own")
+    assert way.measured
     first, second = way.steps
     assert second is SECOND
     assert first.chosen is not None
@@ -137,7 +139,7 @@ def test_what_has_the_wrong_sign_beside_the_best_is_removed_and_the_choice_made_
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Beside a resonance the high-pass has no sense, and the resonance cannot be chosen before it is removed."""
-    senseless = fit_of(HIGHPASS.id, RESONANCE.id)
+    senseless = fit_of(HIGHPASS.id, RESONANCE.id, evidence=90.0)
     evidence = exchange.log_evidence
     monkeypatch.setattr(exchange, "log_evidence", lambda fit: 30.0 if fit.name == RESONANCE.id else evidence(fit))
     monkeypatch.setattr(exchange, "unphysical", lambda fit: [0] if fit is senseless else [])
@@ -148,9 +150,10 @@ def test_what_has_the_wrong_sign_beside_the_best_is_removed_and_the_choice_made_
         asked.append(names_of(way.fit))
         assert names_of(begin) == names_of(way.fit)
         if way.fit.name == HIGHPASS.id:
-            found = step_of(trial_of(DELAY, 20.0, HIGHPASS.id), best, before=way.fit)
-            return Way(way.base, fit_of(HIGHPASS.id, DELAY.id), (*way.steps, found), NOTHING)
-        return Way(way.base, fit_of(RESONANCE.id), (*way.steps, step_of(trial_of(RESONANCE, 90.0))), NOTHING)
+            foretold = replace(trial_of(MASS, 1e5, HIGHPASS.id), physical=False)  # of other dispersions than its own
+            found = step_of(trial_of(DELAY, 20.0, HIGHPASS.id), best, foretold, before=way.fit)
+            return Way(way.base, fit_of(HIGHPASS.id, DELAY.id), (*way.steps, found))
+        return Way(way.base, fit_of(RESONANCE.id), (*way.steps, step_of(trial_of(RESONANCE, 90.0))))
 
     way, better = exchanged(NOTHING, WAY, step_from, 1)
     assert better
@@ -170,8 +173,8 @@ def test_a_choice_of_the_wrong_sign_itself_removes_nothing(monkeypatch: pytest.M
 def test_a_choice_that_was_made_beside_the_others_stays() -> None:
     step_from = OneStep(RESONANCE)
     for way in (
-        Way(fit_of(), fit_of(RESONATOR.id), (FIRST, LAST), NOTHING),
-        Way(fit_of(), fit_of(), (LAST,), NOTHING),
+        Way(fit_of(), fit_of(RESONATOR.id), (FIRST, LAST)),
+        Way(fit_of(), fit_of(), (LAST,)),
     ):
         assert exchanged(NOTHING, way, step_from, 1) == (way, False)
     assert step_from.asked == []
@@ -182,7 +185,7 @@ def test_the_last_choice_is_made_anew_once_an_earlier_one_was_removed() -> None:
     """It was made beside a resonator that is not there any more."""
     way = pruned(WAY, fit_of(HIGHPASS.id))
     assert way.steps == (SECOND, LAST)
-    assert way.posterior is None
+    assert not way.measured
     step_from = OneStep(RESONANCE)
     exchanged(NOTHING, way, step_from, 1)
     assert [names_of(w.fit) for w in step_from.asked] == [()]
@@ -194,6 +197,6 @@ def test_a_choice_that_was_far_ahead_of_everything_stays() -> None:
     """Its nearest rival lacked 890, and what came later brought 80."""
     far = step_of(trial_of(RESONATOR, 900.0), trial_of(DELAY, 10.0))
     step_from = OneStep(RESONANCE)
-    way: Any = Way(WAY.base, WAY.fit, (far, SECOND, LAST), NOTHING)
+    way: Any = Way(WAY.base, WAY.fit, (far, SECOND, LAST))
     assert exchanged(NOTHING, way, step_from, 1) == (way, False)
     assert step_from.asked == []

@@ -145,7 +145,6 @@ def assert_taken_back(result: Searched, held: tuple[Found, Realised | None]) -> 
     found, unknown = held
     assert found.base is found.final is result.found.base
     assert not found.final.model.additions
-    assert found.posterior is None
     assert found.steps == result.found.steps[:1]
     assert unknown is not None
     assert unknown.trial.fit is result.found.final

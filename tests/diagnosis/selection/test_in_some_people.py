@@ -8,6 +8,7 @@ from experiments import Experiment, entry, toy
 
 from bayes_impedance.diagnosis.catalogue.effect import registered
 from bayes_impedance.diagnosis.fit.cold_start import driven_away
+from bayes_impedance.diagnosis.fit.evidence_posterior import evidence_posterior
 from bayes_impedance.diagnosis.fit.measured import measured
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.fit.spike_slab import members
@@ -63,11 +64,11 @@ def test_the_layer_is_found_with_its_size_and_in_whom_it_is(world: Experiment, f
     np.testing.assert_array_equal(members(best.fit, 0).probability > 0.5, WITH_LAYER)
     assert world.coefficients is not None
     size, time = (c.value(1.0, best.fit.model.scales) for c in entry("body.subgroup").coefficients)
-    posterior = measured(world.refitter, best.fit, 1)[1]
+    posterior = evidence_posterior(world.refitter, measured(world.refitter, best.fit, 1), 1)
     truth = np.array([world.coefficients[WITH_LAYER].mean() / size, np.log(TIME) - np.log(time) + 1.0])
     np.testing.assert_array_less(np.abs(posterior.central.mean(axis=0) - truth), 3 * posterior.central.std(axis=0))
-    # Compliance and time constant of one person are hardly told apart: eight such people give the mean to a fifth.
-    np.testing.assert_array_less(posterior.central.std(axis=0), [0.25 * truth[0], 0.3])
+    # Compliance and time constant of one person are hardly told apart, and both may differ between the eight.
+    np.testing.assert_array_less(posterior.central.std(axis=0), [0.35 * truth[0], 0.3])
     own = best.fit.persons[:, len(CENTRES)] * size
     np.testing.assert_allclose(own[WITH_LAYER], world.coefficients[WITH_LAYER], rtol=0.4)
     assert np.abs(own[~WITH_LAYER]).max() < 0.1 * COMPLIANCE

@@ -76,7 +76,7 @@ def test_what_is_there_predicts() -> None:
     base = experiment.fit()
     fit = recovered(experiment, entry("rig.mass"), "port", "shared")
     step = SimpleNamespace(chosen=SimpleNamespace(fit=fit), before=base)
-    found = Found(base, fit, (step,), None)  # type: ignore[arg-type]
+    found = Found(base, fit, (step,))  # type: ignore[arg-type]
     same, gains = names_that_predict(experiment.refitter, found, 1)
     assert same is found
     (gain, se), *_ = gains.values()

@@ -100,10 +100,10 @@ def test_structure_remains_in_residuals_or_in_candidates_that_were_refused(
     named = Trial(candidate, "shared", fit, 5.0, True)
     first = Step(before=fit, residuals=(), screening=replace(screening, z=np.array([20.0])), chosen=named)
     last = Step(before=fit, residuals=(), screening=screening, chosen=trial)
-    found = Found(fit, fit, (first, last), None)
+    found = Found(fit, fit, (first, last))
     p_value = 0.1 * STRUCTURE_ALPHA if in_residuals else 10 * STRUCTURE_ALPHA
     assert structure_remains(found, p_value) == (in_residuals or (in_scores and not ended_by_choice))
-    predicts_nobody = Found(fit, fit, (first, replace(last, chosen=None, unpredictive=True)), None)
+    predicts_nobody = Found(fit, fit, (first, replace(last, chosen=None, unpredictive=True)))
     assert structure_remains(predicts_nobody, p_value) == in_residuals
 
 

@@ -84,7 +84,7 @@ def test_beside_other_additions_the_steps_of_other_fits_are_not_asked(
     monkeypatch.setattr(
         stepwise, "that_leaves_nothing", lambda *_: pytest.fail("the way's fit is not of its last step")
     )
-    way = Way(step.before, step.before, (replace(step, chosen=delay),), None)
+    way = Way(step.before, step.before, (replace(step, chosen=delay),))
     forward = partial(stepwise._forward, world.refitter, names=NAMES, effects=EFFECTS, seed=1, executor=Serial())
     longer = forward(way, progress=lambda *_: None, begin=step.before, steps_left=1)
     chosen = longer.steps[-1].chosen

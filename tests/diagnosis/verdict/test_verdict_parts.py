@@ -132,6 +132,7 @@ def verdict_with(*bands_hz: tuple[float, float], **changes: Any) -> Verdict:
         differences=None,
         remarks=("the search's",),
         quick=True,
+        posterior=coefficient_posterior(look.final, 1),
     )
     recordings = recordings_of(e)
     fitted = Fitted(
@@ -190,9 +191,9 @@ def test_only_significant_differences_from_a_simulation_are_listed() -> None:
 
 def test_structure_that_nothing_predicts_is_not_called_noise() -> None:
     look = found()
-    withdrawn = replace(look, final=look.base, steps=look.steps[:1], posterior=None)
+    withdrawn = replace(look, final=look.base, steps=look.steps[:1])
     never = replace(withdrawn, steps=(replace(look.steps[0], chosen=None),))
-    changes: dict[str, Any] = {"found": withdrawn, "gains": (), "gain": None, "after": None}
+    changes: dict[str, Any] = {"found": withdrawn, "gains": (), "gain": None, "after": None, "posterior": None}
     verdict = verdict_with((300.0, 500.0), **changes)
     (entry,) = verdict.physics
     assert (entry.kind, entry.place, entry.network, entry.evidence.elpd_gain) == ("unknown", "port", "", None)

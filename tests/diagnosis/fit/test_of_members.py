@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from experiments import Experiment, enlarged, entry, toy
 
-from bayes_impedance.diagnosis.fit.measured import posterior_of
+from bayes_impedance.diagnosis.fit.evidence_posterior import evidence_posterior
 from bayes_impedance.diagnosis.fit.model import Addition, build
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.fit.spike_slab import members
@@ -33,7 +33,7 @@ def world() -> Experiment:
 
 @pytest.fixture(scope="module")
 def fit(world: Experiment) -> Refit:
-    additions = [Addition(effect=LAYER, place="port", pooling="free", dispersion=1.3, shape_dispersions=(0.2,))]
+    additions = [Addition(effect=LAYER, place="port", pooling="free", dispersion=1.3, other_dispersions=(0.2,))]
     additions.append(Addition(effect=RIG, place="port", pooling="shared"))
     model = build(world.model.network, additions, world.model.scales, [{"time_constant": TIME}, {}])
     u, population = enlarged(world.fit(rounds=0), model)  # at the truth: the network alone is a mixture
@@ -51,7 +51,7 @@ def test_sizes_are_those_of_members_and_who_lacks_the_layer_does_not_move_the_ri
     world: Experiment, fit: Refit
 ) -> None:
     assert world.coefficients is not None
-    posterior = posterior_of(world.refitter, fit, 1)
+    posterior = evidence_posterior(world.refitter, fit, 1)
     scales = fit.model.scales
     own = float(world.coefficients[HAS_IT].mean() / LAYER.coefficients[0].value(1.0, scales))
     time, mass = LAYER.coefficients[1].unbounded(TIME, scales), RIG.coefficients[0].unbounded(MASS, scales)
