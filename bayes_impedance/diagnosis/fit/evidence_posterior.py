@@ -85,7 +85,10 @@ def evidence_posterior(refitter: Refitter, fit: Refit, seed: int) -> Coefficient
     seed : int
     """
     refitter, fit = of_members(refitter, fit, seed)
-    surface = _Joint(refitter, _that_may_differ(refitter, fit, seed), seed)
+    fit = _that_may_differ(refitter, fit, seed)
+    surface = _Joint(refitter, fit, seed)
+    if not np.isfinite(surface.value):  # a model that is as good as infinite somewhere has no evidence
+        return coefficient_posterior(fit, seed)
     surface.climb()
     for _ in range(_SWEEPS):
         before = surface.value
