@@ -16,8 +16,8 @@ people whose coefficients are known would tell their mean as if its logarithm we
 :math:`r / \sqrt{N (1 + 2r^2)}`, because a ratio r that is held says what the mean is.
 
 The axes of the expansion's covariance are followed one after the other to where a parabola through three points of L
-has its maximum, until nothing is gained any more. A resonance of the rig was 2.3 units below its maximum, and was called
-a resonator of the body, which was 0.6 below.
+has its maximum, until nothing is gained any more. A resonance of the rig was 2.3 units below its maximum, and was
+called a resonator of the body, which was 0.6 below.
 """
 
 from __future__ import annotations
