@@ -3,9 +3,9 @@ r"""A fit in which those who lack an effect are no part of its distribution.
 A fit holds everybody's coefficient to one normal distribution, the mean of which lies between those who have an effect
 and those who lack it. It is wide, and members who determine their own coefficient are found where they are. Where
 coefficient and time constant can only be told together, along a curved ridge, a member is held to a point of it that is
-too near to zero, and the elements take up what is left: with a layer in 26 of 70 people the evidence was 664 units
-below that of the model here. With :math:`g_i` 1 for those who have the effect and 0 for the others, the impedance is instead that of the
-coefficient
+too near to zero, and the elements take up what is left: with a layer in 26 of 70 people the log evidence was 664 units
+below that of the model here. With :math:`g_i` 1 for those who have the effect and 0 for the others, the impedance is
+instead that of the coefficient
 
 .. math:: g_ic_i, \qquad c_i \sim N(\mu, \tau^2) .
 
