@@ -3,7 +3,8 @@ r"""Posterior of the additions' central values and dispersions from the evidence
 The evidence of the recordings with everybody's parameters integrated out and the population of the elements at its best
 (:mod:`.evidence_surface`) is a function of the additions' central values a and of their standard deviations
 :math:`\tau` between people, whose prior is half-normal with the size u of the coefficient itself, or with one for a
-shape, which is a logarithm. With :math:`b = (a, \ln\tau)`,
+shape, which is a logarithm. With :math:`b = (a, \ln\tau)`, where L has the prior of a, and :math:`\ln|a|` besides if
+the logarithm of a coefficient stands for it,
 
 .. math:: \ln p(b \mid z) = L(a, \tau) + \sum_k \Bigl(\ln\tau_k - \frac{\tau_k^2}{2u_k^2}\Bigr) + \text{const} .
 
@@ -136,7 +137,7 @@ class _Joint(EvidenceSurface):
             if addition.pooling != "shared":
                 columns = [c - model.n_elements for c in model.columns(i)]
                 self.of_addition[i] = [[c] for c in columns] if addition.effect.operation else [columns]
-        sd = np.sqrt(np.diag(coefficient_posterior(fit, seed).covariance))
+        sd = np.sqrt(np.diag(coefficient_posterior(fit, seed, 1).covariance))
         of_one_sign = np.array([not model.additions[p.addition].effect.signed for p in model.parameters])
         self.is_log = linear & of_one_sign & (np.abs(self.centre) > _FAR_FROM_ZERO * sd)
         self.sign = np.sign(self.centre)

@@ -106,7 +106,7 @@ class EvidenceSurface:
 
     def axes(self) -> np.ndarray:
         """Axes (D, D) of the quadratic expansion there: columns of one standard deviation, longest first."""
-        covariance = coefficient_posterior(self.fit, self.seed).covariance
+        covariance = coefficient_posterior(self.fit, self.seed, 1).covariance
         sd = np.sqrt(np.diag(covariance))
         size, axes = np.linalg.eigh(covariance / np.outer(sd, sd))
         length = np.sqrt(np.maximum(size, np.finfo(float).tiny))

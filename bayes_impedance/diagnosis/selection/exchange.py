@@ -74,7 +74,7 @@ class StepFrom(Protocol):
 
 
 def without(refitter: Refitter, fit: Refit, addition: int, seed: int) -> Refit:
-    """The fit of the model without one of its additions, from the fit with it.
+    """The fit of the model without one of its additions, from the fit with it, where its evidence is largest.
 
     What was added may have taken the place of elements that the fit had lost: then they are searched, and where a wrong
     addition has driven elements away, all of the network's. A residual mass beside which a law of the amplitude had

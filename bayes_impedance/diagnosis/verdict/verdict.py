@@ -162,8 +162,8 @@ class Evidence:
     remaining : tuple of PersonResiduals
         Of the final model, if structure remains that no named effect explains.
     posterior : CoefficientPosterior or None
-        Of all parameters that were added, from the population's posterior; the approximation of the search
-        counts where there is none.
+        Of all parameters that were added: the population's, or Laplace's approximation where there is none; None if
+        nothing was added.
     """
 
     found: Found
