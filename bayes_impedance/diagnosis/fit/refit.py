@@ -35,6 +35,9 @@ class Refit:
     evidence : ndarray, shape (N,)
     settled : bool
         Whether persons and population converged.
+    mixed : int, optional
+        Addition that only some people have, where the evidence is that of the mixture of people with and without it
+        (:mod:`.of_members`).
     """
 
     model: Model
@@ -45,6 +48,7 @@ class Refit:
     equations: Equations
     evidence: np.ndarray
     settled: bool
+    mixed: int | None = None
 
     @property
     def owner(self) -> np.ndarray:

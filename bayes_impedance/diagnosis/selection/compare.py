@@ -181,6 +181,8 @@ def _of_distribution(fit: Refit, addition: int) -> float:
         return 0.0
     spread = _dispersions_integrated(fit, addition)
     item = fit.model.additions[addition]
+    if addition == fit.mixed:
+        return spread - 0.5 * float(np.log(len(fit.u)))
     if item.pooling == "shared" or not item.effect.operation or len(fit.data) < FEWEST_PEOPLE:
         return spread
     who = members(fit, addition)

@@ -185,7 +185,7 @@ def again(trial: Trial, grown: Refit, fit: Refit) -> Trial:
     """The trial with another fit of the same model; `fit` is that of the model without the addition."""
     pooling = grown.model.additions[-1].pooling
     gain = log_evidence(grown) - log_evidence(fit)
-    return replace(trial, pooling=pooling, fit=grown, gain=gain, physical=is_physical(grown))
+    return replace(trial, pooling=pooling, fit=grown, gain=gain, physical=is_physical(grown), mixture=None)
 
 
 def better_of(old: Trial, new: Trial) -> Trial:

@@ -122,7 +122,7 @@ def _unnamed(refitter: Refitter, found: Found, rest: Realised | None, seed: int)
     whole = rest.trial.fit if rest is not None else found.final
     total, se = people_gain(refitter, found.base, whole, seed)
     gain = log_evidence(whole) - log_evidence(found.base)
-    return _without_names(found), Realised(replace(trial, fit=whole, gain=gain), total, se)
+    return _without_names(found), Realised(replace(trial, fit=whole, gain=gain, mixture=None), total, se)
 
 
 def _of_one_thing(

@@ -71,6 +71,8 @@ class Trial:
         Of log evidence over the model without it (:func:`.compare.log_evidence`).
     physical : bool
         Whether the fitted coefficient has an admissible sign.
+    mixture : Refit, optional
+        Fit in which only some people have it, where its evidence is the larger one (:mod:`..fit.of_members`).
     """
 
     candidate: Candidate
@@ -78,6 +80,12 @@ class Trial:
     fit: Refit
     gain: float
     physical: bool
+    mixture: Refit | None = None
+
+    @property
+    def weighed(self) -> Refit:
+        """The fit by whose evidence it is compared with other explanations."""
+        return self.mixture or self.fit
 
     @property
     def effect(self) -> Effect:

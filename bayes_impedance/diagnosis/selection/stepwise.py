@@ -20,6 +20,7 @@ import numpy as np
 from bayes_impedance.diagnosis.catalogue.effect import Effect
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.measured import measured
+from bayes_impedance.diagnosis.fit.of_members import mixture_of_members
 from bayes_impedance.diagnosis.fit.model import Addition
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
@@ -193,7 +194,7 @@ def _forward(
                 better = _without_last(refitter, fit, trial.fit) if repeats < _REPEATS else None
                 if better is not None:
                     break
-                better_than_without = compare(trial.fit, fit)
+                better_than_without = compare(trial.weighed, fit)
                 decided = better_than_without.decided
                 if decided and (number == 0 or _earns_its_place(refitter, fit, trial.fit, seed, few)):
                     chosen, is_measured = replace(trial, gain=better_than_without.difference), True
@@ -248,7 +249,7 @@ def _explanations(
     Where only the fit without them has become another one, those that are known have come to rest already, and what
     they gain over it counts anew. Only candidates that were not tried are.
     """
-    known = [replace(t, gain=log_evidence(t.fit) - log_evidence(fit)) for t in known]
+    known = [replace(t, gain=log_evidence(t.weighed) - log_evidence(fit)) for t in known]
     tried = {(t.effect, t.candidate.place) for t in known}
     fresh = try_shortlist(refitter, fit, screening, seed, begin, tried)
     if not known:
@@ -312,7 +313,11 @@ class _Contest:
     def _measure(self, trial: Trial) -> None:
         grown = measured(self.refitter, trial.fit, self.seed)
         self.drop(trial)
-        trial = replace(trial, fit=grown, gain=log_evidence(grown) - log_evidence(self.fit))
+        mixture = mixture_of_members(self.refitter, grown, self.seed)
+        if mixture is not None and log_evidence(mixture) <= log_evidence(grown):
+            mixture = None
+        gain = log_evidence(mixture or grown) - log_evidence(self.fit)
+        trial = replace(trial, fit=grown, gain=gain, mixture=mixture)
         self.trials.append(trial)
         self.measured.append(trial)
 
@@ -372,5 +377,5 @@ def rivals(step: Step, remaining: Sequence[PersonResiduals] = ()) -> list[tuple[
     result = []
     for trial in best.values():
         alike = dependence(chosen.fit, trial.fit, remaining) if remaining else 1.0
-        result.append((trial, float(chosen.gain - trial.gain), compare(chosen.fit, trial.fit, alike).separated))
+        result.append((trial, float(chosen.gain - trial.gain), compare(chosen.weighed, trial.weighed, alike).separated))
     return sorted(result, key=lambda row: row[1])[:_MOST_ALIASES]

@@ -46,7 +46,7 @@ def that_leaves_nothing(
         return None
     possible = [t for t in step.trials if t.physical and t.fit.settled and t.fit is not chosen.fit]
     for trial in sorted(possible, key=lambda t: -t.gain):
-        if compare(chosen.fit, trial.fit).separated or not compare(trial.fit, step.before).decided:
+        if compare(chosen.weighed, trial.weighed).separated or not compare(trial.weighed, step.before).decided:
             continue
         if not leaves_structure(trial.fit, names, effects, seed, executor):
             return trial

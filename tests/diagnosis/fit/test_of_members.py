@@ -8,8 +8,10 @@ from experiments import Experiment, enlarged, entry, toy
 
 from bayes_impedance.diagnosis.fit.evidence_posterior import evidence_posterior
 from bayes_impedance.diagnosis.fit.model import Addition, build
+from bayes_impedance.diagnosis.fit.of_members import mixture_of_members, of_members
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.fit.spike_slab import members
+from bayes_impedance.diagnosis.selection.compare import log_evidence
 
 NETWORK = "(n2|r2)-(m1|r1|n1)"
 CENTRES = {"m1": 1.7, "n1": 3.1e-05, "n2": 0.00036, "r1": 3.7, "r2": 34.0}
@@ -59,3 +61,25 @@ def test_sizes_are_those_of_members_and_who_lacks_the_layer_does_not_move_the_ri
     sd = posterior.central.std(axis=0)
     np.testing.assert_array_less(np.abs(posterior.central.mean(axis=0) - truth), 2.5 * sd)
     np.testing.assert_array_less(sd, [0.15 * own, 0.15, 0.1 * truth[2]])
+
+
+def test_evidence_is_that_of_each_kind_and_of_its_share_where_it_is_clear_who_has_it(
+    world: Experiment, fit: Refit
+) -> None:
+    known = of_members(world.refitter, fit, 1)[1]
+    share = HAS_IT.mean()
+    mixture = mixture_of_members(world.refitter, fit, 1)
+    assert mixture is not None
+    assert mixture.mixed == 0
+    more = mixture.evidence - (known.evidence + np.log(np.where(HAS_IT, share, 1 - share)))
+    assert np.median(np.abs(more)) < 0.02
+    np.testing.assert_array_less(-0.02, more)
+    np.testing.assert_array_less(more, np.log(2))  # one of them lacks it with a probability of 93 %
+    assert log_evidence(mixture) > log_evidence(fit)  # which holds everybody to one normal distribution
+
+
+def test_where_everybody_has_it_there_is_no_mixture(world: Experiment, fit: Refit) -> None:
+    who = np.flatnonzero(HAS_IT)
+    few = world.refitter.subset(who)
+    own = few.fit(fit.model, fit.u[HAS_IT[fit.owner]], fit.population)
+    assert mixture_of_members(few, own, 1) is None
