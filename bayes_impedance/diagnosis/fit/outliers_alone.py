@@ -7,6 +7,10 @@ explanation was chosen. So these people are searched from starts that are spread
 population, by the bounded and by the exact error, under a prior of the same width. A thorough search also begins at the
 person's own optimum with only those elements drawn that lie outside of this spread. The population's evidence decides
 whether the optimum that is found replaces the old one.
+
+The search is that of a person's first recording. From its end the others are searched where it does not describe them:
+repositioning moves an undamped resonance by more than its width, and a person of whom one recording has come to the
+others' optimum and two have not would be counted as worse there.
 """
 
 from __future__ import annotations
@@ -21,7 +25,8 @@ from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.person.bounded_search import GROSS, best_mode, bounded_search
 from bayes_impedance.person.likelihood import Likelihood
-from bayes_impedance.population.alignment import HELD
+from bayes_impedance.person.marginal_likelihood import LEAST_RHO
+from bayes_impedance.population.alignment import HELD, searched_alone
 
 _WORSE, _BADLY = 1.25, 2.0
 """Noise scales, over the median person's, from which a person is searched, and counts as described badly. By choice:
@@ -117,16 +122,22 @@ def search_alone(
         data.append(fit.data[i])
         centres.append(centre)
         begins.append(starts if thorough and lost.any() else starts[:_STARTS])
-    search = partial(_end, fit.model.kernel, precision)
+    rho = np.zeros(varying.size)
+    rho[: fit.model.n_elements] = np.maximum(population.rho[: fit.model.n_elements], LEAST_RHO)
+    search = partial(_ends, fit.model.kernel, precision, rho)
     ends = (map if executor is None else executor.map)(search, data, centres, begins)
     start = start.copy()
-    for i, end in zip(people, ends, strict=True):
-        start[np.ix_(fit.owner == i, varying)] = end[varying]
+    for i, own_ends in zip(people, ends, strict=True):
+        start[np.ix_(fit.owner == i, varying)] = own_ends[:, varying]
     return start
 
 
-def _end(kernel: Kernel, precision: np.ndarray, data: Likelihood, centre: np.ndarray, starts: np.ndarray) -> np.ndarray:
-    """The best optimum of a person's first recording that is reached from any start (S, P); shape (P,)."""
+def _ends(
+    kernel: Kernel, precision: np.ndarray, rho: np.ndarray, data: Likelihood, centre: np.ndarray, starts: np.ndarray
+) -> np.ndarray:
+    """The best optimum that a person's first recording reaches from any start (S, P), and the others from it; (J, P)."""
     one = data.recording(0, centre.size)
     ends = np.concatenate([starts, bounded_search(kernel, one, starts, centre, precision)])
-    return best_mode(kernel, one, ends, centre, precision)[0]
+    end = best_mode(kernel, one, ends, centre, precision)[0]
+    places = np.tile(end, (len(data.z), 1))
+    return places if len(places) == 1 else searched_alone(kernel, data, places, end, rho)

@@ -32,7 +32,7 @@ _LEAST_GAIN = 0.5
 """Log evidence by which a person must be described better. By choice: less is error of convergence."""
 
 
-def recordings_alone(refitter: Refitter, fit: Refit) -> Refit:
+def recordings_alone(refitter: Refitter, fit: Refit, hold: bool = False) -> Refit:
     """The fit in which recordings were searched that may be in another optimum.
 
     What was added is the same in all recordings of a person, and is held meanwhile.
@@ -41,6 +41,8 @@ def recordings_alone(refitter: Refitter, fit: Refit) -> Refit:
     ----------
     refitter : Refitter
     fit : Refit
+    hold : bool
+        Hold population and additions, also of the fit that is returned.
     """
     n, varying = fit.model.n_elements, ~fit.model.shared
     ends = np.cumsum([len(d.z) for d in fit.data])[:-1]
@@ -65,7 +67,8 @@ def recordings_alone(refitter: Refitter, fit: Refit) -> Refit:
         better = trial.evidence > fit.evidence + _LEAST_GAIN
         if not better.any():
             return fit
-        fit = refitter.fit(fit.model, np.where(better[fit.owner, None], trial.u, fit.u), fit.population)
+        u = np.where(better[fit.owner, None], trial.u, fit.u)
+        fit = refitter.fit(fit.model, u, fit.population, hold_population=hold, hold_additions=hold)
     return fit
 
 

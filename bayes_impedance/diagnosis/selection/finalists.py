@@ -18,6 +18,7 @@ from bayes_impedance.diagnosis.catalogue.effect import Effect
 from bayes_impedance.diagnosis.fit.cold_start import beside_the_leader
 from bayes_impedance.diagnosis.fit.extend import extended_start, has_shapes, is_physical, with_pooling
 from bayes_impedance.diagnosis.fit.fitter import Refitter
+from bayes_impedance.diagnosis.fit.majority import gathered
 from bayes_impedance.diagnosis.fit.recordings_alone import recordings_alone
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.fit.shape_starts import searched_shapes
@@ -178,7 +179,7 @@ def _searched(refitter: Refitter, fit: Refit, seed: int, tries: int = 6, rounds:
     """The fit after a search for better optima of the network, of people, of their shapes and of recordings."""
     fit = network_from_afar(refitter, fit, seed, ROUNDS)
     fit = searched_shapes(refitter, refitter.settle(fit, seed, tries=tries, rounds=rounds))
-    return recordings_alone(refitter, fit)
+    return gathered(refitter, recordings_alone(refitter, fit))
 
 
 def again(trial: Trial, grown: Refit, fit: Refit) -> Trial:
