@@ -7,10 +7,10 @@ the person is counted with the others. The population is then fitted again, and 
 larger. It is narrower then, so that whoever had stayed in the group is tried once more.
 
 The optima need not differ in what they describe. In ``(m1-n1)|((m2|n3)-m3)`` either branch can have either resonance,
-and the same impedance at other elements: 8 of 45 people, whose fits had begun at a model without a line that was there,
-had exchanged them, all described to within their noise. They widened the standard deviation of a log element from 0.3 to
-2.4, and the evidence of all people was 1489 less than with everybody in one optimum. So people far from most are looked
-for in every explanation at rest (:func:`gathered`), and not only where a group is about to be named.
+with other elements and the same impedance: 8 of 45 people, whose fits had begun at a model without a line that was
+there, had exchanged them, and all were described to within their noise. They widened the standard deviation of a log
+element from 0.3 to 2.4, and the evidence of all people was 1489 less than with everybody in one optimum. So people far
+from most are looked for in every explanation at rest (:func:`gathered`), not only where a group is about to be named.
 """
 
 from __future__ import annotations

@@ -135,7 +135,7 @@ def search_alone(
 def _ends(
     kernel: Kernel, precision: np.ndarray, rho: np.ndarray, data: Likelihood, centre: np.ndarray, starts: np.ndarray
 ) -> np.ndarray:
-    """The best optimum that a person's first recording reaches from any start (S, P), and the others from it; (J, P)."""
+    """The best optimum of a person's first recording from any start (S, P), and of the others from there; (J, P)."""
     one = data.recording(0, centre.size)
     ends = np.concatenate([starts, bounded_search(kernel, one, starts, centre, precision)])
     end = best_mode(kernel, one, ends, centre, precision)[0]

@@ -20,8 +20,8 @@ import numpy as np
 from bayes_impedance.diagnosis.catalogue.effect import Effect
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.measured import measured
-from bayes_impedance.diagnosis.fit.of_members import mixture_of_members
 from bayes_impedance.diagnosis.fit.model import Addition
+from bayes_impedance.diagnosis.fit.of_members import mixture_of_members
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN, compare, log_evidence
