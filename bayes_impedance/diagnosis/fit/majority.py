@@ -106,7 +106,8 @@ def _moved(refitter: Refitter, fit: Refit, movers: np.ndarray, rng: np.random.Ge
     alone = search_alone(fit, start, people, population, rng, thorough=True, executor=refitter.executor)
     for begin in (start, alone):
         trial = refitter.fit(fit.model, begin, population, _ROUNDS, hold_population=True, hold_additions=True)
-        trial = recordings_alone(refitter, trial, hold=True)  # one in another gap would cost more than the rest gains
+        # One recording in another gap would cost more than all others gain.
+        trial = recordings_alone(refitter, trial, hold=True, among=movers)
         better = movers & (trial.evidence > evidence)
         u = np.where(better[fit.owner, None], trial.u, u)
         evidence = np.where(better, trial.evidence, evidence)

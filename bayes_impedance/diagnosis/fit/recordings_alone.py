@@ -32,7 +32,7 @@ _LEAST_GAIN = 0.5
 """Log evidence by which a person must be described better. By choice: less is error of convergence."""
 
 
-def recordings_alone(refitter: Refitter, fit: Refit, hold: bool = False) -> Refit:
+def recordings_alone(refitter: Refitter, fit: Refit, hold: bool = False, among: np.ndarray | None = None) -> Refit:
     """The fit in which recordings were searched that may be in another optimum.
 
     What was added is the same in all recordings of a person, and is held meanwhile.
@@ -43,6 +43,8 @@ def recordings_alone(refitter: Refitter, fit: Refit, hold: bool = False) -> Refi
     fit : Refit
     hold : bool
         Hold population and additions, also of the fit that is returned.
+    among : ndarray of bool, shape (N,), optional
+        People whose recordings are searched; all if not given.
     """
     n, varying = fit.model.n_elements, ~fit.model.shared
     ends = np.cumsum([len(d.z) for d in fit.data])[:-1]
@@ -59,7 +61,11 @@ def recordings_alone(refitter: Refitter, fit: Refit, hold: bool = False) -> Refi
                 centre[varying] = fit.population.mu
             else:
                 centre[:n] = person[:n]
-        found = list(map_persons(refitter.executor, own, fit.data, rows, centres))
+        found = list(rows)
+        people = list(range(len(rows))) if among is None else np.flatnonzero(among).tolist()
+        chosen = ([values[i] for i in people] for values in (fit.data, rows, centres))
+        for i, there in zip(people, map_persons(refitter.executor, own, *chosen), strict=True):
+            found[i] = there
         if all(np.array_equal(there, here) for there, here in zip(found, rows, strict=True)):
             return fit
         u = np.concatenate(found)
