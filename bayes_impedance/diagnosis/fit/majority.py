@@ -82,14 +82,18 @@ def joined(refitter: Refitter, fit: Refit, group: np.ndarray) -> Refit:
 
 def _until_none_moves(refitter: Refitter, fit: Refit, movers: np.ndarray) -> Refit:
     rng = np.random.default_rng(0)  # for starts alone
-    for _ in range(_PASSES if (~movers).sum() >= _FEWEST else 0):
-        before, fit = fit, _moved(refitter, fit, movers, rng)
-        if fit is before:
+    for _ in range(_PASSES):
+        if not movers.any() or (~movers).sum() < _FEWEST:
             break
+        fit, moved = _moved(refitter, fit, movers, rng)
+        if not moved.any():
+            break
+        movers = movers & ~moved
     return fit
 
 
-def _moved(refitter: Refitter, fit: Refit, movers: np.ndarray, rng: np.random.Generator) -> Refit:
+def _moved(refitter: Refitter, fit: Refit, movers: np.ndarray, rng: np.random.Generator) -> tuple[Refit, np.ndarray]:
+    """The fit with those who are better off among the others there, and who they are, bool, (N,)."""
     elements = np.arange(fit.model.n_elements)
     others = fit.persons[~movers][:, elements]
     mu, covariance = fit.population.mu.copy(), fit.population.covariance.copy()
@@ -97,21 +101,22 @@ def _moved(refitter: Refitter, fit: Refit, movers: np.ndarray, rng: np.random.Ge
     variance = np.maximum(others.var(axis=0, ddof=1), _SMALLEST_DISPERSION**2)
     covariance[elements], covariance[:, elements] = 0.0, 0.0
     covariance[elements, elements] = variance
-    start = fit.u.copy()
-    rows = np.flatnonzero(movers[fit.owner])
-    start[np.ix_(rows, elements)] = mu[elements]
     population = Population(mu, covariance, fit.population.rho)
-    u, evidence = fit.u, fit.evidence
-    people = np.flatnonzero(movers)
-    alone = search_alone(fit, start, people, population, rng, thorough=True, executor=refitter.executor)
-    for begin in (start, alone):
+    start, u, evidence = fit.u.copy(), fit.u, fit.evidence
+    start[np.ix_(movers[fit.owner], elements)] = mu[elements]
+    for search in (False, True):
+        begin = start
+        if search:
+            people = np.flatnonzero(movers)
+            begin = search_alone(fit, start, people, population, rng, thorough=True, executor=refitter.executor)
         trial = refitter.fit(fit.model, begin, population, _ROUNDS, hold_population=True, hold_additions=True)
-        # One recording in another gap would cost more than all others gain.
-        trial = recordings_alone(refitter, trial, hold=True, among=movers)
+        if search:  # one recording in another gap would cost more than all others gain
+            trial = recordings_alone(refitter, trial, hold=True, among=movers)
         better = movers & (trial.evidence > evidence)
         u = np.where(better[fit.owner, None], trial.u, u)
         evidence = np.where(better, trial.evidence, evidence)
-    if np.array_equal(u, fit.u):
-        return fit
+    moved = evidence > fit.evidence
+    if not moved.any():
+        return fit, moved
     again = refitter.fit(fit.model, u, fit.population)
-    return again if again.evidence.sum() > fit.evidence.sum() else fit
+    return (again, moved) if again.evidence.sum() > fit.evidence.sum() else (fit, np.zeros_like(moved))
