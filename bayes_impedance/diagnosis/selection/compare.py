@@ -16,7 +16,8 @@ person's coefficients integrated out (:mod:`bayes_impedance.diagnosis.fit.normal
 
 relative to a coefficient's mean, or in the logarithm of a shape; for effects of the rig :math:`\tau = 0`. A coefficient
 that can be absent in some people may instead be zero in them (:mod:`bayes_impedance.diagnosis.fit.spike_slab`): the
-better of the two counts.
+better of the two counts. An explanation that has been measured counts by a refit in which it is zero in them, if that
+is more (:mod:`bayes_impedance.diagnosis.fit.of_members`).
 
 A is better than B if the difference exceeds :data:`LEAST_GAIN` and :data:`SCATTERS` times its standard error over
 people: a gain in one person only is a local optimum of that person and not physics. People whose recordings are more

@@ -32,6 +32,7 @@ def measured(monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
         return SimpleNamespace(**{**vars(fit), "evidence": found.pop(fit.name)})
 
     monkeypatch.setattr(stepwise, "measured", measure)
+    monkeypatch.setattr(stepwise, "mixture_of_members", lambda *_: None)
     monkeypatch.setattr(stepwise, "log_evidence", lambda fit: fit.evidence)
     return found
 
@@ -47,6 +48,22 @@ def test_what_leads_only_before_it_is_measured_gives_way(measured: dict[str, flo
     assert (leader.effect, leader.gain) == (DELAY, 100.0)
     assert list(measured) == [MASS.id]  # nobody asked what is far behind
     assert race.leader() is leader  # nothing is measured twice
+
+
+def test_what_only_some_have_counts_by_the_mixture_if_that_is_more(
+    measured: dict[str, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mixtures = {RESONATOR.id: SimpleNamespace(evidence=104.0), DELAY.id: SimpleNamespace(evidence=90.0)}
+    monkeypatch.setattr(stepwise, "mixture_of_members", lambda _, fit, _seed: mixtures[fit.name])
+    race = contest(trial(RESONATOR, 115.0), trial(DELAY, 105.0))
+    leader = race.leader()
+    assert leader is not None
+    assert (leader.effect, leader.gain, leader.weighed) == (RESONATOR, 104.0, mixtures[RESONATOR.id])
+    assert leader.fit is not leader.weighed  # the search goes on from the fit of everybody
+    race.drop(leader)
+    second = race.leader()
+    assert second is not None
+    assert (second.effect, second.gain, second.weighed) == (DELAY, 100.0, second.fit)
 
 
 def test_who_is_dropped_does_not_lead_again(measured: dict[str, float]) -> None:
