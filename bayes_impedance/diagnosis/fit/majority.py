@@ -22,6 +22,7 @@ from bayes_impedance.diagnosis.fit.normal_equations import Population
 from bayes_impedance.diagnosis.fit.outliers_alone import search_alone
 from bayes_impedance.diagnosis.fit.recordings_alone import recordings_alone
 from bayes_impedance.diagnosis.fit.refit import Refit
+from bayes_impedance.person.bounded_search import GROSS
 
 _FEWEST = 3
 """People from whom a centre and dispersions are taken. By choice: of two the covariance says nothing."""
@@ -60,7 +61,8 @@ def gathered(refitter: Refitter, fit: Refit) -> Refit:
     offset = np.abs(elements - np.median(elements, axis=0))
     sd = np.maximum(_NORMAL_MAD * np.median(offset, axis=0), _SMALLEST_DISPERSION)
     far = np.any(offset > _FAR * sd, axis=1)
-    if refitter.one_person or not 0 < far.sum() <= _MOST_FAR * far.size:
+    wrong = np.median(fit.weight**-0.5) >= GROSS  # for most people: there is nowhere to bring the others to
+    if refitter.one_person or wrong or not 0 < far.sum() <= _MOST_FAR * far.size:
         return fit
     return _until_none_moves(refitter, fit, far)
 

@@ -24,7 +24,7 @@ from bayes_impedance.diagnosis.fit.model import Addition
 from bayes_impedance.diagnosis.fit.of_members import mixture_of_members
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
-from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN, compare, log_evidence
+from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, LEAST_GAIN, compare, log_evidence
 from bayes_impedance.diagnosis.selection.cross_validation import clearly_gains, people_gain
 from bayes_impedance.diagnosis.selection.deciding_people import where_few_decide
 from bayes_impedance.diagnosis.selection.exchange import Way, exchanged, pruned, without
@@ -313,7 +313,8 @@ class _Contest:
     def _measure(self, trial: Trial) -> None:
         grown = measured(self.refitter, trial.fit, self.seed)
         self.drop(trial)
-        mixture = mixture_of_members(self.refitter, grown, self.seed)
+        enough = len(self.fit.data) >= FEWEST_PEOPLE
+        mixture = mixture_of_members(self.refitter, grown, self.seed) if enough else None
         if mixture is not None and log_evidence(mixture) <= log_evidence(grown):
             mixture = None
         gain = log_evidence(mixture or grown) - log_evidence(self.fit)

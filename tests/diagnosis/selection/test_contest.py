@@ -14,7 +14,7 @@ from bayes_impedance.diagnosis.selection.shortlist import Trial
 EFFECTS = {e.id: e for e in registered() if e.form == ""} | {e.id: e for e in registered()}
 RESONATOR, DELAY, MASS = (EFFECTS[k] for k in ("body.resonator", "rig.delay", "rig.mass"))
 NOTHING: Any = None
-WITHOUT: Any = SimpleNamespace(evidence=0.0)
+WITHOUT: Any = SimpleNamespace(evidence=0.0, data=range(20))
 
 
 def trial(effect: Any, evidence: float) -> Trial:
