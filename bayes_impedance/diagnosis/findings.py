@@ -175,5 +175,11 @@ def _one_network(
         return found, unknown
     total, total_se = people_gain(refitter, found.base, grown, seed)
     whole = Candidate(branch_effects()[0], "port", {})
-    trial = Trial(whole, "varying", grown, log_evidence(grown) - log_evidence(found.base), True)
+    trial = Trial(
+        candidate=whole,
+        pooling="varying",
+        fit=grown,
+        gain=log_evidence(grown) - log_evidence(found.base),
+        physical=True,
+    )
     return Found(found.base, found.base, found.steps[:1]), Realised(trial, total, total_se)

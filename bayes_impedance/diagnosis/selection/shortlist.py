@@ -58,7 +58,7 @@ with poles of its own, or one that looks like the leader, is still searched furt
 gain is no finalist (:mod:`.finalists`)."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Trial:
     """A refit of one candidate.
 
@@ -72,7 +72,8 @@ class Trial:
     physical : bool
         Whether the fitted coefficient has an admissible sign.
     mixture : Refit, optional
-        Fit in which only some people have it, where its evidence is the larger one (:mod:`..fit.of_members`).
+        Fit in which only some people have it, where its evidence is the larger one
+        (:mod:`bayes_impedance.diagnosis.fit.of_members`).
     """
 
     candidate: Candidate
@@ -371,4 +372,10 @@ def poolings_for(effect: Effect, n_people: int, differs: bool = False) -> tuple[
 
 def _trial(candidate: Candidate, pooling: str, grown: Refit, fit: Refit) -> Trial:
     """The trial of a candidate: `grown` is the fit with it and `fit` the one without."""
-    return Trial(candidate, pooling, grown, log_evidence(grown) - log_evidence(fit), is_physical(grown))
+    return Trial(
+        candidate=candidate,
+        pooling=pooling,
+        fit=grown,
+        gain=log_evidence(grown) - log_evidence(fit),
+        physical=is_physical(grown),
+    )

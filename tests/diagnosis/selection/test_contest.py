@@ -20,7 +20,7 @@ WITHOUT: Any = SimpleNamespace(evidence=0.0, data=range(20))
 def trial(effect: Any, evidence: float) -> Trial:
     addition = SimpleNamespace(key=(effect.id, effect.form, "port"))
     fit: Any = SimpleNamespace(evidence=evidence, model=SimpleNamespace(additions=(addition,)), name=effect.id)
-    return Trial(Candidate(effect, "port", {}), "varying", fit, evidence, True)
+    return Trial(candidate=Candidate(effect, "port", {}), pooling="varying", fit=fit, gain=evidence, physical=True)
 
 
 @pytest.fixture

@@ -34,7 +34,13 @@ def world() -> Experiment:
 
 def _trial(effect: Effect, grown: Refit, fit: Refit) -> Trial:
     candidate = Candidate(effect, "port", {})
-    return Trial(candidate, grown.model.additions[-1].pooling, grown, log_evidence(grown) - log_evidence(fit), True)
+    return Trial(
+        candidate=candidate,
+        pooling=grown.model.additions[-1].pooling,
+        fit=grown,
+        gain=log_evidence(grown) - log_evidence(fit),
+        physical=True,
+    )
 
 
 def _lost(world: Experiment, grown: Refit) -> Refit:

@@ -34,7 +34,9 @@ def names_of(fit: Any) -> tuple[str, ...]:
 
 def trial_of(effect: Effect, gain: float, *before: str) -> Trial:
     candidate = SimpleNamespace(effect=effect, place="port")
-    return Trial(cast(Any, candidate), "shared", fit_of(*before, effect.id), gain, True)
+    return Trial(
+        candidate=cast(Any, candidate), pooling="shared", fit=fit_of(*before, effect.id), gain=gain, physical=True
+    )
 
 
 def step_of(chosen: Trial | None, *trials: Trial, before: Any = None) -> Step:

@@ -32,7 +32,8 @@ def trial_of(experiment: Experiment, fit: Refit, effect_id: str, apart: np.ndarr
     good = refitter.fit(model, *extended_start(fit, model), 40)
     grown = refitter.fit(model, in_the_other_optimum(good, apart), good.population, 40) if apart.any() else good
     grown_trial, good_trial = (
-        Trial(candidate, "shared", f, log_evidence(f) - log_evidence(fit), True) for f in (grown, good)
+        Trial(candidate=candidate, pooling="shared", fit=f, gain=log_evidence(f) - log_evidence(fit), physical=True)
+        for f in (grown, good)
     )
     return grown_trial, good_trial
 

@@ -83,7 +83,7 @@ def test_only_what_could_come_near_the_leader_is_searched(monkeypatch: pytest.Mo
     def trial_of(gain: float, scales: list[float]) -> Any:
         fit = SimpleNamespace(weight=np.array(scales) ** -2.0, data=[SimpleNamespace(count=200.0)] * len(scales))
         candidate: Any = SimpleNamespace(effect=entry("body.mass"), place="port")
-        return Trial(candidate, "varying", fit, gain, True)  # type: ignore[arg-type]
+        return Trial(candidate=candidate, pooling="varying", fit=fit, gain=gain, physical=True)  # type: ignore[arg-type]
 
     leader, near, far = (trial_of(gain, [1.0, 1.0, 1.0]) for gain in (1000.0, 700.0, 100.0))
     behind = trial_of(100.0, [1.0, 1.0, 100.0])

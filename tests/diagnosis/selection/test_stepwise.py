@@ -350,7 +350,7 @@ def test_explanations_stay_where_only_the_fit_without_them_is_a_better_one(monke
     def trial(effect: Effect, evidence: float, gain: float) -> Trial:
         addition = SimpleNamespace(key=(effect.id, effect.form, "port"))
         fit: Any = SimpleNamespace(evidence=evidence, model=SimpleNamespace(additions=(addition,)))
-        return Trial(Candidate(effect, "port", {}), "shared", fit, gain, True)
+        return Trial(candidate=Candidate(effect, "port", {}), pooling="shared", fit=fit, gain=gain, physical=True)
 
     asked: list[Any] = []
 

@@ -96,8 +96,8 @@ def test_structure_remains_in_residuals_or_in_candidates_that_were_refused(
         visible=np.ones(1),
         effective=1.0,
     )
-    trial = Trial(candidate, "shared", fit, 5.0, True) if ended_by_choice else None
-    named = Trial(candidate, "shared", fit, 5.0, True)
+    trial = Trial(candidate=candidate, pooling="shared", fit=fit, gain=5.0, physical=True) if ended_by_choice else None
+    named = Trial(candidate=candidate, pooling="shared", fit=fit, gain=5.0, physical=True)
     first = Step(before=fit, residuals=(), screening=replace(screening, z=np.array([20.0])), chosen=named)
     last = Step(before=fit, residuals=(), screening=screening, chosen=trial)
     found = Found(fit, fit, (first, last))

@@ -35,7 +35,13 @@ def world() -> Experiment:
 def trial(experiment: Experiment, name: str, before: Refit) -> Trial:
     fit = recovered(experiment, entry(name), "port", "shared")
     gain = float(fit.evidence.sum() - before.evidence.sum())
-    return Trial(Candidate(entry(name), "port", {}), "shared", replace(fit, settled=True), gain, True)
+    return Trial(
+        candidate=Candidate(entry(name), "port", {}),
+        pooling="shared",
+        fit=replace(fit, settled=True),
+        gain=gain,
+        physical=True,
+    )
 
 
 @pytest.fixture(scope="module")
