@@ -16,7 +16,7 @@ import numpy as np
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.person.bounded_search import GROSS, bounded_search
 from bayes_impedance.person.likelihood import Likelihood, repetition_equations
-from bayes_impedance.person.mode import Mode, find_mode
+from bayes_impedance.person.mode import ROUNDING, Mode, find_mode
 from bayes_impedance.person.noise import contrasts
 from bayes_impedance.population.contrasts import Contrasts
 from bayes_impedance.population.shared import Placed
@@ -121,6 +121,7 @@ def _realigned(
         return likelihood.deviations
     w = mode.scale**-2
     curvature = w * information + np.diag(1 / np.maximum(rho, 1e-3) ** 2)
+    curvature += ROUNDING * np.eye(rho.size) * curvature
     inverse = np.linalg.inv(curvature)
     pull = -w * gradient - likelihood.deviations / np.maximum(rho, 1e-3) ** 2
     free = np.einsum("jpq,jq->jp", inverse, pull)
