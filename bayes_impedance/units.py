@@ -25,6 +25,8 @@ ELECTRICAL_UNIT = "ohm"
 NORMAL_Q95 = 1.6448536269514722
 """Half the width of a 90 % interval, the level of all intervals here, in standard errors: the 95 % quantile of the
 standard normal distribution."""
+MAD_TO_SD = 1.4826
+"""Ratio of the standard deviation of a normal distribution to its median absolute deviation."""
 INTERVAL = (0.05, 0.5, 0.95)
 """Quantiles that are given of a posterior: the ends of the 90 % interval, and the median between them."""
 

@@ -44,6 +44,7 @@ from bayes_impedance.population.shared import (
     summed,
 )
 from bayes_impedance.runtime.sharded import Kept
+from bayes_impedance.units import MAD_TO_SD
 
 PRIOR_PERSONS, LKJ = 2.0, 2.0
 """Pseudo-persons with independent elements, added to the covariance: the weight of the prior LKJ(2) of correlations,
@@ -126,7 +127,7 @@ class State:
         self.weights = np.ones(self.n_persons) if tails else None
         self.mu = np.median(theta, axis=0)
         self.slopes = np.zeros((self.mu.size, covariates.shape[1]))
-        deviation = 1.4826 * np.median(np.abs(theta - self.mu), axis=0)
+        deviation = MAD_TO_SD * np.median(np.abs(theta - self.mu), axis=0)
         self.covariance = np.diag(np.clip(1.5 * deviation, 0.2, 2.0) ** 2)
         self.fixed = one_person
         if one_person:

@@ -16,6 +16,7 @@ from bayes_impedance.recordings.phase_relation import (
     bode_phase,
     excess_phase,
 )
+from bayes_impedance.units import MAD_TO_SD
 
 COPY_LIMIT = 1e-6
 """Relative difference of |z| below which recordings count as copies: rounding of an export with six or seven digits."""
@@ -37,8 +38,6 @@ _BODE_POINTS = 60
 _COMPARED_POINTS = 40
 """Frequencies in the first comparison of all pairs of curves. By choice, to save time: close pairs are then compared at
 all frequencies."""
-_MAD_TO_SD = 1.4826
-"""Ratio of the standard deviation of a normal distribution to its median absolute deviation."""
 
 
 @dataclass(frozen=True)
@@ -177,7 +176,7 @@ def _log_magnitude(z: ComplexArray) -> FloatArray:
 def _robust_score(values: FloatArray) -> FloatArray:
     """Return distances from the median in units of the robust standard deviation."""
     distance = np.abs(values - np.median(values))
-    score: FloatArray = distance / max(_MAD_TO_SD * float(np.median(distance)), np.finfo(float).tiny)
+    score: FloatArray = distance / max(MAD_TO_SD * float(np.median(distance)), np.finfo(float).tiny)
     return score
 
 

@@ -23,6 +23,7 @@ from bayes_impedance.diagnosis.fit.outliers_alone import search_alone
 from bayes_impedance.diagnosis.fit.recordings_alone import recordings_alone
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.person.bounded_search import GROSS
+from bayes_impedance.units import MAD_TO_SD
 
 _FEWEST = 3
 """People from whom a centre and dispersions are taken. By choice: of two the covariance says nothing."""
@@ -37,9 +38,6 @@ which a person is tried among the others. By choice: it costs time only, and no 
 
 _MOST_FAR = 0.4
 """Largest share of people who are tried: of more it cannot be said which the others are. By choice."""
-
-_NORMAL_MAD = 1.4826
-"""Standard deviation of a normal distribution over the median of the absolute distances from its median."""
 
 _PASSES = 3
 """Largest number of trials of a group. By choice: the first moves most of those whom it can."""
@@ -59,7 +57,7 @@ def gathered(refitter: Refitter, fit: Refit) -> Refit:
     """
     elements = fit.persons[:, : fit.model.n_elements]
     offset = np.abs(elements - np.median(elements, axis=0))
-    sd = np.maximum(_NORMAL_MAD * np.median(offset, axis=0), _SMALLEST_DISPERSION)
+    sd = np.maximum(MAD_TO_SD * np.median(offset, axis=0), _SMALLEST_DISPERSION)
     far = np.any(offset > _FAR * sd, axis=1)
     wrong = np.median(fit.weight**-0.5) >= GROSS  # for most people: there is nowhere to bring the others to
     if refitter.one_person or wrong or not 0 < far.sum() <= _MOST_FAR * far.size:

@@ -54,7 +54,12 @@ def of_members(refitter: Refitter, fit: Refit, seed: int) -> tuple[Refitter, Ref
     fit : Refit
     seed : int
     """
-    lacks = _lacking(fit)
+    return _of_those_who_have_it(refitter, fit, _lacking(fit), seed)
+
+
+def _of_those_who_have_it(
+    refitter: Refitter, fit: Refit, lacks: dict[int, np.ndarray], seed: int
+) -> tuple[Refitter, Refit]:
     if not lacks:
         return refitter, fit
     silent = np.zeros((len(fit.data), fit.u.shape[1]), dtype=bool)
@@ -87,7 +92,7 @@ def mixture_of_members(refitter: Refitter, fit: Refit, seed: int) -> Refit | Non
     if len(lacks) != 1:
         return None
     (addition,) = lacks
-    own = of_members(refitter, fit, seed)[1]
+    own = _of_those_who_have_it(refitter, fit, lacks, seed)[1]
     silent = np.zeros((len(fit.data), fit.u.shape[1]), dtype=bool)
     silent[:, own.model.columns(addition)[0]] = True
     with_it, without_it = (
