@@ -42,22 +42,22 @@ from bayes_impedance.diagnosis.fit.normal_equations import (
     Stack,
     counts,
     equations_at,
-    sums,
 )
 from bayes_impedance.diagnosis.fit.only_person import BETTER, settled_alone
 from bayes_impedance.diagnosis.fit.outliers_alone import ends_of_outliers
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.fit.rounds import (
+    DAMPING,
     Layout,
     Plan,
     State,
     blocks_of,
-    largest_of,
+    damped_anew,
     log_misfit,
     maximised,
     means_of,
     objective,
-    rho_of,
+    person_steps,
 )
 from bayes_impedance.diagnosis.fit.second_order import SecondOrder
 from bayes_impedance.person.likelihood import Likelihood
@@ -67,8 +67,12 @@ _ALONE_TRIES = 3
 better optima. By choice. Of 125 people of a battery's recordings who were searched three times around one population,
 the second or the third search was better in 2, by 0.5 and 2.1."""
 
-_DAMPING = 1e-3
-"""Of a person's first step, relative to the curvature. By choice."""
+_TRIES = 6
+"""Steps of a person that are tried in a round, each damped ten times as much as the one before. By choice: the last is
+so short that the gradient decides alone."""
+
+_ROUNDING = 1e-6
+"""Log likelihood by which a person's objective may grow in a step."""
 
 _SUMMINGS = 2
 """How often recordings are summed up in a fit. By choice: the second time is around a place near the optimum, where
@@ -157,7 +161,7 @@ class Refitter:
             persons=means_of(u[:, ~model.shared], self.owner, len(self.data)),
             population=population,
             equations=equations_at(model, self.stack, u, self.executor),
-            damping=np.full(len(self.data), _DAMPING),
+            damping=np.full(len(self.data), DAMPING),
             second_order=SecondOrder.unknown(len(u), u.shape[1], len(self.data)),
         )
         state, left = self._with_few_frequencies(plan, state, rounds)
@@ -229,7 +233,7 @@ class Refitter:
                 state = replace(state, population=there)
             state = replace(state, settled=moved < plan.tolerance and drift < plan.tolerance)
             if alone:  # nothing that a person depends on changes any more; a step may be short because it is damped
-                moving &= ~((steps < plan.tolerance) & (state.damping <= _DAMPING))
+                moving &= ~((steps < plan.tolerance) & (state.damping <= DAMPING))
         return state, used
 
     def settle(self, fit: Refit, seed: int, tries: int = 6, rounds: int = 3, hold: bool = False) -> Refit:
@@ -278,43 +282,36 @@ class Refitter:
         return fit
 
     def _move_people(self, model: Model, stack: Stack, state: State, people: np.ndarray) -> tuple[State, np.ndarray]:
-        """A step of the parameters of some people (bool, (N,)), shortened where it would increase the objective.
+        """A step of the parameters of some people (bool, (N,)), damped more where it would increase the objective.
 
         Also returns the length of each person's step, in standard deviations; shape (N,).
         """
-        varying, n = ~model.shared, len(self.data)
-        u, persons, population, damping = state.u, state.persons, state.population, state.damping
-        equations, layout = state.equations, self.layout
-        before = objective(layout, model, equations.chi, u[:, varying], persons, population)
-        blocks = blocks_of(layout, model, equations, u, persons, population, damping, state.second_order)
-        r = rho_of(model, population) ** -2.0
-        free = np.einsum("mpq,mq->mp", blocks.inverse, blocks.pull)
-        pulls = sums(r * (u[:, varying] - persons[self.owner]) + r * free, self.owner, n)
-        offset = persons - population.mu
-        right = pulls - np.linalg.solve(population.covariance, offset.T).T
-        step_v = np.linalg.solve(blocks.precision, right[..., None])[..., 0]
-        step_u = free + np.einsum("mpq,mq->mp", blocks.inverse, r * step_v[self.owner])
-        part = np.minimum(1.0, 2.0 / np.maximum(largest_of(np.abs(step_u).max(axis=1), self.owner, n), 1e-12))
+        varying, n, layout = ~model.shared, len(self.data), self.layout
+        u, persons, equations, learned = state.u, state.persons, state.equations, state.second_order
+        before = objective(layout, model, equations.chi, u[:, varying], persons, state.population)
         trial_u, trial_v, trial = u.copy(), persons.copy(), equations
-        moving = people
-        for _ in range(5):
-            rows = np.flatnonzero(moving[self.owner])
-            trial_u[np.ix_(rows, varying)] = u[np.ix_(rows, varying)] + (part[self.owner, None] * step_u)[rows]
-            trial_v[moving] = (persons + part[:, None] * step_v)[moving]
+        moving, damping, length = people, state.damping.copy(), np.zeros(n)
+        for k in range(_TRIES):
+            who, rows = np.flatnonzero(moving), np.flatnonzero(moving[self.owner])
+            step = person_steps(layout, model, replace(state, damping=damping, second_order=learned), moving)
+            trial_u[np.ix_(rows, varying)] = u[np.ix_(rows, varying)] + step.u
+            trial_v[who] = persons[who] + step.v
             trial = equations_at(model, stack, trial_u, self.executor, moving, trial)
-            after = objective(layout, model, trial.chi, trial_u[:, varying], trial_v, population)
-            worse = moving & ~(after <= before + 1e-6)
-            damping = np.where(worse, np.minimum(10 * damping, 1e6), damping)
-            damping = np.where(moving & ~worse, np.maximum(damping / 3, 1e-9), damping)
+            after = objective(layout, model, trial.chi, trial_u[:, varying], trial_v, state.population)
+            moved = np.where(moving[self.owner, None], trial_u - u, 0.0)
+            learned = learned.after(self.owner, moved, equations, trial)
+            if k == 0:
+                length[who] = step.length
+            fall = (before - after)[who]
+            worse = ~(fall >= -_ROUNDING)
+            damping[who] = damped_anew(damping[who], fall, step.promised, worse)
+            moving = np.zeros(n, dtype=bool)
+            moving[who[worse]] = True
             if not worse.any():
                 break
-            part = np.where(worse, 0.25 * part, part)
-            moving = worse
         else:  # people for whom no shorter step is an improvement do not move
             rows = moving[self.owner]
             trial_u[rows], trial_v[moving] = u[rows], persons[moving]
             trial = trial.with_rows(rows, equations)
-        length = np.sqrt(np.maximum(np.einsum("np,npq,nq->n", step_v, blocks.precision, step_v), 0.0))
-        learned = state.second_order.after(self.owner, trial_u - u, equations, trial)
         state = replace(state, u=trial_u, persons=trial_v, equations=trial, damping=damping, second_order=learned)
-        return state, np.where(people, length, 0.0)
+        return state, length

@@ -65,6 +65,10 @@ class Equations:
     gradient: np.ndarray
     information: np.ndarray
 
+    def only(self, rows: np.ndarray) -> Equations:
+        """Those of some recordings (bool, shape (M,))."""
+        return Equations(self.chi[rows], self.gradient[rows], self.information[rows])
+
     def with_rows(self, rows: np.ndarray, other: Equations) -> Equations:
         """A copy with some recordings (bool, shape (M,)) taken from `other`."""
         return Equations(

@@ -13,7 +13,8 @@ g', the symmetric update of rank one
 
 makes the curvature agree with what the gradient did. Far from the optimum a learned S misleads. So, as in NL2SOL
 (Dennis, Gay and Welsch 1981, ACM Trans. Math. Softw. 7, 348), a person's next step uses it only if it foretold what the
-last one brought at least as well as Gauss-Newton did.
+last one brought at least as well as Gauss-Newton did. A step that did not descend is learned from as well: where it
+ended the curvature is known, and the next one is tried from the same place.
 """
 
 from __future__ import annotations
@@ -51,6 +52,10 @@ class SecondOrder:
     def unknown(cls, recordings: int, parameters: int, people: int) -> SecondOrder:
         """Before the first step."""
         return cls(np.zeros((recordings, parameters, parameters)), np.zeros(people, dtype=bool))
+
+    def only(self, rows: np.ndarray, people: np.ndarray) -> SecondOrder:
+        """Of some recordings (bool, shape (M,)), which are those of some people (bool, shape (N,))."""
+        return SecondOrder(self.matrix[rows], self.used[people])
 
     def after(self, owner: np.ndarray, step: np.ndarray, before: Equations, equations: Equations) -> SecondOrder:
         """Learn from a step.
