@@ -241,7 +241,7 @@ def try_shortlist(
     begin: Refit | None = None,
     tried: Collection[tuple[Effect, str]] = (),
 ) -> list[Trial]:
-    """Refit the shortlist, and then its best effect at all remaining places.
+    """Refit the shortlist, and then the effects that could lead at all remaining places.
 
     The refits begin at `begin` if given, else at `fit`. If effects were `tried` at their places, only others are.
     """
@@ -259,20 +259,36 @@ def try_shortlist(
     if tried:
         return trials
     trials += _from_levels(refitter, fit, screening, seed, max((t.gain for t in _possible(trials)), default=0.0))
-    possible = _possible(trials)
-    if not possible:
-        return trials
-    leader = max(possible, key=lambda t: t.gain)
+    return trials + _elsewhere(refitter, fit, screening, trials, begin)
+
+
+def _elsewhere(
+    refitter: Refitter, fit: Refit, screening: Screening, trials: Sequence[Trial], begin: Refit | None
+) -> list[Trial]:
+    """Effects that could lead, at the places where they were not tried.
+
+    That is the leader, and what would be ahead of it if everybody were described as well as the median person: which
+    people are is chance where a wrong place leaves them in other valleys.
+    """
+    best = {t.effect: t for t in sorted(_possible(trials), key=lambda t: t.gain)}
+    if not best:
+        return []
+    leader = max(best.values(), key=lambda t: t.gain)
+    found, of_others = [], []
     for k in best_shapes(screening):
         other = screening.candidates[k]
-        there = {(t.candidate.place, t.pooling) for t in trials if t.effect == leader.effect}
-        if other.effect == leader.effect and (other.place, leader.pooling) not in there:
-            if leader.pooling == "free":
-                trials.append(own_shapes(refitter, fit, screening, k, begin=begin))
-            else:
-                size = float(screening.size[k])
-                trials.append(try_candidate(refitter, fit, other, size, (leader.pooling,), begin=begin)[-1])
-    return trials
+        known = best.get(other.effect)
+        if known is None or _hoped_for(known) < leader.gain:
+            continue
+        if (other.place, known.pooling) in {(t.candidate.place, t.pooling) for t in trials if t.effect == other.effect}:
+            continue
+        rounds = _FIRST_ROUNDS + (_MORE_ROUNDS if known is leader else 0)
+        if known.pooling == "free":
+            trial = own_shapes(refitter, fit, screening, k, rounds, begin)
+        else:
+            trial = try_candidate(refitter, fit, other, float(screening.size[k]), (known.pooling,), rounds, begin)[-1]
+        (found if known is leader else of_others).append(trial)
+    return found + _continued(refitter, fit, of_others, leader.gain)
 
 
 def _possible(trials: Sequence[Trial]) -> list[Trial]:
@@ -338,16 +354,18 @@ def from_afar(refitter: Refitter, fit: Refit, effects: Sequence[Effect], seed: i
     return found
 
 
-def _continued(refitter: Refitter, fit: Refit, trials: list[Trial]) -> list[Trial]:
+def _continued(refitter: Refitter, fit: Refit, trials: list[Trial], best_gain: float = -np.inf) -> list[Trial]:
     """The trials that are not far behind, with people started at the median person, and with more rounds.
+
+    `best_gain` is that of other trials.
 
     People whom the model without the addition has left in another optimum than most stay there otherwise, and the order
     of the trials would be that of how many stay.
     """
-    gains = [t.gain for t in trials if np.isfinite(t.gain) and t.physical]
-    if not gains:
+    best_gain = max([best_gain, *(t.gain for t in _possible(trials))])
+    if not np.isfinite(best_gain):
         return trials
-    enough = max(gains) - max(_FAR_BEHIND, (1 - _LEAST_SHARE) * max(gains))
+    enough = best_gain - max(_FAR_BEHIND, (1 - _LEAST_SHARE) * best_gain)
     result = []
     for trial in trials:
         if trial.gain > enough:
