@@ -28,7 +28,7 @@ from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.marginal_likelihood import LEAST_RHO
 from bayes_impedance.population.alignment import HELD, searched_alone
 
-_WORSE, _BADLY = 1.25, 2.0
+_WORSE, BADLY = 1.25, 2.0
 """Noise scales, over the median person's, from which a person is searched, and counts as described badly. By choice:
 people's noise differs by 10 or 20 %, and never by the second. Where a line's resonance lay one gap of the frequencies
 off, people's scales were 1.3 to 1.9; 64 people together were 1427 better than without the line when they were searched,
@@ -72,7 +72,7 @@ def ends_of_outliers(
     median = float(np.median(scale))
     relative = scale / median
     most = int((_MOST_OF_A_RIGHT_MODEL if median < GROSS else _MOST) * scale.size)
-    if np.count_nonzero(relative > _BADLY) > most:
+    if np.count_nonzero(relative > BADLY) > most:
         return start
     worst = np.sort(np.argsort(-relative, kind="stable")[:most])
     badly = worst[relative[worst] > _WORSE]

@@ -15,6 +15,7 @@ from bayes_impedance.diagnosis.catalogue.effect import Candidate, Effect
 from bayes_impedance.diagnosis.fit.cold_start import cold_start, driven_away
 from bayes_impedance.diagnosis.fit.extend import extended, extended_start, has_shapes, is_physical
 from bayes_impedance.diagnosis.fit.fitter import Refitter
+from bayes_impedance.diagnosis.fit.outliers_alone import BADLY
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection import far_starts
 from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, FEWEST_TO_VARY, log_evidence
@@ -267,18 +268,19 @@ def _elsewhere(
 ) -> list[Trial]:
     """Effects that could lead, at the places where they were not tried.
 
-    That is the leader, and what would be ahead of it if everybody were described as well as the median person: which
-    people are is chance where a wrong place leaves them in other valleys.
+    That is the leader, and what would be ahead of it if the people whom it describes badly were described as well as
+    the median person: at a wrong place it is chance which people are in other valleys.
     """
     best = {t.effect: t for t in sorted(_possible(trials), key=lambda t: t.gain)}
     if not best:
         return []
     leader = max(best.values(), key=lambda t: t.gain)
-    found, of_others = [], []
+    found: list[Trial] = []
+    of_others: list[Trial] = []
     for k in best_shapes(screening):
         other = screening.candidates[k]
         known = best.get(other.effect)
-        if known is None or _hoped_for(known) < leader.gain:
+        if known is None or _hoped_for(known, BADLY) < leader.gain:
             continue
         if (other.place, known.pooling) in {(t.candidate.place, t.pooling) for t in trials if t.effect == other.effect}:
             continue
@@ -319,11 +321,15 @@ def within_reach(trial: Trial, best_gain: float) -> bool:
     return _hoped_for(trial) > best_gain - max(_FAR_BEHIND, _OUT_OF_REACH * best_gain)
 
 
-def _hoped_for(trial: Trial) -> float:
-    """The gain if everybody were described as well as the median person: what searching for better optima can bring."""
+def _hoped_for(trial: Trial, at_least: float = 1.0) -> float:
+    """The gain if everybody were described as well as the median person: what searching for better optima can bring.
+
+    Only people whose noise scale is so many times the median person's are counted.
+    """
     scale = trial.fit.weight**-0.5
+    relative = scale / np.median(scale)
     exponent = SCALE_SHAPE + np.array([data.count for data in trial.fit.data])
-    return trial.gain + float(np.sum(2 * exponent * np.log(np.maximum(scale / np.median(scale), 1.0))))
+    return trial.gain + float(np.sum(2 * exponent * np.log(np.where(relative > at_least, relative, 1.0))))
 
 
 def lookalike_trials(refitter: Refitter, fit: Refit, screening: Screening, leader: Trial) -> list[Trial]:

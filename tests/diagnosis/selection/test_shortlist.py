@@ -10,10 +10,18 @@ import numpy as np
 import pytest
 from experiments import TOY, Serial, entry, toy, with_mass
 
-from bayes_impedance.diagnosis.catalogue.effect import Candidate, registered
+from bayes_impedance.diagnosis.catalogue.effect import Candidate, Effect, registered
 from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.score_scan import Screening, screen
-from bayes_impedance.diagnosis.selection.shortlist import BY_SPREAD, SHORTLIST, best_shapes, shortlist
+from bayes_impedance.diagnosis.selection.shortlist import (
+    BY_SPREAD,
+    SHORTLIST,
+    Trial,
+    _elsewhere,
+    best_shapes,
+    shortlist,
+)
 
 PLACES = (
     "skin:(n2|r2)-tissue:(m1|n1|r1)",
@@ -167,3 +175,32 @@ def test_what_has_little_in_common_but_differs_in_everybody_is_on_the_list() -> 
     assert "body.mass" in [screening.candidates[k].effect.id for k in shortlist(screening)]
     without_spread = replace(screening, log_p_spread=np.zeros_like(screening.log_p_spread))
     assert "body.mass" not in [screening.candidates[k].effect.id for k in shortlist(without_spread)]
+
+
+def test_effects_that_could_lead_are_tried_everywhere() -> None:
+    """The leader, and what would be ahead of it if one badly described person were described as the others are."""
+    n = 16
+    experiment = toy(*PLACES, seed=1, n=n, hidden=with_mass(0.3))
+    fit = experiment.fit()
+    screening = screen(fit, person_residuals(fit, [str(i) for i in range(n)]), registered(), 1, Serial())
+    shown = [screening.candidates[k] for k in best_shapes(screening)]
+    first: dict[Effect, Candidate] = {}
+    for candidate in shown:
+        first.setdefault(candidate.effect, candidate)
+    places = Counter(effect for effect, _ in {(c.effect, c.place) for c in shown})
+    several = [effect for effect in first if places[effect] > 1][:3]
+    assert len(several) == 3
+    chi = fit.equations.chi.copy()
+    chi[fit.owner == 0] *= 100
+    misled = replace(fit, equations=replace(fit.equations, chi=chi))
+
+    def trial(effect: Effect, gain: float, end: Refit) -> Trial:
+        return Trial(candidate=first[effect], pooling="shared", fit=end, gain=gain, physical=True)
+
+    leader, hopeful, behind = several
+    trials = [trial(leader, 100.0, fit), trial(hopeful, 80.0, misled), trial(behind, 80.0, fit)]
+    found = _elsewhere(experiment.refitter, fit, screening, trials, None)
+    assert {t.effect for t in found} == {leader, hopeful}
+    for t in found:
+        assert t.candidate.place != first[t.effect].place
+        assert t.pooling == "shared"
