@@ -23,8 +23,8 @@ from bayes_impedance.diagnosis.selection.cross_validation import people_gain
 from bayes_impedance.diagnosis.selection.exchange import Way
 from bayes_impedance.diagnosis.selection.identifiability import names_that_hold
 from bayes_impedance.diagnosis.selection.predictive_gain import Gain, names_that_predict
-from bayes_impedance.diagnosis.selection.shortlist import Trial
 from bayes_impedance.diagnosis.selection.stepwise import Found, search
+from bayes_impedance.diagnosis.selection.trial import Trial
 from bayes_impedance.diagnosis.selection.unnamed import (
     Realised,
     branch_effects,

@@ -19,7 +19,7 @@ from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import CLIPPED, FEWEST_PEOPLE, SCATTERS, typical_gain
 from bayes_impedance.diagnosis.selection.finalists import EQUAL, ROUNDS, SHARE, again, better_of, in_order
-from bayes_impedance.diagnosis.selection.shortlist import Trial
+from bayes_impedance.diagnosis.selection.trial import Trial
 
 _DRAWS = 12
 """Starts of each of these people from the population, half of them with the other explanation's elements. By choice: of

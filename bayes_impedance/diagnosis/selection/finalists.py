@@ -25,7 +25,8 @@ from bayes_impedance.diagnosis.fit.shape_starts import searched_shapes
 from bayes_impedance.diagnosis.selection.compare import FEWEST_TO_VARY, LEAST_GAIN, log_evidence
 from bayes_impedance.diagnosis.selection.far_starts import network_from_afar
 from bayes_impedance.diagnosis.selection.score_scan import Screening
-from bayes_impedance.diagnosis.selection.shortlist import Trial, lookalike_trials, within_reach
+from bayes_impedance.diagnosis.selection.shortlist import lookalike_trials, within_reach
+from bayes_impedance.diagnosis.selection.trial import Trial
 
 MOST = 4
 """Explanations that are refitted to convergence: each costs as much as all first refits together. In 31 steps with

@@ -23,7 +23,8 @@ from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE
 from bayes_impedance.diagnosis.selection.score_scan import screen
-from bayes_impedance.diagnosis.selection.shortlist import Trial, best_shapes, own_shapes, try_candidate
+from bayes_impedance.diagnosis.selection.shortlist import best_shapes
+from bayes_impedance.diagnosis.selection.trial import Trial, own_shapes, try_candidate
 from bayes_impedance.results.misfit import MISFIT_SCALE
 
 _FEWEST_MEMBERS = 3

@@ -24,8 +24,8 @@ from bayes_impedance.diagnosis.fit.baseline import Fitted, fit_network
 from bayes_impedance.diagnosis.fit.extend import extended, extended_start
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN
-from bayes_impedance.diagnosis.selection.shortlist import try_candidate
 from bayes_impedance.diagnosis.selection.step import Step
+from bayes_impedance.diagnosis.selection.trial import try_candidate
 from bayes_impedance.network.operations import ADDING
 from bayes_impedance.population.starting_fits import thinned_points
 from bayes_impedance.recordings.files import Recordings

@@ -7,21 +7,21 @@ people. The candidate with the largest gain in log evidence (:func:`.compare.log
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayes_impedance.diagnosis.catalogue.effect import Candidate, Effect
-from bayes_impedance.diagnosis.fit.cold_start import cold_start, driven_away
-from bayes_impedance.diagnosis.fit.extend import extended, extended_start, has_shapes, is_physical
+from bayes_impedance.diagnosis.catalogue.effect import Effect
+from bayes_impedance.diagnosis.fit.cold_start import driven_away
+from bayes_impedance.diagnosis.fit.extend import has_shapes
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.outliers_alone import BADLY
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection import far_starts
-from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, FEWEST_TO_VARY, log_evidence
+from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, FEWEST_TO_VARY
 from bayes_impedance.diagnosis.selection.level_starts import best_levels, from_level
 from bayes_impedance.diagnosis.selection.lookalikes import from_the_leader, lookalikes
 from bayes_impedance.diagnosis.selection.score_scan import Screening
+from bayes_impedance.diagnosis.selection.trial import Trial, from_cold, own_shapes, trial_of, try_candidate
 from bayes_impedance.person.likelihood import SCALE_SHAPE
 
 ALPHA = 0.01
@@ -34,7 +34,7 @@ _LEAST_SHARE = 0.4
 """Of the largest score: a candidate below it explains less than a sixth (0.4 squared) of what the best one does."""
 
 _PLACES_EACH = 2
-"""Places at which one effect is tried in the first round. By choice: the leader is tried at all others afterwards."""
+"""Places at which one effect is tried in the first round. By choice: what could lead is tried at all others afterwards."""
 
 BY_SPREAD = 4
 """Candidates that are refitted because their coefficients differ between people. By choice, as `SHORTLIST`."""
@@ -42,10 +42,6 @@ BY_SPREAD = 4
 _CLEARLY_VARIES = -10.0
 """Corrected log p-value (4.5e-5) of the spread over people below which starts with each person's own shape are
 tried. It decides on starts only, so it has to be rare rather than exact."""
-
-_OWN_SHAPE_KNOWN = 12.0
-"""Chi-square of one person's own best shape above which that shape is a start: by chance 5e-4 for one shape, so below
-1 % for a grid of a dozen."""
 
 _FIRST_ROUNDS, _MORE_ROUNDS = 8, 22
 """Rounds of a first refit, and of those that are not far behind after it. By choice: 30 in all."""
@@ -57,42 +53,6 @@ _OUT_OF_REACH = 0.4
 """Share of the best gain that may be missing, if everybody were described as well as the median person, where an effect
 with poles of its own, or one that looks like the leader, is still searched further: what has less than 0.6 of the best
 gain is no finalist (:mod:`.finalists`)."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Trial:
-    """A refit of one candidate.
-
-    Attributes
-    ----------
-    candidate : Candidate
-    pooling : str
-    fit : Refit
-    gain : float
-        Of log evidence over the model without it (:func:`.compare.log_evidence`).
-    physical : bool
-        Whether the fitted coefficient has an admissible sign.
-    mixture : Refit, optional
-        Fit in which only some people have it, where its evidence is the larger one
-        (:mod:`bayes_impedance.diagnosis.fit.of_members`).
-    """
-
-    candidate: Candidate
-    pooling: str
-    fit: Refit
-    gain: float
-    physical: bool
-    mixture: Refit | None = None
-
-    @property
-    def weighed(self) -> Refit:
-        """The fit by whose evidence it is compared with other explanations."""
-        return self.mixture or self.fit
-
-    @property
-    def effect(self) -> Effect:
-        """The candidate's effect."""
-        return self.candidate.effect
 
 
 def best_shapes(screening: Screening, physical_only: bool = True, by_spread: bool = False) -> list[int]:
@@ -148,90 +108,6 @@ def shortlist(screening: Screening, n: int = SHORTLIST) -> list[int]:
             by_spread[candidate.effect] = by_spread.get(candidate.effect, 0) + 1
             chosen.append(k)
     return chosen
-
-
-def try_candidate(
-    refitter: Refitter,
-    fit: Refit,
-    candidate: Candidate,
-    size: float,
-    poolings: Sequence[str],
-    rounds: int = 30,
-    begin: Refit | None = None,
-) -> list[Trial]:
-    """Refit the model with one candidate added.
-
-    Parameters
-    ----------
-    refitter : Refitter
-    fit : Refit
-        Without it.
-    candidate : Candidate
-    size : float
-        One-step estimate of the coefficient, because a branch cannot start at zero.
-    poolings : sequence of str
-    rounds : int
-    begin : Refit, optional
-        Fit of the model without it at which the refits begin; `fit` if not given.
-    """
-    # The coefficient is linear: at zero the larger model is the smaller one, and the elements follow from there.
-    model = extended(fit.model, candidate, "shared", size)
-    grown = refitter.fit(model, *extended_start(begin or fit, model), rounds)
-    trials = [_trial(candidate, "shared", grown, fit)]
-    for pooling in poolings:
-        if pooling != "shared":
-            model = extended(fit.model, candidate, pooling, size)
-            grown = refitter.fit(model, *extended_start(trials[-1].fit, model), rounds)
-            trials.append(_trial(candidate, pooling, grown, fit))
-    return [_from_cold(refitter, fit, t, rounds) for t in trials if t.pooling in poolings]
-
-
-def _from_cold(refitter: Refitter, fit: Refit, trial: Trial, rounds: int) -> Trial:
-    """The better of a trial and one from a cold start, if the model without the addition has driven elements away."""
-    if not driven_away(fit).any():
-        return trial
-    u, population = cold_start(fit, trial.fit)
-    if refitter.one_person:  # no population: mean and covariance are those of the prior, and stay so
-        population = trial.fit.population
-    cold = refitter.fit(trial.fit.model, u, population, rounds)
-    other = _trial(trial.candidate, trial.pooling, cold, fit)
-    return other if (other.physical, other.gain) > (trial.physical, trial.gain) else trial
-
-
-def own_shapes(
-    refitter: Refitter, fit: Refit, screening: Screening, k: int, rounds: int = 30, begin: Refit | None = None
-) -> Trial:
-    """Refit with shapes that differ between people, each person starting at the shape with the best own score.
-
-    A resonance at a different frequency in each person cannot be found from a common start. Coefficients start at most
-    at what changes the impedance by its magnitude: beyond it, the derivative says nothing about their size.
-    """
-    chosen = screening.candidates[k]
-    effect = chosen.effect
-    same = [i for i, c in enumerate(screening.candidates) if c.effect == effect and c.place == chosen.place]
-    b, m = screening.score[:, same], screening.information[:, same]
-    strength = np.where(b > 0, b**2 / np.maximum(m, 1e-300), 0.0)
-    own = np.argmax(strength, axis=1)
-    sure = strength.max(axis=1) > _OWN_SHAPE_KNOWN
-    model = extended(fit.model, chosen, "free", float(screening.size[k]))
-    u, population = extended_start(begin or fit, model)
-    scales, columns = model.scales, model.columns(len(model.additions) - 1)
-    mu = population.mu.copy()
-    rows = np.arange(len(own))
-    people = np.flatnonzero(sure) if sure.sum() > 2 else rows
-    size = float(np.sum(b[people, own[people]]) / np.sum(m[people, own[people]]))
-    varying = np.flatnonzero(~model.shared)
-    for coefficient, column in zip(effect.coefficients, columns, strict=True):
-        if coefficient.link == "linear":
-            values = np.full(len(own), np.clip(size / coefficient.scale(scales), -1.0, 1.0))
-        else:
-            shapes = [coefficient.unbounded(screening.candidates[i].shape[coefficient.name], scales) for i in same]
-            values = np.array(shapes)[own]
-            values = np.where(sure, values, np.median(values[people]))
-        u[:, column] = values[fit.owner]
-        mu[int(np.flatnonzero(varying == column)[0])] = values.mean()
-    grown = refitter.fit(model, u, replace(population, mu=mu), rounds)
-    return _from_cold(refitter, fit, _trial(chosen, "free", grown, fit), rounds)
 
 
 def try_shortlist(
@@ -307,10 +183,10 @@ def _from_levels(refitter: Refitter, fit: Refit, screening: Screening, seed: int
     found = []
     for candidate, size in best_levels(fit, screening.candidates):
         grown = from_level(refitter, fit, candidate, size, _FIRST_ROUNDS + _MORE_ROUNDS)
-        trial = _from_cold(refitter, fit, _trial(candidate, "varying", grown, fit), _FIRST_ROUNDS + _MORE_ROUNDS)
+        trial = from_cold(refitter, fit, trial_of(candidate, "varying", grown, fit), _FIRST_ROUNDS + _MORE_ROUNDS)
         if within_reach(trial, best_gain):
             # Whoever has a pole in the band begins on the wrong side of it.
-            rested = _trial(candidate, "varying", refitter.settle(trial.fit, seed), fit)
+            rested = trial_of(candidate, "varying", refitter.settle(trial.fit, seed), fit)
             trial = max(trial, rested, key=lambda t: t.gain)
         found.append(trial)
     return found
@@ -339,7 +215,7 @@ def lookalike_trials(refitter: Refitter, fit: Refit, screening: Screening, leade
     found = []
     for candidate in lookalikes(screening, leader.candidate):
         grown = from_the_leader(refitter, leader.fit, candidate, _FIRST_ROUNDS + _MORE_ROUNDS)
-        found.append(_trial(candidate, grown.model.additions[-1].pooling, grown, fit))
+        found.append(trial_of(candidate, grown.model.additions[-1].pooling, grown, fit))
     return found
 
 
@@ -356,7 +232,7 @@ def from_afar(refitter: Refitter, fit: Refit, effects: Sequence[Effect], seed: i
         best = max(begun, key=lambda g: float(g.evidence.sum()))
         if not best.settled:
             best = refitter.fit(best.model, best.u, best.population, _MORE_ROUNDS)
-        found.append(_trial(candidate, "shared", best, fit))
+        found.append(trial_of(candidate, "shared", best, fit))
     return found
 
 
@@ -379,7 +255,7 @@ def _continued(refitter: Refitter, fit: Refit, trials: list[Trial], best_gain: f
             if not grown.settled:
                 grown = refitter.fit(grown.model, grown.u, grown.population, _MORE_ROUNDS)
             if grown is not trial.fit:
-                trial = _trial(trial.candidate, trial.pooling, grown, fit)
+                trial = trial_of(trial.candidate, trial.pooling, grown, fit)
         result.append(trial)
     return result
 
@@ -392,14 +268,3 @@ def poolings_for(effect: Effect, n_people: int, differs: bool = False) -> tuple[
     if effect.side == "rig" and differs and effect.operation and n_people >= FEWEST_PEOPLE:
         return ("shared", "varying")
     return ("shared",) if effect.side == "rig" or n_people < FEWEST_TO_VARY else ("varying",)
-
-
-def _trial(candidate: Candidate, pooling: str, grown: Refit, fit: Refit) -> Trial:
-    """The trial of a candidate: `grown` is the fit with it and `fit` the one without."""
-    return Trial(
-        candidate=candidate,
-        pooling=pooling,
-        fit=grown,
-        gain=log_evidence(grown) - log_evidence(fit),
-        physical=is_physical(grown),
-    )

@@ -9,7 +9,7 @@ import numpy as np
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.score_scan import Screening
-from bayes_impedance.diagnosis.selection.shortlist import Trial
+from bayes_impedance.diagnosis.selection.trial import Trial
 
 SPREAD_PENALTY = float(np.log(100.0))
 """Stricter level for the spread between people, by a factor of 100: noise of a different shape in some people looks

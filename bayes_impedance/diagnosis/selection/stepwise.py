@@ -33,8 +33,9 @@ from bayes_impedance.diagnosis.selection.finalists import EQUAL, MOST, SHARE, fi
 from bayes_impedance.diagnosis.selection.in_some_people import in_some_people
 from bayes_impedance.diagnosis.selection.misfit import dependence
 from bayes_impedance.diagnosis.selection.score_scan import Screening, screen
-from bayes_impedance.diagnosis.selection.shortlist import ALPHA, Trial, from_afar, try_shortlist
+from bayes_impedance.diagnosis.selection.shortlist import ALPHA, from_afar, try_shortlist
 from bayes_impedance.diagnosis.selection.step import Step
+from bayes_impedance.diagnosis.selection.trial import Trial
 from bayes_impedance.diagnosis.selection.what_remains import that_leaves_nothing
 from bayes_impedance.runtime.progress import Progress
 

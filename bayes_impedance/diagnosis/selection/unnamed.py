@@ -22,8 +22,9 @@ from bayes_impedance.diagnosis.multiple_testing import STRUCTURE_ALPHA
 from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, FEWEST_TO_VARY, LEAST_GAIN
 from bayes_impedance.diagnosis.selection.cross_validation import clearly_gains, held_out, people_gain
 from bayes_impedance.diagnosis.selection.score_scan import screen
-from bayes_impedance.diagnosis.selection.shortlist import Trial, best_shapes, try_candidate
+from bayes_impedance.diagnosis.selection.shortlist import best_shapes
 from bayes_impedance.diagnosis.selection.stepwise import Found
+from bayes_impedance.diagnosis.selection.trial import Trial, try_candidate
 from bayes_impedance.diagnosis.types import OnePort
 
 BRANCHES = ("m", "n", "r", "n|r", "m-r", "n-r", "m-(n|r)", "n-(m|r)", "(n-r)|(n-r)", "(n-r)-(m|r)")

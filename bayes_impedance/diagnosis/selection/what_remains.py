@@ -21,8 +21,9 @@ from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import compare
 from bayes_impedance.diagnosis.selection.score_scan import screen
-from bayes_impedance.diagnosis.selection.shortlist import ALPHA, Trial
+from bayes_impedance.diagnosis.selection.shortlist import ALPHA
 from bayes_impedance.diagnosis.selection.step import Step
+from bayes_impedance.diagnosis.selection.trial import Trial
 
 
 def that_leaves_nothing(

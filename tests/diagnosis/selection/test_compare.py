@@ -16,7 +16,8 @@ from bayes_impedance.diagnosis.fit.normal_equations import log_densities, margin
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN, Comparison, compare, log_evidence, typical_gain
 from bayes_impedance.diagnosis.selection.finalists import in_order
-from bayes_impedance.diagnosis.selection.shortlist import Trial, poolings_for, try_candidate
+from bayes_impedance.diagnosis.selection.shortlist import poolings_for
+from bayes_impedance.diagnosis.selection.trial import Trial, try_candidate
 
 
 def masses(experiment: Experiment, fit: Refit) -> tuple[Trial, Trial]:

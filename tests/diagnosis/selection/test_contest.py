@@ -9,7 +9,7 @@ import pytest
 
 from bayes_impedance.diagnosis.catalogue.effect import Candidate, registered
 from bayes_impedance.diagnosis.selection import stepwise
-from bayes_impedance.diagnosis.selection.shortlist import Trial
+from bayes_impedance.diagnosis.selection.trial import Trial
 
 EFFECTS = {e.id: e for e in registered() if e.form == ""} | {e.id: e for e in registered()}
 RESONATOR, DELAY, MASS = (EFFECTS[k] for k in ("body.resonator", "rig.delay", "rig.mass"))

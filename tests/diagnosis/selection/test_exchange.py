@@ -12,8 +12,8 @@ import pytest
 from bayes_impedance.diagnosis.catalogue.effect import Effect, registered
 from bayes_impedance.diagnosis.selection import exchange
 from bayes_impedance.diagnosis.selection.exchange import Way, exchanged, pruned
-from bayes_impedance.diagnosis.selection.shortlist import Trial
 from bayes_impedance.diagnosis.selection.step import Step
+from bayes_impedance.diagnosis.selection.trial import Trial
 
 EFFECTS = {effect.id: effect for effect in registered()}
 RESONATOR, RESONANCE, HIGHPASS, DELAY, MASS = (

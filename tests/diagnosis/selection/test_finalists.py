@@ -13,7 +13,7 @@ from bayes_impedance.diagnosis.fit.extend import extended, extended_start
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import log_evidence
 from bayes_impedance.diagnosis.selection.finalists import finalists
-from bayes_impedance.diagnosis.selection.shortlist import Trial
+from bayes_impedance.diagnosis.selection.trial import Trial
 
 TWINS = ("(n1-r1)|(n2-r2)", {"n1": 3e-5, "r1": 2.0, "n2": 1e-3, "r2": 1.0})
 """Another optimum: the two branches change places."""

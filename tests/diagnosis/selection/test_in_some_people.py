@@ -14,7 +14,7 @@ from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.fit.spike_slab import members
 from bayes_impedance.diagnosis.selection.compare import log_evidence
 from bayes_impedance.diagnosis.selection.in_some_people import among_the_described, in_some_people
-from bayes_impedance.diagnosis.selection.shortlist import Trial
+from bayes_impedance.diagnosis.selection.trial import Trial
 
 NETWORK = "(m1-n1-r1)|m2"
 CENTRES = {"m1": 0.03, "n1": 0.12, "r1": 0.13, "m2": 0.1}

@@ -13,7 +13,7 @@ from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, pers
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import Comparison, compare
 from bayes_impedance.diagnosis.selection.misfit import dependence
-from bayes_impedance.diagnosis.selection.shortlist import try_candidate
+from bayes_impedance.diagnosis.selection.trial import try_candidate
 
 FITS = tuple[Experiment, Refit, Refit]
 

@@ -17,8 +17,8 @@ from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.restart import another_beginning, without
 from bayes_impedance.diagnosis.selection.score_scan import screen
-from bayes_impedance.diagnosis.selection.shortlist import try_candidate
 from bayes_impedance.diagnosis.selection.step import Step
+from bayes_impedance.diagnosis.selection.trial import try_candidate
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.recordings.files import Recordings, Subject
 

@@ -14,14 +14,8 @@ from bayes_impedance.diagnosis.catalogue.effect import Candidate, Effect, regist
 from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.score_scan import Screening, screen
-from bayes_impedance.diagnosis.selection.shortlist import (
-    BY_SPREAD,
-    SHORTLIST,
-    Trial,
-    _elsewhere,
-    best_shapes,
-    shortlist,
-)
+from bayes_impedance.diagnosis.selection.shortlist import BY_SPREAD, SHORTLIST, _elsewhere, best_shapes, shortlist
+from bayes_impedance.diagnosis.selection.trial import Trial
 
 PLACES = (
     "skin:(n2|r2)-tissue:(m1|n1|r1)",

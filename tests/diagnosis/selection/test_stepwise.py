@@ -19,7 +19,7 @@ from bayes_impedance.diagnosis.fit.coefficient_posterior import coefficient_post
 from bayes_impedance.diagnosis.fit.model import Addition
 from bayes_impedance.diagnosis.selection import stepwise
 from bayes_impedance.diagnosis.selection.score_scan import Screening
-from bayes_impedance.diagnosis.selection.shortlist import ALPHA, Trial
+from bayes_impedance.diagnosis.selection.shortlist import ALPHA
 from bayes_impedance.diagnosis.selection.step import SPREAD_PENALTY, Step
 from bayes_impedance.diagnosis.selection.stepwise import (
     MOST_ADDITIONS,
@@ -28,6 +28,7 @@ from bayes_impedance.diagnosis.selection.stepwise import (
     rivals,
     search,
 )
+from bayes_impedance.diagnosis.selection.trial import Trial
 
 DELAY, CORNER_HZ = 2e-5, 0.3
 

@@ -17,9 +17,9 @@ from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.multiple_testing import STRUCTURE_ALPHA
 from bayes_impedance.diagnosis.residuals.missing_impedance import missing_one_ports
 from bayes_impedance.diagnosis.selection.score_scan import Screening
-from bayes_impedance.diagnosis.selection.shortlist import Trial
 from bayes_impedance.diagnosis.selection.step import Step
 from bayes_impedance.diagnosis.selection.stepwise import Found
+from bayes_impedance.diagnosis.selection.trial import Trial
 from bayes_impedance.diagnosis.selection.unnamed import (
     BRANCHES,
     Realised,

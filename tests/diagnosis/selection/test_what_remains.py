@@ -15,8 +15,8 @@ from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection import stepwise
 from bayes_impedance.diagnosis.selection.exchange import Way
 from bayes_impedance.diagnosis.selection.score_scan import screen
-from bayes_impedance.diagnosis.selection.shortlist import Trial
 from bayes_impedance.diagnosis.selection.step import Step
+from bayes_impedance.diagnosis.selection.trial import Trial
 from bayes_impedance.diagnosis.selection.what_remains import leaves_structure, that_leaves_nothing
 
 N = 12
