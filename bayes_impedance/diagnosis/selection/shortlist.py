@@ -34,7 +34,8 @@ _LEAST_SHARE = 0.4
 """Of the largest score: a candidate below it explains less than a sixth (0.4 squared) of what the best one does."""
 
 _PLACES_EACH = 2
-"""Places at which one effect is tried in the first round. By choice: what could lead is tried at all others afterwards."""
+"""Places at which one effect is tried in the first round. By choice: what could lead is tried at all others
+afterwards."""
 
 BY_SPREAD = 4
 """Candidates that are refitted because their coefficients differ between people. By choice, as `SHORTLIST`."""

@@ -51,7 +51,7 @@ def test_elements_that_were_driven_away_come_back_beside_the_mass(world: Experim
     rng = np.random.default_rng(1)
     u, people = right.u.copy(), right.owner
     for name in ("n2", "r2", "m1"):
-        u[:, right.model.network.elements.index(name)] += (-5 + 2 * rng.normal(size=people.max() + 1))[people]
+        u[:, right.model.network.elements.index(name)] += (-7 + 2 * rng.normal(size=people.max() + 1))[people]
     lost = world.refitter.fit(right.model, u, right.population, 30)
     assert driven_away(lost).any()
     missing = right.evidence.sum() - lost.evidence.sum()
