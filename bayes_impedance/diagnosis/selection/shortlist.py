@@ -21,8 +21,7 @@ from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, FEWEST_TO
 from bayes_impedance.diagnosis.selection.level_starts import best_levels, from_level
 from bayes_impedance.diagnosis.selection.lookalikes import from_the_leader, lookalikes
 from bayes_impedance.diagnosis.selection.score_scan import Screening
-from bayes_impedance.diagnosis.selection.trial import Trial, from_cold, own_shapes, trial_of, try_candidate
-from bayes_impedance.person.likelihood import SCALE_SHAPE
+from bayes_impedance.diagnosis.selection.trial import Trial, from_cold, hoped_for, own_shapes, trial_of, try_candidate
 
 ALPHA = 0.01
 """Family-wise error rate of one screening. By choice."""
@@ -157,7 +156,7 @@ def _elsewhere(
     for k in best_shapes(screening):
         other = screening.candidates[k]
         known = best.get(other.effect)
-        if known is None or _hoped_for(known, BADLY) < leader.gain:
+        if known is None or hoped_for(known, BADLY) < leader.gain:
             continue
         if (other.place, known.pooling) in {(t.candidate.place, t.pooling) for t in trials if t.effect == other.effect}:
             continue
@@ -195,18 +194,7 @@ def _from_levels(refitter: Refitter, fit: Refit, screening: Screening, seed: int
 
 def within_reach(trial: Trial, best_gain: float) -> bool:
     """Whether searching for better optima could bring a trial near the best gain."""
-    return _hoped_for(trial) > best_gain - max(_FAR_BEHIND, _OUT_OF_REACH * best_gain)
-
-
-def _hoped_for(trial: Trial, at_least: float = 1.0) -> float:
-    """The gain if everybody were described as well as the median person: what searching for better optima can bring.
-
-    Only people whose noise scale is so many times the median person's are counted.
-    """
-    scale = trial.fit.weight**-0.5
-    relative = scale / np.median(scale)
-    exponent = SCALE_SHAPE + np.array([data.count for data in trial.fit.data])
-    return trial.gain + float(np.sum(2 * exponent * np.log(np.where(relative > at_least, relative, 1.0))))
+    return hoped_for(trial) > best_gain - max(_FAR_BEHIND, _OUT_OF_REACH * best_gain)
 
 
 def lookalike_trials(refitter: Refitter, fit: Refit, screening: Screening, leader: Trial) -> list[Trial]:

@@ -17,6 +17,7 @@ from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import log_evidence
 from bayes_impedance.diagnosis.selection.score_scan import Screening
+from bayes_impedance.person.likelihood import SCALE_SHAPE
 
 _OWN_SHAPE_KNOWN = 12.0
 """Chi-square of one person's own best shape above which that shape is a start: by chance 5e-4 for one shape, so below
@@ -152,3 +153,14 @@ def trial_of(candidate: Candidate, pooling: str, grown: Refit, fit: Refit) -> Tr
         gain=log_evidence(grown) - log_evidence(fit),
         physical=is_physical(grown),
     )
+
+
+def hoped_for(trial: Trial, at_least: float = 1.0) -> float:
+    """The gain if everybody were described as well as the median person: what searching for better optima can bring.
+
+    Only people whose noise scale is so many times the median person's are counted.
+    """
+    scale = trial.fit.weight**-0.5
+    relative = scale / np.median(scale)
+    exponent = SCALE_SHAPE + np.array([data.count for data in trial.fit.data])
+    return trial.gain + float(np.sum(2 * exponent * np.log(np.where(relative > at_least, relative, 1.0))))
