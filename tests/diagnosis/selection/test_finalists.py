@@ -12,7 +12,7 @@ from bayes_impedance.diagnosis.catalogue.effect import Candidate
 from bayes_impedance.diagnosis.fit.extend import extended, extended_start
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import log_evidence
-from bayes_impedance.diagnosis.selection.finalists import finalists
+from bayes_impedance.diagnosis.selection.finalists import _beside, finalists
 from bayes_impedance.diagnosis.selection.trial import Trial
 
 TWINS = ("(n1-r1)|(n2-r2)", {"n1": 3e-5, "r1": 2.0, "n2": 1e-3, "r2": 1.0})
@@ -78,3 +78,33 @@ def test_people_begin_where_another_explanation_describes_them_better(
     ended = {t.effect.id: t for t in finalists(refitter, fit, [first, second], effects, 1)}
     assert ended["rig.delay"].gain == pytest.approx(first_wanted.gain, abs=1)
     assert ended["rig.mass"].gain == pytest.approx(second_wanted.gain, abs=1)
+
+
+@pytest.mark.parametrize("badly", [True, False])
+def test_people_whom_the_leaders_elements_do_not_suit_are_searched_before_it_is_compared(
+    twins: Experiment, monkeypatch: pytest.MonkeyPatch, badly: bool
+) -> None:
+    """One person in another valley hid a valley of the population that is better; what nobody hides is not searched."""
+    refitter, fit = twins.refitter, twins.fit()
+    nobody = np.zeros(20, dtype=bool)
+    leader, _ = trial_of(twins, fit, "rig.delay", nobody)
+    good, _ = trial_of(twins, fit, "rig.mass", nobody)
+    chi = good.fit.equations.chi.copy()
+    chi[good.fit.owner == 4] *= 100 if badly else 1
+    one_off = replace(
+        good.fit,
+        evidence=good.fit.evidence - 200.0 * (np.arange(20) == 4),
+        equations=replace(good.fit.equations, chi=chi),
+    )
+    held = replace(good, gain=good.gain - 50)
+    searched = []
+
+    def settle(fit: Refit, *_: object, **__: object) -> Refit:
+        searched.append(fit)
+        return good.fit
+
+    monkeypatch.setattr(refitter, "fit", lambda *_, **__: one_off)
+    monkeypatch.setattr(refitter, "settle", settle)
+    found = _beside(refitter, fit, held, replace(leader, gain=held.gain), 1, 8)
+    assert bool(searched) is badly
+    assert found.gain == pytest.approx(good.gain if badly else held.gain)
