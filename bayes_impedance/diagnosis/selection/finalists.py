@@ -91,7 +91,11 @@ def with_lookalikes(
         else trial
         for trial in lookalike_trials(refitter, fit, screening, ranked[0])
     ]
-    return in_order([*ranked, *(t for t in own if t.physical and np.isfinite(t.gain))], effects)
+    result = in_order([*ranked, *(t for t in own if t.physical and np.isfinite(t.gain))], effects)
+    if all(result[0] is not trial for trial in ranked):
+        # In another valley of the population than the leader's, perhaps, where that one is better as well.
+        result = in_order([_beside(refitter, fit, t, result[0], seed, ROUNDS) for t in result], effects)
+    return result
 
 
 def _with_own_shapes(refitter: Refitter, fit: Refit, trial: Trial) -> Trial:
