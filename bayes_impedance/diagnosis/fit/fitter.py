@@ -13,9 +13,9 @@ coefficients that differ between people), and shared ones. The population is
 each person damped on its own, and more where a step does not descend. **Additions**: shared parameters and the means of
 varying coefficients move to the maximum of :mod:`~bayes_impedance.diagnosis.fit.normal_equations`, with the elements of
 every recording free. With the elements held to the population's distribution instead, maximising over u (not
-integrating) would bias the additions by many standard errors. The dispersion of a varying coefficient is held at a fraction of its mean: single persons say
-too little about it for expectation-maximisation to converge. **Population** of the elements:
-expectation-maximisation as in :mod:`bayes_impedance.population.em`.
+integrating) would bias the additions by many standard errors. The dispersion of a varying coefficient is held at a
+fraction of its mean: single persons say too little about it for expectation-maximisation to converge. **Population** of
+the elements: expectation-maximisation as in :mod:`bayes_impedance.population.em`.
 
 The **evidence** of a person is Laplace's approximation of the likelihood with all :math:`v_{ij}`, :math:`v_i` and the
 noise scale integrated out:
