@@ -176,3 +176,20 @@ def test_of_two_additions_of_one_curve_the_sum_is_known() -> None:
     tau = np.column_stack([np.geomspace(1e-9, 1e-6, 20), np.zeros(20)])
     assert np.isfinite(log_densities(model, h, d, tau)).all()
     assert marginal(model, h, d, tau[0]).mean.sum() == pytest.approx(1e-3, rel=1e-3)
+
+
+def test_what_is_known_to_a_thousand_millionth_leaves_the_dispersions_of_others() -> None:
+    """A resonance's frequency, everybody's the same: what dispersions gain does not depend on where its zero is."""
+    model = two_additions(toy(*TOY, seed=1, n=1))
+    rng, n = np.random.default_rng(6), 8
+    d = np.zeros((n, 2, 2))
+    d[:, 0, 0], d[:, 1, 1] = rng.uniform(1e3, 2e3, n), rng.uniform(1e16, 2e16, n)
+    d[:, 0, 1] = d[:, 1, 0] = 0.3 * np.sqrt(d[:, 0, 0] * d[:, 1, 1])
+    own = np.column_stack([rng.normal(0.2, 0.1, n), np.zeros(n)])
+    tau = np.column_stack([np.geomspace(0.01, 1.0, 20), np.zeros(20)])
+    found = []
+    for zero in (0.0, 2.7):
+        h = np.einsum("nab,nb->na", d, own + np.array([0.0, zero]))
+        found.append(np.diff(log_densities(model, h, d, tau)))
+    assert np.abs(found[0]).max() > 1
+    np.testing.assert_allclose(found[1], found[0], atol=1e-3)
