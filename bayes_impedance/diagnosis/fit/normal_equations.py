@@ -284,9 +284,19 @@ def marginal(model: Model, h: np.ndarray, d: np.ndarray, tau: np.ndarray) -> Mar
     return MarginalDensity(float(log_density[0]), mean[0], 0.5 * (precision[0] + precision[0].T))
 
 
-def log_densities(model: Model, h: np.ndarray, d: np.ndarray, tau: np.ndarray) -> np.ndarray:
-    """Log densities of :func:`marginal` for many dispersions, tau of shape (G, A); shape (G,)."""
-    return _marginal(model, h, d, tau)[0]
+def log_densities(
+    model: Model, h: np.ndarray, d: np.ndarray, tau: np.ndarray, around: np.ndarray | None = None
+) -> np.ndarray:
+    """Log densities of :func:`marginal` for many dispersions, tau of shape (G, A); shape (G,).
+
+    If central values (A,) are given, around which h and d expand the likelihood, dispersions with which a shape's lies
+    more than its prior's standard deviation away have no density: the expansion says nothing there.
+    """
+    values, mean, _ = _marginal(model, h, d, tau)
+    if around is None:
+        return values
+    reach = np.array([np.inf if p.is_coefficient else p.prior_sd for p in model.parameters])
+    return np.where(np.all(np.abs(mean - around) <= reach, axis=1), values, -np.inf)
 
 
 def _marginal(model: Model, h: np.ndarray, d: np.ndarray, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

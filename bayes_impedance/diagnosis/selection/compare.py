@@ -52,6 +52,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from scipy.special import logsumexp
 
+from bayes_impedance.diagnosis.fit.additions_step import central_values
 from bayes_impedance.diagnosis.fit.extend import with_pooling
 from bayes_impedance.diagnosis.fit.model import TYPICAL_DISPERSION, Model
 from bayes_impedance.diagnosis.fit.normal_equations import log_densities, quadratic
@@ -192,7 +193,11 @@ def _of_distribution(fit: Refit, addition: int) -> float:
 
 
 def _dispersions_integrated(fit: Refit, addition: int) -> float:
-    """Logarithm of the integral of L(tau) / L(tau_0) over the prior of an addition's dispersions."""
+    """Logarithm of the integral of L(tau) / L(tau_0) over the prior of an addition's dispersions.
+
+    Only over those with which the shapes stay near the fit: a resonance whose damping had gone to twelve standard
+    deviations of its prior was taken back there, with larger dispersions, by an expansion that held for one of them.
+    """
     pooling = fit.model.additions[addition].pooling
     model = with_pooling(fit.model, addition, "varying") if pooling == "shared" else fit.model
     h, d, _ = quadratic(model, fit.data, fit.u, fit.equations, fit.population.covariance)
@@ -203,6 +208,7 @@ def _dispersions_integrated(fit: Refit, addition: int) -> float:
     if pooling == "shared":
         held[columns] = 0.0
 
+    here = central_values(fit)
     start = float(log_densities(model, h, d, held[None])[0])
     prior = -0.5 * _GRID**2 - logsumexp(-0.5 * _GRID**2)
     nodes = TYPICAL_DISPERSION * np.exp(_SPREAD_OF_DISPERSIONS * _GRID)
@@ -213,8 +219,10 @@ def _dispersions_integrated(fit: Refit, addition: int) -> float:
         for c in columns:
             grid = np.tile(tau, (nodes.size, 1))
             grid[:, c] = nodes * unit[c]
-            values = log_densities(model, h, d, grid)
+            values = log_densities(model, h, d, grid, here)
             best = int(np.argmax(values + prior))
+            if not np.isfinite(values[best]):  # with none of them is the fit near its maximum: it tells nothing
+                return 0.0
             tau[c] = nodes[best] * unit[c]
             total += float(logsumexp(values + prior)) - float(values[best])
     return total + float(log_densities(model, h, d, tau[None])[0]) - start

@@ -14,6 +14,8 @@ from experiments import (
 )
 
 import bayes_impedance.diagnosis.fit.normal_equations as equations_module
+from bayes_impedance.diagnosis.catalogue.effect import Candidate
+from bayes_impedance.diagnosis.fit.extend import extended
 from bayes_impedance.diagnosis.fit.normal_equations import (
     Stack,
     counts,
@@ -193,3 +195,18 @@ def test_what_is_known_to_a_thousand_millionth_leaves_the_dispersions_of_others(
         found.append(np.diff(log_densities(model, h, d, tau)))
     assert np.abs(found[0]).max() > 1
     np.testing.assert_allclose(found[1], found[0], atol=1e-3)
+
+
+def test_an_expansion_says_nothing_where_a_shape_would_be_far_away() -> None:
+    """A coefficient may be anywhere, since it acts linearly; a shape is known near the fit."""
+    experiment = toy(*TOY, seed=1, n=1)
+    candidate = Candidate(entry("body.resonator"), "port", {"frequency": 300.0, "damping_ratio": 0.1})
+    model = extended(experiment.model, candidate, "shared", 0.1)
+    fitted = np.array([0.1, *(p.centre for p in model.parameters[1:])])
+    d = np.tile(1e4 * np.eye(3), (5, 1, 1))
+    h, tau = np.einsum("nab,b->na", d, fitted), np.zeros((2, 3))
+    assert np.isfinite(log_densities(model, h, d, tau, fitted + np.array([9.0, 0.0, 0.0]))).all()
+    for k, sign in ((1, 1.0), (2, -1.0)):
+        away = fitted.copy()
+        away[k] += 1.1 * sign * model.parameters[k].prior_sd
+        assert np.all(log_densities(model, h, d, tau, away) == -np.inf)
