@@ -9,6 +9,7 @@ import pytest
 from experiments import (
     TOY,
     Serial,
+    entry,
     toy,
     two_additions,
 )
