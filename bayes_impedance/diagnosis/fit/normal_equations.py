@@ -310,19 +310,14 @@ def _marginal(model: Model, h: np.ndarray, d: np.ndarray, tau: np.ndarray) -> tu
     prior_sd = np.array([p.prior_sd for p in model.parameters])
     centre = np.array([p.centre for p in model.parameters])
     # Two additions that are the same curve, one of them the same for all, differ by less than rounding.
-    each = np.arange(prior_sd.size)
-
-    def around(reference: np.ndarray, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        there = h - np.einsum("nab,b->na", d, reference)
-        contiguous = (np.ascontiguousarray(a) for a in (d, there, varying, tau))
-        precision, right, value = _integrated(*contiguous)
-        precision += np.diag(prior_sd**-2.0)
-        precision[:, each, each] *= 1 + ROUNDING
-        right += (centre - reference) / prior_sd**2
-        return precision, right, value, np.linalg.solve(precision, right[..., None])[..., 0]
-
-    reference = around(np.zeros(prior_sd.size), np.zeros((1, prior_sd.size)))[-1][0]
-    precision, right, value, mean = around(reference, tau)
+    firm = np.ones((prior_sd.size, prior_sd.size)) + np.diag(np.full(prior_sd.size, ROUNDING))
+    prior = np.diag(prior_sd**-2.0)
+    reference = np.linalg.solve((d.sum(axis=0) + prior) * firm, h.sum(axis=0) + centre / prior_sd**2)
+    there = h - np.einsum("nab,b->na", d, reference)
+    precision, right, value = _integrated(*(np.ascontiguousarray(a) for a in (d, there, varying, tau)))
+    precision = (precision + prior) * firm
+    right += (centre - reference) / prior_sd**2
+    mean = np.linalg.solve(precision, right[..., None])[..., 0]
     value += 0.5 * np.sum(right * mean, axis=1) - 0.5 * np.linalg.slogdet(precision)[1]
     return value, reference + mean, precision
 

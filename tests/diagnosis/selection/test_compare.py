@@ -14,7 +14,15 @@ from bayes_impedance.diagnosis.catalogue.effect import Candidate
 from bayes_impedance.diagnosis.fit.extend import with_pooling
 from bayes_impedance.diagnosis.fit.normal_equations import log_densities, marginal, quadratic
 from bayes_impedance.diagnosis.fit.refit import Refit
-from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN, Comparison, compare, log_evidence, typical_gain
+from bayes_impedance.diagnosis.selection import compare as compare_module
+from bayes_impedance.diagnosis.selection.compare import (
+    LEAST_GAIN,
+    Comparison,
+    _dispersions_integrated,
+    compare,
+    log_evidence,
+    typical_gain,
+)
 from bayes_impedance.diagnosis.selection.finalists import in_order
 from bayes_impedance.diagnosis.selection.shortlist import poolings_for
 from bayes_impedance.diagnosis.selection.trial import Trial, try_candidate
@@ -183,3 +191,17 @@ def test_the_truth_is_rarely_excluded(apart: float) -> None:
     above, below = norm.sf((least - apart**2 / 2) / apart), norm.cdf((-LEAST_GAIN - apart**2 / 2) / apart)
     assert separated(own).mean() == pytest.approx(above, abs=0.05)
     assert separated(-own).mean() < below + 0.005
+
+
+def test_dispersions_that_take_the_shape_far_away_bring_no_evidence(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The expansion around the fit foretells anything there; what the people's own evidence says, stays."""
+    experiment = toy(*TOY, seed=2, n=12, hidden=with_mass(0.3))
+    fit = masses(experiment, experiment.fit())[1].fit
+    assert _dispersions_integrated(fit, 0) != 0.0
+
+    def nowhere_near(*arguments: np.ndarray) -> np.ndarray:
+        values = log_densities(*arguments[:4])
+        return values if len(arguments) < 5 else np.full(values.shape, -np.inf)
+
+    monkeypatch.setattr(compare_module, "log_densities", nowhere_near)
+    assert _dispersions_integrated(fit, 0) == 0.0
