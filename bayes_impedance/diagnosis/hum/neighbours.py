@@ -34,6 +34,10 @@ _REACH_OCTAVES = (0.5, 1.0, 1.5)
 """Distance up to which points are neighbours; the first with enough of them is used, because the noise may differ at
 larger distances. By choice."""
 
+_FARTHEST_OCTAVES = (2.0, 3.0, 4.0)
+"""The same for frequencies with neighbours on both sides, as low ones of a coarse grid. Noise mostly rises toward low
+frequencies, the faster the lower they are: between its neighbours a line lies above it, beyond them below. By choice."""
+
 _FEWEST_NEIGHBOURS = 8
 """Smallest number of neighbours in each recording: a parabola takes three, and the others give the scatter. By
 choice."""
@@ -174,9 +178,11 @@ def around(
     frequency_hz = stacked["frequency"]
     owner = np.repeat(chosen, [residuals[i].model.shape[0] for i in chosen])
     away = np.all(np.abs(frequency_hz[..., None] / excluded_hz - 1) > near, axis=-1) & np.isfinite(frequency_hz)
-    for octaves in _REACH_OCTAVES:
-        neighbour = away & (np.abs(np.log2(frequency_hz / frequency)) <= octaves)
-        if neighbour.sum(axis=1).min() >= _FEWEST_NEIGHBOURS:
+    distance = np.log2(frequency_hz / frequency)
+    for octaves in (*_REACH_OCTAVES, *_FARTHEST_OCTAVES):
+        neighbour = away & (np.abs(distance) <= octaves)
+        between = all(np.any(neighbour & (side * distance > 0), axis=1).all() for side in (-1, 1))
+        if neighbour.sum(axis=1).min() >= _FEWEST_NEIGHBOURS and (between or octaves <= _REACH_OCTAVES[-1]):
             return Neighbourhood(
                 frequency_hz=frequency_hz,
                 value=stacked["value"],
