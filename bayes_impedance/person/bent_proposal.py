@@ -102,11 +102,8 @@ class BentT:
         covariance = (offset * weight[:, None]).T @ offset + least
         if not bent or centre.size < 2:
             return cls.straight(centre, covariance)
-        variances, vectors = eigh(covariance, reference)
-        variances, vectors = np.maximum(variances[::-1], _LEAST * variances[-1]), vectors[:, ::-1]
-        axes, into = reference @ vectors * np.sqrt(variances), vectors.T / np.sqrt(variances)[:, None]
-        v = offset @ into.T
-        long = min(_LONG, centre.size - 1)
+        axes, into = axes_of(covariance, reference)
+        v, long = offset @ into.T, long_directions(centre.size)
         products = _products(v, long)
         weighted = products * weight[:, None]
         moments = weighted.T @ products
@@ -135,7 +132,22 @@ class BentT:
         """How far the surface is from the plane; of `v` or `rest`, which agree in the directions that count."""
         if not len(self.bend):
             return np.zeros_like(v)
-        return np.asarray(_products(v, min(_LONG, v.shape[1] - 1)) @ self.bend)
+        return np.asarray(_products(v, long_directions(v.shape[1])) @ self.bend)
+
+
+def axes_of(covariance: np.ndarray, reference: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Axes (P, P) from v to differences of log elements, and back, for two covariances (P, P); the longest comes first.
+
+    Longest relative to the reference population.
+    """
+    variances, vectors = eigh(covariance, reference)
+    variances, vectors = np.maximum(variances[::-1], _LEAST * variances[-1]), vectors[:, ::-1]
+    return reference @ vectors * np.sqrt(variances), vectors.T / np.sqrt(variances)[:, None]
+
+
+def long_directions(n_elements: int) -> int:
+    """Number of directions along which the surface is bent."""
+    return min(_LONG, n_elements - 1)
 
 
 def _products(v: np.ndarray, long: int) -> np.ndarray:

@@ -1,10 +1,11 @@
 r"""Importance sampling of one person's exact posterior under a reference population.
 
-The proposal q is a mixture: mostly a multivariate t (10 degrees of freedom: tails heavier than the target's), at first
-around the person's mode, later along a bent surface (:mod:`bayes_impedance.person.bent_proposal`), and in part the
-reference population itself, which covers regions far from the mode and bounds the importance weights (defensive
-mixture, Owen and Zhou 2000). Draws and weights of all rounds so far, as if each came from the mixture of all proposals
-(adaptive multiple importance sampling, Cornuet et al. 2012), give the mean, covariance and bend of the next round's t.
+The proposal q is a mixture: mostly a multivariate t (10 degrees of freedom: tails heavier than the target's) along a
+bent surface, at first that of conditional modes (:mod:`bayes_impedance.person.first_proposal`), later one that is
+fitted to draws (:mod:`bayes_impedance.person.bent_proposal`), and in part the reference population itself, which covers
+regions far from the mode and bounds the importance weights (defensive mixture, Owen and Zhou 2000). Draws and weights
+of all rounds so far, as if each came from the mixture of all proposals (adaptive multiple importance sampling, Cornuet
+et al. 2012), give the mean, covariance and bend of the next round's t.
 The best round is the result. If it is poor, or if the populations are known under which the draws are to count, they
 are chosen from those of all rounds (:mod:`bayes_impedance.person.choosing`).
 Points come from scrambled Sobol sequences, which cover eight dimensions far more evenly than random ones.
@@ -26,6 +27,7 @@ from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.person.absolute_density import Deviations
 from bayes_impedance.person.bent_proposal import DEGREES_OF_FREEDOM, BentT, log_t
 from bayes_impedance.person.choosing import Nearby, inclusion
+from bayes_impedance.person.first_proposal import along_conditional_modes
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.marginal_likelihood import Ridge, marginal_log_likelihood
 from bayes_impedance.person.mode import Mode
@@ -154,7 +156,9 @@ def draw(
         theta, log_q = _propose_along(kernel, likelihood, mode, reference, n, seed)
         return _weighted(theta, marginal_log_likelihood(kernel, likelihood, ridge, theta) - log_q, reference)
     laplace = np.linalg.inv(ridge.precision + np.linalg.inv(reference.covariance))
-    proposal, share = BentT.straight(mode.theta, laplace), _EXPLORING
+    population = reference.mean, reference.covariance
+    first = along_conditional_modes(kernel, likelihood, mode.theta, *population, laplace)
+    proposal, share = first, _EXPLORING
     made, best = _Rounds(kernel, likelihood, ridge, reference, near), None
     for attempt, child in enumerate(seed.spawn(_MOST_ROUNDS)):
         draws = made.another(proposal, share, n if attempt else min(n, 256), child)
@@ -166,10 +170,12 @@ def draw(
         every = made.together()
         if near is not None and every.effective > _MANY * n:
             break
+        share = _DEFENSIVE
+        if not attempt:  # what the exploring round found of the posterior is less than the surface knows
+            continue
         enough = every.effective >= _TO_BEND * mode.theta.size
         log_weight = _tempered(every.log_weight, 6.0 * mode.theta.size)
-        proposal = BentT.fitted(every.theta, log_weight, reference.covariance, 0.02 * laplace, bool(attempt) and enough)
-        share = _DEFENSIVE
+        proposal = BentT.fitted(every.theta, log_weight, reference.covariance, 0.02 * laplace, enough)
     assert best is not None  # at least two rounds are made
     return best if near is None and best.effective >= _POOR * n else made.chosen(n, seed.spawn(1)[0])
 

@@ -53,6 +53,31 @@ def inverted(a: np.ndarray) -> float:
 
 
 @compiled
+def log_determinant(a: np.ndarray) -> float:
+    """Logarithm of the determinant's absolute value of a matrix (n, n), which is overwritten; -inf if it is singular.
+
+    By Gaussian elimination with the largest pivot of each column.
+    """
+    n = a.shape[0]
+    total = 0.0
+    for k in range(n):
+        pivot = k
+        for i in range(k + 1, n):
+            if abs(a[i, k]) > abs(a[pivot, k]):
+                pivot = i
+        if a[pivot, k] == 0.0:
+            return -np.inf
+        for j in range(k, n):
+            a[k, j], a[pivot, j] = a[pivot, j], a[k, j]
+        total += np.log(abs(a[k, k]))
+        for i in range(k + 1, n):
+            factor = a[i, k] / a[k, k]
+            for j in range(k + 1, n):
+                a[i, j] -= factor * a[k, j]
+    return total
+
+
+@compiled
 def solved(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Solution x of a x = b, for a (n, n) and b (n,), by Gaussian elimination with the largest pivot of each column.
 

@@ -371,7 +371,7 @@ def equations_of(
 def _shared_equations(
     pooling: Pooling, phi: np.ndarray, precision: np.ndarray, rho: np.ndarray, likelihood: Likelihood, fit: PersonFit
 ) -> SharedEquations:
-    return shared_equations(pooling, phi, precision, rho, likelihood, fit.mode, fit.expanded)
+    return shared_equations(pooling, phi, precision, rho, likelihood, fit.mode.theta, fit.mode.scale, fit.expanded)
 
 
 def _total(parts: Iterable[np.ndarray]) -> np.ndarray:

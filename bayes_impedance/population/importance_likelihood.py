@@ -15,7 +15,8 @@ and a set of population parameters is one row of coefficients. All walkers times
 error).
 
 Where parameters are the same for everybody, monomials in them are further columns of the coefficients, and each
-person's mean is shifted (:mod:`bayes_impedance.population.shared_draws`).
+person's draws are moved (:mod:`bayes_impedance.population.shared_draws`), which changes the other coefficients
+(:mod:`bayes_impedance.population.shears`).
 
 The contrasts between repetitions have a closed form at each person's mode
 (:mod:`bayes_impedance.population.contrasts`); monomials in functions of rho are further columns, by which a draw away
@@ -40,6 +41,7 @@ from bayes_impedance.population.moved_dispersions import DispersionRange
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.shapes import normal_parts
 from bayes_impedance.population.shared_draws import Moved, Sharing, monomials, stacked
+from bayes_impedance.population.shears import sheared_coefficients
 
 _BLOCK = 4
 """Persons per matrix product. By choice: W x 4 x K single-precision numbers stay in the processor's cache."""
@@ -93,13 +95,14 @@ class ImportanceLikelihood:
         self.repetitions, self.covariates, self.contrasts = repetitions, covariates, contrasts
         self.reference_means = reference_means
         self.sharing, self.span = sharing, span
-        self.path, self.missed = stacked(moved)
+        self.path, self.shears, self.missed = stacked(moved)
         same = bool(np.all(reference_means == reference_means[0]))
         self._same_means = not covariates.shape[1] and same and sharing is None
         self.reference_factor = np.linalg.cholesky(reference_covariance)
         self.whitening = np.linalg.inv(self.reference_factor)
         self._means_in_u = reference_means @ self.whitening.T
         self._path_in_u = np.moveaxis(self.path @ self.whitening.T, 0, 1) if moved else np.empty((0, 0, 0))
+        self.shears_in_u = self.whitening @ self.shears @ self.reference_factor if moved else self.shears
         self.pairs = np.tril_indices(n_elements)
         # Twice the entry, except on the diagonal: coefficients of the monomials u_p u_q, p >= q.
         self._multiplicity = np.where(self.pairs[0] == self.pairs[1], 1.0, 2.0)
@@ -303,11 +306,16 @@ class ImportanceLikelihood:
         linear = v @ precision
         constants = log_determinant[:, None] - 0.5 * np.sum(v * linear, axis=2)
         n_squares, n_linear = self.pairs[0].size, v.shape[2]
+        squares = precision[:, self.pairs[0], self.pairs[1]]
+        if moving.size:
+            t = np.ascontiguousarray(moving[:, : self.shears.shape[1]])
+            squares, linear, volume = sheared_coefficients(precision, linear, t, self.shears_in_u[persons], *self.pairs)
+            constants = constants + volume
         of_dispersions = [] if self.span is None else [self.span.terms(parameters.between_repetitions)]
         rest = np.concatenate([np.ones((len(moving), 1)), moving, *of_dispersions], axis=1)
         coefficients = np.empty((v.shape[1], len(v), n_squares + n_linear + rest.shape[1]), dtype=np.float32)
         with np.errstate(over="ignore", invalid="ignore"):  # as above: a vanishing dispersion is refused later
-            coefficients[..., :n_squares] = -0.5 * self._multiplicity * precision[:, self.pairs[0], self.pairs[1]]
+            coefficients[..., :n_squares] = -0.5 * self._multiplicity * squares
             coefficients[..., n_squares : n_squares + n_linear] = np.swapaxes(linear, 0, 1)
             coefficients[..., n_squares + n_linear :] = rest
         return coefficients, constants

@@ -12,7 +12,10 @@ where T is the covariance of a person's mean over J repetitions, :math:`\Sigma +
 moments are one more matrix product of weights with the same monomials from which the weights are computed. Monomials in
 parameters that are the same for everybody change the draws' log likelihoods, with their mean coefficients, and shift v
 along the person's path (:mod:`bayes_impedance.population.shared_draws`); so do those in dispersions between repetitions
-(:mod:`bayes_impedance.population.moved_dispersions`), without a shift.
+(:mod:`bayes_impedance.population.moved_dispersions`), without a shift. Where draws are sheared
+(:mod:`bayes_impedance.population.shears`), Mu stands in the place of u, and
+
+.. math:: \frac{\partial \ln p}{\partial M} = M^{-T} - A\,\mathrm E\big[(M u - v)\,u^T\big] .
 
 **With tails** (:mod:`bayes_impedance.population.heavy_tails`) the likelihood of person i is the sum over nodes g of
 :math:`w_g\,p_{ig}`, with the normal population of covariance :math:`\lambda_g\Sigma` at each. By the same identity its
@@ -36,6 +39,7 @@ from bayes_impedance.population.importance_likelihood import ImportanceLikelihoo
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.shapes import normal_parts
 from bayes_impedance.population.shared_draws import monomial_slopes
+from bayes_impedance.population.shears import maps
 from bayes_impedance.population.two_components import through_groups
 
 
@@ -134,6 +138,7 @@ def _normal(
     slopes = np.zeros((n_sets, n_elements, marginal.covariates.shape[1]))
     on_monomials = np.zeros((n_sets, moving.shape[1]))
     on_terms: np.ndarray | float = 0.0
+    on_shears: np.ndarray | float = 0.0
     scatter = {int(j): np.zeros((n_sets, n_elements, n_elements)) for j in np.unique(marginal.repetitions)}
     precisions = {j: marginal.population_in_reference(parameters, j)[0] for j in scatter}
     all_moments = _moments(marginal, parameters, probability)
@@ -143,8 +148,13 @@ def _normal(
         v = np.broadcast_to(
             marginal.means_in_reference(parameters, persons, moving), (n_sets, persons.size, n_elements)
         )
-        part = v if probability is None else probability[:, persons, None] * v  # moments are weighted too
-        first, squares = moments[:, :, n_squares:n_quadratic], moments[:, :, :n_squares].sum(axis=1)
+        counted = np.ones((n_sets, persons.size)) if probability is None else probability[:, persons]
+        part = counted[..., None] * v  # moments are weighted too
+        first, squares = moments[:, :, n_squares:n_quadratic], moments[:, :, :n_squares]
+        if moving.size:
+            first, squares, own = _sheared(marginal, persons, moving, precisions[j], v, counted, first, squares)
+            on_shears += own
+        squares = squares.sum(axis=1)
         cross = np.swapaxes(first, 1, 2) @ v
         scatter[j] += np.swapaxes(part, 1, 2) @ v - cross - np.swapaxes(cross, 1, 2)
         scatter[j][:, rows, columns] += squares
@@ -174,7 +184,7 @@ def _normal(
     shared = np.zeros((n_sets, 0))
     if marginal.sharing is not None and parameters.shared is not None:
         turning = monomial_slopes(marginal.sharing.standardised(parameters.shared))
-        shared = marginal.sharing.slopes(np.einsum("wm,wms->ws", on_monomials, turning))
+        shared = marginal.sharing.slopes(np.einsum("wm,wms->ws", on_monomials, turning) + on_shears)
         shared = shared * (marginal.sharing.beyond(parameters.shared) == 0.0)[:, None]  # at the edge draws stay
     return ParameterGradient(
         mu=mean,
@@ -186,6 +196,32 @@ def _normal(
         share=np.zeros(n_sets),
         separation=np.zeros((n_sets, n_elements)),
     )
+
+
+def _sheared(
+    marginal: ImportanceLikelihood,
+    persons: np.ndarray,
+    moving: np.ndarray,
+    precision: np.ndarray,
+    v: np.ndarray,
+    counted: np.ndarray,
+    first: np.ndarray,
+    squares: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Moments of Mu (W, n, P) and (W, n, m) from those of u, and the derivative with respect to t through M, (W, S).
+
+    Persons are `counted` (W, n) in part.
+    """
+    shears, (rows, columns) = marginal.shears_in_u[persons], marginal.pairs
+    m = maps(moving[:, : shears.shape[1]], shears)
+    whole = np.empty((*first.shape, first.shape[2]))
+    whole[..., rows, columns] = whole[..., columns, rows] = squares
+    of_both = m @ whole  # E[M u u^T]
+    there = np.einsum("wnpq,wnq->wnp", m, first)
+    slope = counted[..., None, None] * np.swapaxes(np.linalg.inv(m), -1, -2)
+    slope = slope - precision[:, None] @ (of_both - v[..., None] * first[..., None, :])
+    after = of_both @ np.swapaxes(m, -1, -2)
+    return there, after[..., rows, columns], np.einsum("wnpq,nspq->ws", slope, shears, optimize=True)
 
 
 def _moments(

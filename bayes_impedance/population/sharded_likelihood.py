@@ -380,6 +380,7 @@ def _resampled(
             chosen = np.minimum((cumulative < own).sum(axis=2), weight.shape[2] - 1)
             theta[start : start + _SETS_AT_ONCE, persons] = part.theta[persons, chosen]
     if part.marginal.sharing is not None and parameters.shared is not None:
-        t = part.marginal.sharing.standardised(parameters.shared)
+        t, away = part.marginal.sharing.standardised(parameters.shared), theta - part.marginal.reference_means
         theta += np.einsum("nmp,wm->wnp", part.marginal.path, monomials(t))
+        theta += np.einsum("ws,nspq,wnq->wnp", t, part.marginal.shears, away, optimize=True)
     return theta, part.log_densities(parameters)

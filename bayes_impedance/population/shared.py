@@ -31,7 +31,6 @@ import numpy as np
 
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.person.likelihood import Likelihood, log_likelihood, repetition_equations
-from bayes_impedance.person.mode import Mode
 
 _LONGEST = 1.0
 """Longest step of a shared parameter, on the scale of u: a factor e of a log, a unit of a signed scale. By choice:
@@ -109,10 +108,11 @@ def shared_equations(
     precision: np.ndarray,
     rho: np.ndarray,
     likelihood: Likelihood,
-    mode: Mode,
+    theta: np.ndarray,
+    scale: float,
     deviations: np.ndarray,
 ) -> SharedEquations:
-    """A person's equations at the mode.
+    """A person's equations at log elements, as the mode.
 
     Parameters
     ----------
@@ -123,15 +123,16 @@ def shared_equations(
     rho : ndarray, shape (V,)
         Dispersion between repetitions.
     likelihood : Likelihood
-    mode : Mode
+    theta : ndarray, shape (V,)
+    scale : float
+        Of the noise.
     deviations : ndarray, shape (J, V)
-        Of the repetitions, at which the mode was found.
+        Of the repetitions.
     """
     s, v = pooling.shared, pooling.varying
-    theta = pooling.whole(mode.theta, phi)
     here = likelihood.moved(pooling.whole(deviations, np.zeros(s.size)))
-    gradient, information = repetition_equations(pooling.kernel, here, theta)
-    w = mode.scale**-2
+    gradient, information = repetition_equations(pooling.kernel, here, pooling.whole(theta, phi))
+    w = scale**-2
     g, h = w * gradient, w * information
     own, mixed = h[:, v[:, None], v], h[:, v[:, None], s]
     n, size = len(h), v.size

@@ -2,18 +2,18 @@ r"""A person's importance draws when parameters that are the same for everybody 
 
 Draws are made with the shared parameters at an origin :math:`\phi_0`. Elsewhere, at
 :math:`\phi(t) = \phi_0 + A t`, with A the factor of an approximate posterior covariance of :math:`\phi`, the person's
-posterior has moved, and all of the person's draws move along by the same :math:`s_i(t)`. A shift has a Jacobian of one,
-whatever its path, so
+posterior has moved, and the person's draws move along, by an affine map :math:`\theta \mapsto \theta'(t)` about the
+mode (:mod:`bayes_impedance.population.shears`). Its Jacobian |M| is the same for all of them, so
 
-.. math:: p(z_i\,|\,\phi(t), \mu, T) = \int L_i(\theta + s_i, \phi)\,N(\theta + s_i; \mu, T)\,d\theta
-          \approx \frac1K \sum_k \frac{L_i(\theta_k + s_i, \phi)}{q_i(\theta_k)}\, N(\theta_k; \mu - s_i, T) :
+.. math:: p(z_i\,|\,\phi(t), \mu, T) = \int L_i(\theta', \phi)\,N(\theta'; \mu, T)\,|M_i|\,d\theta
+          \approx \frac{|M_i|}{K} \sum_k \frac{L_i(\theta'_k, \phi)}{q_i(\theta_k)}\, N(\theta'_k; \mu, T) :
 
-the population's mean is shifted the other way, and each draw's log likelihood is a smooth function of t. The path is
-that of the person's mode, so that the draws stay where the posterior is, and the log likelihood changes little:
-everybody's recordings together determine :math:`\phi` more sharply than one person's. Path and changes are therefore
-polynomials of low degree. Their coefficients are found by least squares from exact modes and likelihoods at points
-within a sphere, and what the polynomials miss is measured at others. The sphere's radius, the reach, covers nearly all
-of the posterior. Beyond it a polynomial may grow without limit: the draws stay at the edge, and the density falls off.
+each draw's log likelihood is a smooth function of t. The path is that of the person's mode, so that the draws stay
+where the posterior is, and the log likelihood changes little: everybody's recordings together determine :math:`\phi`
+more sharply than one person's. Path and changes are therefore polynomials of low degree. Their coefficients are found
+by least squares from exact modes and likelihoods at points within a sphere, and what the polynomials miss is measured
+at others. The sphere's radius, the reach, covers nearly all of the posterior. Beyond it a polynomial may grow without
+limit: the draws stay at the edge, and the density falls off.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ from bayes_impedance.person.importance_draws import Draws, Reference
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.marginal_likelihood import Ridge, marginal_log_likelihood
 from bayes_impedance.person.mode import find_mode
-from bayes_impedance.population.shared import Pooling, SharedEquations
+from bayes_impedance.population.shared import Pooling, SharedEquations, shared_equations
+from bayes_impedance.population.shears import fitted_shears, maps
 
 _COVERED = 0.997
 """Share of the posterior within reach. By choice: three standard deviations for one shared parameter. Polynomials are
@@ -54,6 +55,11 @@ are divided by. By choice: populations within the posterior change weights by so
 _HOPELESS = 24.0
 """The same at the origin alone, below which a draw's likelihood is not computed elsewhere. By choice: twice as far.
 Measured: a quarter of the draws, none of which had a weight anywhere (71 fingertips with a delay)."""
+_RESPONSES = 48
+"""Number of a person's draws at which the response is computed. By choice: some five for each of eight elements."""
+_REGULAR = 1e-6
+"""Share of the reference population's covariance that is added to that of the draws, which few of them may determine.
+By choice: a thousandth of its standard deviations."""
 _ROUGH = 1.0
 """Largest error of a draw's polynomial. By choice: its weight is then known to a factor e, one of hundreds."""
 _EXACT = 1e-3
@@ -158,7 +164,9 @@ class Moved:
     Attributes
     ----------
     path : ndarray, shape (M, V)
-        Of the polynomial in t: shift of the log elements.
+        Of the polynomial in t: shift of log elements at the mean of the reference population.
+    shears : ndarray, shape (S', V, V)
+        How the shift differs elsewhere: that of theta is larger by the sum of t R times its distance from the mean.
     coefficients : ndarray, shape (M, K)
         Of the polynomial in t, for each draw: change of the log likelihood.
     missed : ndarray, shape (T,)
@@ -166,6 +174,7 @@ class Moved:
     """
 
     path: np.ndarray
+    shears: np.ndarray
     coefficients: np.ndarray
     missed: np.ndarray
 
@@ -247,27 +256,30 @@ def moved(
     fitted = len(sharing.points) - _TESTED
     terms = monomials(sharing.points)
     there = [likelihood.moved(likelihood.deviations + drift @ t) for t in sharing.points]
-    path = _path(sharing, likelihood, there, ridge.theta, response, reference)
+    path, scale = _path(sharing, likelihood, there, ridge.theta, response, reference)
+    shears = _shears(sharing, likelihood, ridge, reference, draws, scale)
+    turned = maps(sharing.points, shears)
     hopeful = np.flatnonzero(draws.log_weight >= -np.log(len(draws.theta)) - _HOPELESS)
-    theta = draws.theta[hopeful]
+    theta, away = draws.theta[hopeful], draws.theta[hopeful] - ridge.theta
     at_origin = marginal_log_likelihood(sharing.kernel, likelihood, ridge, theta)
     changes = np.zeros((len(sharing.points), len(draws.theta)))
+    # Log weights at each point, without the changes of the likelihood.
+    weights = np.tile(draws.log_weight - reference.log_density(draws.theta), (len(changes), 1))
 
     def compute(rows: range) -> np.ndarray:
         """Fill in the changes at some points; which draws have no weight at any point until there."""
         for row in rows:
-            step = terms[row] @ path
-            along = Ridge(ridge.theta + step, ridge.slope, ridge.rho, ridge.precision)
-            moved_there = marginal_log_likelihood(sharing.kernels[row], there[row], along, theta + step)
+            centre = ridge.theta + terms[row] @ path
+            along = Ridge(centre, ridge.slope, ridge.rho, ridge.precision)
+            moved_theta = centre + away @ turned[row].T
+            moved_there = marginal_log_likelihood(sharing.kernels[row], there[row], along, moved_theta)
             changes[row, hopeful] = moved_there - at_origin
+            weights[row] += reference.log_density(centre + (draws.theta - ridge.theta) @ turned[row].T)
         # Draws that have no weight anywhere within reach are left out: their likelihoods, far from the recordings,
         # change by more than a polynomial can follow, which might give them a weight.
-        steps = terms[: rows.stop] @ path
-        weights = np.array([reference.log_density(draws.theta + step) for step in steps])
-        weights += draws.log_weight + changes[: rows.stop] - reference.log_density(draws.theta)
-        weights = np.vstack([draws.log_weight, weights])
-        weights -= np.logaddexp.reduce(weights, axis=1, keepdims=True)
-        none = ~(weights.max(axis=0) >= -np.log(len(draws.theta)) - _NEGLIGIBLE)
+        every = np.vstack([draws.log_weight, weights[: rows.stop] + changes[: rows.stop]])
+        every -= np.logaddexp.reduce(every, axis=1, keepdims=True)
+        none = ~(every.max(axis=0) >= -np.log(len(draws.theta)) - _NEGLIGIBLE)
         changes[: rows.stop, none] = 0.0
         return np.asarray(none)
 
@@ -275,26 +287,54 @@ def moved(
     # What polynomials of one degree less miss at these points bounds what these miss between them.
     lower = terms[:, : monomials(sharing.points[:1], 1).shape[1]]
     fit = lower[:fitted] @ np.linalg.lstsq(lower[:fitted], changes[:fitted], rcond=None)[0]
-    missed = _missed(draws.log_weight, changes[:fitted], fit)
+    missed = _missed(weights[:fitted], changes[:fitted], fit)
     smooth = np.abs(fit - changes[:fitted]).max() < _ROUGH and np.abs(missed).max() < _EXACT
     if not smooth:
         without = compute(range(fitted, len(sharing.points))) & without
     coefficients = np.linalg.lstsq(terms[:fitted], changes[:fitted], rcond=None)[0]
+    path[: len(shears)] += (reference.mean - ridge.theta) @ shears.swapaxes(1, 2)  # from the mode to the mean
     if smooth:
         draws = replace(draws, log_ratio=draws.log_ratio - _LEFT_OUT * without)
-        return draws, Moved(path, coefficients, missed[:_TESTED])
+        return draws, Moved(path, shears, coefficients, missed[:_TESTED])
     # Elsewhere in a second valley a likelihood may turn sharply. Such draws get the smallest value that they have.
     rough = ~without & ~(np.abs(terms @ coefficients - changes).max(axis=0) < _ROUGH)
     coefficients[:, rough] = 0.0
     lowest = np.minimum(changes.min(axis=0), 0.0)
     predicted = terms[fitted:] @ coefficients - _LEFT_OUT * without + np.where(rough, lowest, 0.0)
-    missed = _missed(draws.log_weight, changes[fitted:], predicted)
+    missed = _missed(weights[fitted:], changes[fitted:], predicted)
     draws = replace(draws, log_ratio=draws.log_ratio - _LEFT_OUT * without + np.where(rough, lowest, 0.0))
-    return draws, Moved(path, coefficients, missed)
+    return draws, Moved(path, shears, coefficients, missed)
+
+
+def _shears(
+    sharing: Sharing, likelihood: Likelihood, ridge: Ridge, reference: Reference, draws: Draws, scale: float
+) -> np.ndarray:
+    """The person's shears (S', V, V)."""
+    precision, size = np.linalg.inv(reference.covariance), sharing.origin.size
+    # Draws of little weight too, which have more of it elsewhere: as chosen with the root of their weights.
+    chance = np.exp(0.5 * (draws.log_weight - draws.log_weight.max()))
+    ticks = (np.arange(_RESPONSES) + 0.5) / _RESPONSES * chance.sum()
+    some = np.unique(np.searchsorted(np.cumsum(chance), ticks).clip(0, len(chance) - 1))
+    responses = [
+        shared_equations(
+            sharing.pooling,
+            sharing.origin,
+            precision,
+            ridge.rho,
+            likelihood,
+            draws.theta[k],
+            scale,
+            likelihood.deviations + ridge.slope @ (draws.theta[k] - ridge.theta),
+        ).response[:, :size]
+        for k in some
+    ]
+    covariance = np.cov(draws.theta.T, aweights=np.exp(draws.log_weight - draws.log_weight.max()))
+    covariance = np.atleast_2d(covariance) + _REGULAR * reference.covariance
+    return fitted_shears(draws.theta[some], sharing.responses(np.array(responses)), covariance, sharing.reach)
 
 
 def _missed(log_weight: np.ndarray, exact: np.ndarray, predicted: np.ndarray) -> np.ndarray:
-    """Error (T,) of a person's log likelihood, for changes (T, K) of the draws' log likelihoods."""
+    """Error (T,) of a person's log likelihood, for log weights and changes (T, K) of the draws' log likelihoods."""
     return np.asarray(
         np.logaddexp.reduce(log_weight + exact, axis=1) - np.logaddexp.reduce(log_weight + predicted, axis=1)
     )
@@ -307,8 +347,8 @@ def _path(
     theta: np.ndarray,
     response: np.ndarray,
     reference: Reference,
-) -> np.ndarray:
-    """Coefficients (M, V) of the person's path: that of the mode, or straight where the mode leaves its valley."""
+) -> tuple[np.ndarray, float]:
+    """Coefficients (M, V) of the path of the person's mode, or straight where that leaves its valley; noise scale."""
     fitted = len(sharing.points) - _TESTED
     terms = monomials(sharing.points)
     mean, precision = reference.mean, np.linalg.inv(reference.covariance)
@@ -322,11 +362,11 @@ def _path(
     path = np.asarray(np.linalg.lstsq(terms[:fitted], offsets[:fitted], rcond=None)[0])
     rest = offsets - terms @ path
     if np.einsum("np,pq,nq->n", rest, origin.precision, rest).max() < _SMOOTH**2:
-        return path
-    return np.vstack([response.T, np.zeros((len(path) - len(response.T), len(theta)))])
+        return path, origin.scale
+    return np.vstack([response.T, np.zeros((len(path) - len(response.T), len(theta)))]), origin.scale
 
 
-def stacked(all_moved: Sequence[Moved]) -> tuple[np.ndarray, np.ndarray]:
-    """Paths (n, M, V) of some persons, and the sum of what their polynomials miss, (T,)."""
+def stacked(all_moved: Sequence[Moved]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Paths (n, M, V) and shears (n, S', V, V) of some persons, and the sum of what their polynomials miss, (T,)."""
     missed = np.array([m.missed for m in all_moved]).sum(axis=0)
-    return np.array([m.path for m in all_moved]), np.asarray(missed)
+    return np.array([m.path for m in all_moved]), np.array([m.shears for m in all_moved]), np.asarray(missed)

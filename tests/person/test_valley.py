@@ -13,8 +13,10 @@ from scipy.special import logsumexp
 
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
+from bayes_impedance.person.bent_proposal import DEGREES_OF_FREEDOM, BentT
+from bayes_impedance.person.first_proposal import along_conditional_modes
 from bayes_impedance.person.importance_draws import Draws, Reference, draw
-from bayes_impedance.person.likelihood import Likelihood
+from bayes_impedance.person.likelihood import Likelihood, log_likelihood
 from bayes_impedance.person.marginal_likelihood import find_ridge
 from bayes_impedance.person.mode import find_mode
 from bayes_impedance.person.valley import _factor, follow
@@ -91,15 +93,28 @@ def test_likelihoods_of_populations_are_those_of_quadrature(seed: int) -> None:
         assert 1 / np.sum(own**2) > 50
 
 
-def test_one_t_misses_parts_of_the_valley() -> None:
-    """What the valley is for: the weights of one t look well because its draws never leave their stretch."""
+def test_the_surface_of_conditional_modes_covers_what_one_t_misses() -> None:
+    """The weights of a t around the mode look well because its draws never leave their stretch of the valley."""
     likelihood = person(1)
-    draws = drawn(likelihood, TRUTH, WIDE, along_valley=False)
     _, value, log_m = along_n(likelihood, TRUTH, WIDE)
     weight = np.exp(value - logsumexp(value))
     sd = np.sqrt(weight @ (log_m - weight @ log_m) ** 2)
-    own, _ = under(draws, TRUTH, WIDE)
-    assert np.sqrt(own @ (draws.theta[:, 2] - own @ draws.theta[:, 2]) ** 2) < 0.8 * sd
+
+    def spread(proposal: BentT) -> float:
+        rng = np.random.default_rng(1)
+        stretch = np.sqrt(DEGREES_OF_FREEDOM / rng.chisquare(DEGREES_OF_FREEDOM, 4096))
+        theta = proposal.points(stretch[:, None] * rng.normal(size=(4096, TRUTH.size)))
+        log_weight = log_likelihood(KERNEL, likelihood, theta) + Reference(TRUTH, WIDE).log_density(theta)
+        own = np.exp(log_weight - proposal.log_density(theta))
+        own /= own.sum()
+        return float(np.sqrt(own @ (theta[:, 2] - own @ theta[:, 2]) ** 2))
+
+    mode = find_mode(KERNEL, likelihood, TRUTH[None], TRUTH, np.linalg.inv(WIDE))
+    laplace = np.linalg.inv(mode.precision)
+    straight = BentT.straight(mode.theta, laplace)
+    bent = along_conditional_modes(KERNEL, likelihood, mode.theta, TRUTH, WIDE, laplace)
+    assert spread(straight) < 0.8 * sd
+    assert spread(bent) == pytest.approx(sd, rel=0.1)
 
 
 def test_the_valley_stays_on_its_ground_and_reaches_its_ends() -> None:

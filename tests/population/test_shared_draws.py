@@ -81,7 +81,8 @@ def fitted(w: World, phi: np.ndarray, likelihood: Likelihood) -> PersonFit:
 
 def equations(w: World, phi: np.ndarray, likelihood: Likelihood, fit: PersonFit) -> SharedEquations:
     """A person's equations at the mode."""
-    return shared_equations(w.pooling, phi, np.linalg.inv(w.covariance), w.rho, likelihood, fit.mode, fit.deviations)
+    precision, mode = np.linalg.inv(w.covariance), fit.mode
+    return shared_equations(w.pooling, phi, precision, w.rho, likelihood, mode.theta, mode.scale, fit.deviations)
 
 
 # --- the equations of the shared parameters ---------------------------------------------------------------------------

@@ -35,8 +35,9 @@ _REACH_OCTAVES = (0.5, 1.0, 1.5)
 larger distances. By choice."""
 
 _FARTHEST_OCTAVES = (2.0, 3.0, 4.0)
-"""The same for frequencies with neighbours on both sides, as low ones of a coarse grid. Noise mostly rises toward low
-frequencies, the faster the lower they are: between its neighbours a line lies above it, beyond them below. By choice."""
+"""The same for frequencies with neighbours on both sides, as low ones of a coarse grid have. Noise mostly rises toward
+low frequencies, the faster the lower they are: a line lies above it between neighbours, and below beyond them. By
+choice."""
 
 _FEWEST_NEIGHBOURS = 8
 """Smallest number of neighbours in each recording: a parabola takes three, and the others give the scatter. By
