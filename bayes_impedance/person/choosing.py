@@ -15,6 +15,7 @@ costs draws; it is right all the same.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,11 +51,21 @@ class Nearby:
             Of the reference population.
         """
         squares = np.full(len(theta), -np.inf)
+        for log_weight in self._log_weights(theta, log_ratio, mean):
+            squares = np.logaddexp(squares, 2 * log_weight)
+        return 0.5 * squares
+
+    def effective(self, theta: np.ndarray, log_ratio: np.ndarray, mean: np.ndarray) -> float:
+        """Effective number of draws, harmonic mean over populations; the arguments are those of :meth:`log_roots`."""
+        squares = [np.exp(np.logaddexp.reduce(2 * w)) for w in self._log_weights(theta, log_ratio, mean)]
+        return float(1 / np.mean(squares))
+
+    def _log_weights(self, theta: np.ndarray, log_ratio: np.ndarray, mean: np.ndarray) -> Iterator[np.ndarray]:
+        """Log weights (M,) under each population, normalised to sum to one."""
         for shift, factor in zip(self.shift, np.linalg.cholesky(self.covariance), strict=True):
             u = np.linalg.solve(factor, (theta - mean - shift).T)
             log_weight = log_ratio - 0.5 * np.sum(u**2, axis=0)
-            squares = np.logaddexp(squares, 2 * (log_weight - np.logaddexp.reduce(log_weight)))
-        return 0.5 * squares
+            yield log_weight - np.logaddexp.reduce(log_weight)
 
 
 def inclusion(log_root: np.ndarray, n: int) -> np.ndarray:

@@ -6,8 +6,9 @@ fitted to draws (:mod:`bayes_impedance.person.bent_proposal`), and in part the r
 regions far from the mode and bounds the importance weights (defensive mixture, Owen and Zhou 2000). Draws and weights
 of all rounds so far, as if each came from the mixture of all proposals (adaptive multiple importance sampling, Cornuet
 et al. 2012), give the mean, covariance and bend of the next round's t.
-The best round is the result. If it is poor, or if the populations are known under which the draws are to count, they
-are chosen from those of all rounds (:mod:`bayes_impedance.person.choosing`).
+The best round is the result. If it is poor, draws are chosen from those of all rounds
+(:mod:`bayes_impedance.person.choosing`). If the populations are known under which they are to count, the better of the
+two is taken: a choice from all rounds is mostly better by half, but it keeps every draw that was far out.
 Points come from scrambled Sobol sequences, which cover eight dimensions far more evenly than random ones.
 
 Each draw is stored as its log elements and :math:`\ln L(\theta) - \ln q(\theta)`. Multiplied with **any** population
@@ -145,7 +146,7 @@ def draw(
     along_valley : bool
         Follow a curved valley (:mod:`bayes_impedance.person.valley`) instead of adapting one t.
     near : Nearby, optional
-        Populations for which as many draws are chosen from all rounds, of which none is left out then.
+        Populations for which draws are made.
 
     Returns
     -------
@@ -160,9 +161,14 @@ def draw(
     first = along_conditional_modes(kernel, likelihood, mode.theta, *population, laplace)
     proposal, share = first, _EXPLORING
     made, best = _Rounds(kernel, likelihood, ridge, reference, near), None
+
+    def quality(some: Draws) -> float:
+        """Effective number under the populations for which draws are made."""
+        return some.effective if near is None else near.effective(some.theta, some.log_ratio, reference.mean)
+
     for attempt, child in enumerate(seed.spawn(_MOST_ROUNDS)):
         draws = made.another(proposal, share, n if attempt else min(n, 256), child)
-        if attempt and (best is None or draws.effective > best.effective):
+        if attempt and (best is None or quality(draws) > quality(best)):
             best = draws
         if near is None and best is not None and best.effective > _ENOUGH * n:
             break
@@ -177,7 +183,10 @@ def draw(
         log_weight = _tempered(every.log_weight, 6.0 * mode.theta.size)
         proposal = BentT.fitted(every.theta, log_weight, reference.covariance, 0.02 * laplace, enough)
     assert best is not None  # at least two rounds are made
-    return best if near is None and best.effective >= _POOR * n else made.chosen(n, seed.spawn(1)[0])
+    if near is None and best.effective >= _POOR * n:
+        return best
+    chosen = made.chosen(n, seed.spawn(1)[0])
+    return chosen if near is None else max(chosen, best, key=quality)
 
 
 def _tempered(log_weight: np.ndarray, least: float) -> np.ndarray:

