@@ -203,11 +203,10 @@ class Posterior:
     def draw(self, seed: np.random.SeedSequence, executor: Executor, progress: Progress) -> None:
         """Draw for all persons; while the effective number of draws is too small, move the reference and draw more.
 
-        Draws are made for the populations near the posterior's mode. They are too few if these are others than the
-        chain's, or if they are too many for one reference: then more are made, for the populations of a short chain.
-        Should not even the reference itself have enough, somebody's posterior is a curved valley of which one surface
-        covers only a part; so it is, along a ridge, if more are needed than may be. The proposals then follow the
-        valley (:mod:`bayes_impedance.person.valley`) under a wider reference, until the draws suffice.
+        Draws are made for the populations near the posterior's mode. If they are too few for these, more are made, for
+        those of a short chain. Should not even the reference itself have enough, somebody's posterior is a curved
+        valley of which one surface covers a part; so it is, along a ridge, if more are needed than may be. Proposals
+        then follow the valley (:mod:`bayes_impedance.person.valley`) under a wider reference, until draws suffice.
         """
         few, repetitions = self._few, self.repetitions  # persons times draws is kept about constant
         reach, step = widening(repetitions.size), 0
@@ -224,9 +223,9 @@ class Posterior:
             if (noise < 1 and lacking <= 1) or step == len(_MORE_DRAWS) - 1:
                 return
             at_home = float(np.quantile(self.marginal.effective_at_home(), RARELY))
-            needed = n_draws * 2 ** int(np.ceil(np.log2(max(noise, lacking, 1.0)))) if self.redrawn else n_draws
-            around = at_home >= FEWEST_DRAWS and not anchor.along_valley
-            around = around and needed <= max(_MORE_DRAWS) * self.n_draws * few
+            needed = n_draws * 2 ** int(np.ceil(np.log2(max(noise, lacking, 1.0))))
+            around = at_home >= FEWEST_DRAWS and needed <= max(_MORE_DRAWS) * self.n_draws * few
+            around = around and not anchor.along_valley
             step += not around or self.redrawn > 0
             n_draws = needed if around else _MORE_DRAWS[step] * self.n_draws * few
             reach *= _WIDER if lacking > 1 and not around else 1.0
