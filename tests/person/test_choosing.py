@@ -1,6 +1,7 @@
 """Draws that are chosen for given populations count for more under these, and estimate the same."""
 
 import numpy as np
+import pytest
 
 from bayes_impedance.person.choosing import Nearby, inclusion
 
@@ -19,6 +20,7 @@ def test_no_probabilities_have_less_variance_under_the_populations() -> None:
         return w / w.sum()
 
     squares = sum(weights(s, c) ** 2 for s, c in zip(near.shift, near.covariance, strict=True))
+    assert near.effective(theta, log_ratio, mean) == pytest.approx(2 / squares.sum())
     log_root = near.log_roots(theta, log_ratio, mean)
     np.testing.assert_allclose(log_root, 0.5 * np.log(squares), atol=1e-10)
     best = inclusion(log_root, 40)

@@ -169,6 +169,16 @@ def test_a_grid_without_points_near_any_harmonic_has_no_hum() -> None:
     assert find_mains(people(8, Rig(harmonics=(1,), hum=1.0), 20, 2, everything)) is not None
 
 
+@pytest.mark.parametrize("step", [1.0, 6.0])
+def test_the_second_point_of_a_coarse_grid_has_neighbours(step: float) -> None:
+    """Lines of an analyser 34 Hz apart: one point lies below 50 Hz, with more noise, and few above are near."""
+    grid = np.r_[11.0, 50.27 + 34.03 * np.arange(59)]
+    hum = find_mains(people(3, Rig(harmonics=(1,), hum=0.02 * step, step=step), 53, 3, grid))
+    assert hum is not None
+    assert (hum.line_hz, hum.harmonics) == (50, (1,))
+    assert all(find_mains(people(seed, Rig(step=step), 53, 3, grid)) is None for seed in range(10))
+
+
 def test_grids_may_differ() -> None:
     grids = [np.geomspace(5 + k, 5000 - 50 * k, 190 + 3 * k) for k in range(4)]
     rig = Rig(60.0, (1, 2), 0.02)
