@@ -28,10 +28,11 @@ def test_bands_are_ordered_and_nested(predictive: Predictive) -> None:
 
 
 def test_a_recording_has_noise_on_top_of_what_people_differ_by(small_fit: PopulationFit) -> None:
-    noisy = predict(replace(small_fit, noise=tuple(20 * own for own in small_fit.noise)), seed=2)
+    # Bands of 1000 curves wobble by some per cent, so that the noise must widen them by more.
+    noisy = predict(replace(small_fit, noise=tuple(40 * own for own in small_fit.noise)), seed=2)
     person, recording = (b.magnitude[4] - b.magnitude[0] for b in (noisy.person, noisy.recording))
     assert np.mean(person < recording) > 0.95
-    assert np.mean(np.log(recording / person)) > 0.03
+    assert np.mean(np.log(recording / person)) > 0.1
 
 
 def test_person_band_is_that_of_the_posterior(predictive: Predictive, small_fit: PopulationFit) -> None:
