@@ -209,25 +209,24 @@ class Posterior:
         then follow the valley (:mod:`bayes_impedance.person.valley`) under a wider reference, until draws suffice.
         """
         few, repetitions = self._few, self.repetitions  # persons times draws is kept about constant
-        reach, step = widening(repetitions.size), 0
+        reach = widening(repetitions.size)
         anchor = Anchor(mu=self.point.mu, slopes=self.point.slopes, covariance=self.covariance, reach=reach)
         self.mode = starting_point(self.coordinates, self.point, self.covariance, self.repetitions)
         scale = starting_scale(self.coordinates, self.point, self.shared_covariance, self.repetitions)
         self.normal_covariance = np.diag(scale**2)
-        n_draws = _MORE_DRAWS[step] * self.n_draws * few
-        for self.redrawn, child in enumerate(seed.spawn(1 + len(_MORE_DRAWS))):
+        n_draws = _MORE_DRAWS[0] * self.n_draws * few
+        for self.redrawn, child in enumerate(seed.spawn(len(_MORE_DRAWS))):
             self._draw_centred(anchor, n_draws, child, executor, progress)
             populations = self._nearby(child.spawn(1)[0])
             noise = noise_within(self._variance(populations), repetitions.size, self.mode.size) / VARIANCE_WANTED
             lacking = FEWEST_DRAWS / float(np.quantile(self.marginal.effective(populations), RARELY))
-            if (noise < 1 and lacking <= 1) or step == len(_MORE_DRAWS) - 1:
+            if (noise < 1 and lacking <= 1) or self.redrawn == len(_MORE_DRAWS) - 1:
                 return
             at_home = float(np.quantile(self.marginal.effective_at_home(), RARELY))
             needed = n_draws * 2 ** int(np.ceil(np.log2(max(noise, lacking, 1.0))))
             around = at_home >= FEWEST_DRAWS and needed <= max(_MORE_DRAWS) * self.n_draws * few
             around = around and not anchor.along_valley
-            step += not around or self.redrawn > 0
-            n_draws = needed if around else _MORE_DRAWS[step] * self.n_draws * few
+            n_draws = needed if around else _MORE_DRAWS[self.redrawn + 1] * self.n_draws * few
             reach *= _WIDER if lacking > 1 and not around else 1.0
             chains = sample(
                 self.log_probability,
