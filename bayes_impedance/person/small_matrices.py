@@ -53,6 +53,16 @@ def inverted(a: np.ndarray) -> float:
 
 
 @compiled
+def _largest_pivot(a: np.ndarray, column: int) -> int:
+    """Row of the entry with the largest absolute value on and below the diagonal of a column."""
+    pivot = column
+    for i in range(column + 1, a.shape[0]):
+        if abs(a[i, column]) > abs(a[pivot, column]):
+            pivot = i
+    return pivot
+
+
+@compiled
 def log_determinant(a: np.ndarray) -> float:
     """Logarithm of the determinant's absolute value of a matrix (n, n), which is overwritten; -inf if it is singular.
 
@@ -61,10 +71,7 @@ def log_determinant(a: np.ndarray) -> float:
     n = a.shape[0]
     total = 0.0
     for k in range(n):
-        pivot = k
-        for i in range(k + 1, n):
-            if abs(a[i, k]) > abs(a[pivot, k]):
-                pivot = i
+        pivot = _largest_pivot(a, k)
         if a[pivot, k] == 0.0:
             return -np.inf
         for j in range(k, n):
@@ -88,10 +95,7 @@ def solved(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """
     n, left, x = b.size, a.copy(), b.copy()
     for j in range(n):
-        pivot = j
-        for i in range(j + 1, n):
-            if abs(left[i, j]) > abs(left[pivot, j]):
-                pivot = i
+        pivot = _largest_pivot(left, j)
         if left[pivot, j] == 0.0:
             raise np.linalg.LinAlgError("the matrix is singular to machine precision")
         if pivot != j:

@@ -14,9 +14,6 @@ _MOST_SHARED = 4
 """The same where parameters are shared by all. By choice, for time: each draw is computed at up to 86 points."""
 _FEWEST = 2
 """Least such factor, where other draws alone will not do. By choice: it is a power of two."""
-_BY_CHOICE = 2.0
-"""Factor by which draws count for more if they are chosen for the populations of a chain. Measured (71 virtual
-fingertips from 20 to 800 Hz, 512 draws): 335 effective draws (median) for 194 of the best round, under the same."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +34,7 @@ class DrawsAgain:
     n_persons: int
     shared: bool
 
-    def number(self, excess: float, farther: bool, newly_chosen: bool) -> int:
+    def number(self, excess: float, farther: bool) -> int:
         """For each person, a power of two as the first number is.
 
         Parameters
@@ -46,12 +43,10 @@ class DrawsAgain:
             The error in units of the wanted one.
         farther : bool
             Whether the range of dispersions between repetitions has moved: if the error is small, that will do.
-        newly_chosen : bool
-            Whether they are chosen for the populations of a chain, and those before were not: that may do as well.
         """
         most = _MOST_OF_FEW if self.first * self.n_persons <= _DRAWS_OF_ALL else _MOST
         if self.shared:
             most = min(most, _MOST_SHARED)
-        fewest = 1 if newly_chosen or (farther and excess <= 1) else _FEWEST
-        needed = self.last * np.clip(excess**2 / (_BY_CHOICE if newly_chosen else 1.0), fewest, most)
+        fewest = 1 if farther and excess <= 1 else _FEWEST
+        needed = self.last * np.clip(excess**2, fewest, most)
         return int(min(most * self.first, 2 ** int(np.ceil(np.log2(needed)))))

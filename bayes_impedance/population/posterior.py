@@ -264,7 +264,7 @@ class Posterior:
             n_persons=self.repetitions.size,
             shared=bool(self.coordinates.shared_free),
         )
-        n_draws = again.number(excess, other._reach(there), not (self.along_valley or self.chosen))
+        n_draws = again.number(excess, other._reach(there))
         other._share_as(there, anchor.means(self.covariates), anchor.covariance)
         other._draw_centred(anchor, n_draws, seed, executor, progress, True)
         other.along_valley = self.along_valley or excess > 1  # should these draws not hold either
@@ -356,7 +356,7 @@ class Posterior:
         self, anchor: Anchor, n_draws: int, seed: np.random.SeedSequence, executor: Executor, progress: Progress
     ) -> None:
         """Draw under a reference population, and find the mode and the normal approximation of the posterior."""
-        self.drawn, self.along_valley, self.chosen = n_draws, anchor.along_valley, anchor.near is not None
+        self.drawn, self.along_valley = n_draws, anchor.along_valley
         if own := self.coordinates.shared_free:
             self.sharing = Sharing.around(self.pooling, self.point.shared, self.shared_covariance, own)
         kernel, sharing, span = self.pooling.at(self.point.shared), self.sharing, self.span

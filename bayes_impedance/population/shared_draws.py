@@ -328,7 +328,7 @@ def _shears(
         ).response[:, :size]
         for k in some
     ]
-    covariance = np.cov(draws.theta.T, aweights=np.exp(draws.log_weight - draws.log_weight.max()))
+    covariance = np.cov(draws.theta.T, aweights=np.exp(draws.log_weight - draws.log_weight.max()), ddof=0)
     covariance = np.atleast_2d(covariance) + _REGULAR * reference.covariance
     return fitted_shears(draws.theta[some], sharing.responses(np.array(responses)), covariance, sharing.reach)
 

@@ -1,6 +1,6 @@
-r"""Draws that follow parameters of everybody each in its own direction.
+r"""Draws that follow shared parameters, each in its own direction.
 
-With parameters that are the same for everybody moved by t, a person's posterior moves along the path of its mode,
+When the shared parameters move by t, a person's posterior moves along the path of its mode,
 :math:`c + s(t)`. Where the impedance bends, so that the person's elements answer to t in one part of the posterior
 otherwise than in another, draws that are all moved alike leave it, and their weights differ by more than they did at
 the origin. Draws are therefore moved by an affine map about the mode,

@@ -17,26 +17,24 @@ from bayes_impedance.population.simulate import Simulation
 
 
 @pytest.mark.parametrize(
-    ("excess", "farther", "chosen", "expected"),
+    ("excess", "farther", "expected"),
     [
-        (1.1, False, False, 1024),  # twice as many at least
-        (2.5, False, False, 4096),  # the square of the excess, rounded up
-        (9.0, False, False, 4096),  # and no more than eight times the first
-        (0.5, True, False, 512),  # another range is enough
-        (1.1, True, False, 1024),  # the error was too large as well
-        (1.1, False, True, 512),  # chosen ones count twice
-        (2.0, False, True, 1024),
+        (1.1, False, 1024),  # twice as many at least
+        (2.5, False, 4096),  # the square of the excess, rounded up
+        (9.0, False, 4096),  # and no more than eight times the first
+        (0.5, True, 512),  # another range is enough
+        (1.1, True, 1024),  # the error was too large as well
     ],
 )
-def test_as_many_as_the_error_asks_for(excess: float, farther: bool, chosen: bool, expected: int) -> None:
+def test_as_many_as_the_error_asks_for(excess: float, farther: bool, expected: int) -> None:
     again = DrawsAgain(first=512, last=512, n_persons=71, shared=False)
-    assert again.number(excess, farther, chosen) == expected
+    assert again.number(excess, farther) == expected
 
 
 def test_few_people_get_more_and_shared_parameters_fewer() -> None:
-    assert DrawsAgain(first=512, last=512, n_persons=20, shared=False).number(9.0, False, False) == 8192
-    assert DrawsAgain(first=512, last=512, n_persons=20, shared=True).number(9.0, False, False) == 2048
-    assert DrawsAgain(first=512, last=2048, n_persons=71, shared=False).number(9.0, False, False) == 4096
+    assert DrawsAgain(first=512, last=512, n_persons=20, shared=False).number(9.0, False) == 8192
+    assert DrawsAgain(first=512, last=512, n_persons=20, shared=True).number(9.0, False) == 2048
+    assert DrawsAgain(first=512, last=2048, n_persons=71, shared=False).number(9.0, False) == 4096
 
 
 @pytest.mark.long
