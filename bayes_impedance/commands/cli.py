@@ -157,6 +157,7 @@ def _diagnose(options: argparse.Namespace) -> int:
     from bayes_impedance.commands.fit_options import FitOptions
     from bayes_impedance.commands.jobs import diagnose_dataset
     from bayes_impedance.population.given_prior import read_prior
+    from bayes_impedance.runtime.worker_processes import Processes
 
     chosen = FitOptions(
         network=options.network,
@@ -171,8 +172,10 @@ def _diagnose(options: argparse.Namespace) -> int:
         overwrite=options.overwrite,
         prior=None if options.priors is None else read_prior(options.priors),
     )
-    with Bars() as bars:
-        diagnosis = diagnose_dataset(options.dataset, options.out, chosen, options.simulation, options.resume, bars)
+    with Bars() as bars, Processes(1) as helper:
+        diagnosis = diagnose_dataset(
+            options.dataset, options.out, chosen, options.simulation, options.resume, bars, helper
+        )
     _tell_verdict(diagnosis.verdict)
     tell(f"report: {options.out / 'diagnosis.html'}, verdict: {options.out / 'verdict.json'}")
     return DONE if diagnosis.verdict.reliable else FAILED

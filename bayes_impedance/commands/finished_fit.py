@@ -99,9 +99,17 @@ def model_before(
 
 
 def write_extended(
-    diagnosis: Diagnosis, out: Path, options: FitOptions, executor: Executor, progress: Progress
+    diagnosis: Diagnosis,
+    out: Path,
+    options: FitOptions,
+    executor: Executor,
+    progress: Progress,
+    helper: Executor | None = None,
 ) -> Result:
-    """The population of the network with what was found as an ordinary result: files, pictures and report."""
+    """The population of the network with what was found as an ordinary result: files, pictures and report.
+
+    `helper` is another process, which draws some of the pictures.
+    """
     from bayes_impedance.results.model_before import ModelBefore
     from bayes_impedance.results.result import save_result
 
@@ -110,10 +118,10 @@ def write_extended(
     before = ModelBefore(diagnosis.verdict.network[0], diagnosis.before)
     pages = page_files()
     with output_folder(out, [*FIT_FILES, *pages], options.overwrite):
-        result = examined_result(fit, options, Clock(), executor, progress, (), before=before)
+        result = examined_result(fit, options, Clock(), executor, progress, (), helper, before)
         remove(out, (*pages, *FIT_FILES))
         save_result(result, out)
-        write_pages(result, out, (), progress)
+        write_pages(result, out, (), progress, helper)
     return result
 
 

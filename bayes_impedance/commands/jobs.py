@@ -156,6 +156,7 @@ def diagnose_dataset(
     simulation: Path | None,
     resume: bool,
     progress: Progress,
+    helper: Executor | None = None,
 ) -> Diagnosis:
     """Diagnose what the network leaves out; writes ``verdict.json``, the report and its pictures.
 
@@ -172,6 +173,9 @@ def diagnose_dataset(
     resume : bool
         Continue the fit of the network in an interrupted diagnosis.
     progress : callable
+    helper : Executor, optional
+        Another process: it writes the diagnosis' page while this one examines the extended network, and then draws
+        some of that one's pictures.
 
     Raises
     ------
@@ -233,11 +237,17 @@ def diagnose_dataset(
             )
             progress("pictures and report", 0, 1)
             remove(out, names)
-            write_diagnosis_report(diagnosis, out)
             write_json(out / VERDICT_FILE, to_json(diagnosis.verdict))
+            page = None
+            if helper is not None and diagnosis.fit is not None:
+                page = helper.submit(write_diagnosis_report, replace(diagnosis, fit=None), out)
+            else:
+                write_diagnosis_report(diagnosis, out)
             progress("pictures and report", 1, 1)
             if diagnosis.fit is not None:
-                write_extended(diagnosis, out / EXTENDED_FOLDER, options, executor, progress)
+                write_extended(diagnosis, out / EXTENDED_FOLDER, options, executor, progress, helper)
+            if page is not None:
+                page.result()
         discard(checkpoint)
     return diagnosis
 

@@ -99,7 +99,9 @@ def test_the_extended_network_is_an_ordinary_result_that_knows_what_was_before(
     diagnosis = replace(diagnosis, verdict=verdict, fit=FIT)
     removed: list[str] = []
     monkeypatch.setattr(finished_fit, "remove", lambda _, names: removed.extend(names))
-    write_extended(diagnosis, tmp_path, FitOptions(seed=3), Helper(), lambda *_: None)
+    helper = Helper()
+    write_extended(diagnosis, tmp_path, FitOptions(seed=3), Helper(), lambda *_: None, helper)  # type: ignore[arg-type]
+    assert helper.asked == [plots.prepare]
     assert [name for name, _ in steps] == [
         "examine",
         "predict",
@@ -112,6 +114,7 @@ def test_the_extended_network_is_an_ordinary_result_that_knows_what_was_before(
     assert steps[3][1][0][0] == "result"
     assert steps[3][1][0][1].described is diagnosis.before
     assert steps[4][1][0][0] == steps[6][1][0][0] == "result with both"
+    assert steps[5][1][0][-1] is helper
     before = steps[2][1][0][-1]
     assert before["network"] == "m1|r1"
     assert before["delta_phase_deg"] == pytest.approx(diagnosis.before.delta_phase_deg.mean())
