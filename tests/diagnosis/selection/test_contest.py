@@ -79,21 +79,25 @@ def test_who_is_dropped_does_not_lead_again(measured: dict[str, float]) -> None:
     assert measured == {MASS.id: 20.0}
 
 
-def test_rivals_that_are_not_told_apart_are_measured_too(
-    measured: dict[str, float], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def compare(one: Any, other: Any) -> Any:
-        return SimpleNamespace(decided=abs(one.evidence - other.evidence) > 10)
-
-    monkeypatch.setattr(stepwise, "compare", compare)
-    slow, near, far = trial(DELAY, 120.0), trial(RESONATOR, 115.0), trial(MASS, 20.0)
-    race = contest(slow, near, far)
-    leader = race.leader()
-    assert leader is not None
-    race.measure_rivals_of(leader)
+def test_all_that_may_win_are_measured_and_the_others_when_they_lead(measured: dict[str, float]) -> None:
+    far, ahead, near = trial(MASS, 60.0), trial(DELAY, 120.0), trial(RESONATOR, 115.0)
+    race = contest(ahead, near, far)
     assert list(measured) == [MASS.id]
-    known = race.among((slow, near, far))
+    known = race.among((ahead, near, far))
     assert sorted((t.effect.id, t.gain) for t in known if t.effect is not MASS) == [
         (RESONATOR.id, 93.0),
         (DELAY.id, 100.0),
     ]  # each once, as it was measured
+    for _ in range(2):
+        leader = race.leader()
+        assert leader is not None
+        race.drop(leader)
+    third = race.leader()
+    assert third is not None
+    assert (third.effect, third.gain) == (MASS, 20.0)
+
+
+def test_what_is_worth_nothing_is_not_measured(measured: dict[str, float]) -> None:
+    assert contest(trial(MASS, 2.0)).measured == []
+    assert contest().leader() is None
+    assert list(measured) == [RESONATOR.id, DELAY.id, MASS.id]
