@@ -284,11 +284,14 @@ class _Contest:
         self, refitter: Refitter, fit: Refit, ranked: Sequence[Trial], effects: Sequence[Effect], seed: int
     ) -> None:
         self.refitter, self.fit, self.effects, self.seed = refitter, fit, effects, seed
-        self.trials = list(ranked)
+        best: dict[tuple[str, str, str], Trial] = {}  # of one effect at one place: measured, all of them are the same
+        for trial in sorted(ranked, key=lambda t: -t.gain):
+            best.setdefault(trial.fit.model.additions[-1].key, trial)
+        self.trials = list(best.values())
         self.measured: list[Trial] = []
-        best = max((trial.gain for trial in ranked), default=0.0)
-        for trial in ranked:
-            if trial.gain > max(SHARE * best, LEAST_GAIN):
+        least = max(SHARE * max((trial.gain for trial in ranked), default=0.0), LEAST_GAIN)
+        for trial in best.values():
+            if trial.gain > least:
                 self._measure(trial)
 
     def leader(self) -> Trial | None:

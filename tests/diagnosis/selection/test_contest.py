@@ -101,3 +101,12 @@ def test_what_is_worth_nothing_is_not_measured(measured: dict[str, float]) -> No
     assert contest(trial(MASS, 2.0)).measured == []
     assert contest().leader() is None
     assert list(measured) == [RESONATOR.id, DELAY.id, MASS.id]
+
+
+def test_one_effect_at_one_place_is_measured_once(measured: dict[str, float]) -> None:
+    race = contest(trial(DELAY, 98.0), trial(DELAY, 99.0))  # measured twice, it would not be in the list any more
+    leader = race.leader()
+    assert leader is not None
+    assert leader.gain == 100.0
+    race.drop(leader)
+    assert race.leader() is None
