@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from experiments import TOY, Experiment, toy
 
-from bayes_impedance.diagnosis.fit.normal_equations import equations_at
+from bayes_impedance.diagnosis.fit.normal_equations import Population, equations_at, weights_of
 from bayes_impedance.diagnosis.fit.rounds import (
     DAMPING,
+    Layout,
     State,
+    blocks_of,
     damped_anew,
     means_of,
     objective,
@@ -95,3 +99,44 @@ def test_damping_follows_what_a_step_has_brought() -> None:
     assert damping[0] < damping[1] == 0.1 < damping[2] < damping[3]
     hardly = damped_anew(np.array([1e-9]), np.array([-1.0]), np.ones(1), np.ones(1, dtype=bool))
     assert hardly[0] == DAMPING
+
+
+@pytest.mark.parametrize("precision", [1.0, 1e2, 1e4])
+@pytest.mark.parametrize("size", [1e-4, 1.0])
+def test_an_addition_is_one_number_in_all_of_a_persons_recordings(size: float, precision: float) -> None:
+    """Determinants are those of the density of a person's elements, of each recording's, and of one addition.
+
+    However precisely a recording determines it, in standard deviations between people, and however small it is.
+    """
+    rng, elements, people, each, count = np.random.default_rng(5), 3, 4, 3, 200
+    v = elements + 1
+    owner = np.repeat(np.arange(people), each)
+    unit = np.append(np.ones(elements), size)
+    root = rng.normal(size=(owner.size, 2 * v, v)) * np.append(np.full(elements, 30.0), precision) / unit
+    information = np.einsum("mkp,mkq->mpq", root, root)
+    covariance = np.diag((0.3 * unit) ** 2)
+    population = Population(np.zeros(v), covariance, np.append([0.03, 0.01, 0.002], 1e-3))
+    layout = Layout(owner, np.full(people, count), np.ones(owner.size, dtype=bool))
+    model: Any = SimpleNamespace(n_elements=elements, shared=np.zeros(v, dtype=bool))
+    chi = np.full(owner.size, 2.0 * count / each)
+    equations: Any = SimpleNamespace(chi=chi, information=information, gradient=np.zeros((owner.size, v)))
+    zeros = np.zeros((owner.size, v)), np.zeros((people, v))
+    blocks = blocks_of(layout, model, equations, *zeros, population, np.zeros(people))
+    found = blocks.log_determinants(owner, model, population)
+
+    w = weights_of(owner, layout.counts, chi)
+    for i in range(people):
+        joint = np.zeros((v + each * elements,) * 2)
+        joint[:v, :v] = np.linalg.inv(covariance)
+        for j, h in enumerate(w[i] * information[owner == i]):
+            own = slice(v + j * elements, v + (j + 1) * elements)
+            r = np.diag(population.rho[:elements] ** -2.0)
+            joint[own, own] = h[:elements, :elements] + r
+            joint[:elements, :elements] += r
+            joint[own, :elements] = joint[:elements, own] = -r
+            joint[elements, elements] += h[elements, elements]
+            joint[own, elements] = joint[elements, own] = h[:elements, elements]
+        scale = np.sqrt(np.diag(joint))
+        log = np.linalg.slogdet(joint / np.outer(scale, scale))[1] + 2 * np.log(scale).sum()
+        log += np.linalg.slogdet(covariance)[1] + each * 2 * np.log(population.rho[:elements]).sum()
+        assert found[i] == pytest.approx(log, abs=0.01)
