@@ -81,7 +81,8 @@ class SecondOrder:
         error = equations.gradient - before.gradient - np.einsum("mpq,mq->mp", equations.information, step) - along
         down = np.sum(error * step, axis=1)
         scale = np.sqrt(np.maximum(np.einsum("mpp->mp", equations.information), np.finfo(float).tiny))
-        with np.errstate(over="ignore"):  # of a model that is as good as infinite somewhere nothing is learned
+        # Of a model that is as good as infinite somewhere nothing is learned.
+        with np.errstate(over="ignore", invalid="ignore"):
             length = np.linalg.norm(error / scale, axis=1) * np.linalg.norm(step * scale, axis=1)
         clear = np.isfinite(length) & (length > 0) & (np.abs(down) > _LEAST_COSINE * length)
         matrix = self.matrix.copy()

@@ -64,6 +64,19 @@ def test_nothing_is_learned_where_gauss_newton_is_exact_or_nothing_moved() -> No
     np.testing.assert_array_equal(still.used, known.used)
 
 
+def test_nothing_is_learned_of_a_recording_that_stayed_where_the_model_is_as_good_as_infinite() -> None:
+    """Its error is beyond all numbers in units of a curvature that is next to none, and its step is zero."""
+    truth = Quadratic(4)
+    here, step = truth.at(np.zeros((OWNER.size, P))), truth.rng.normal(size=(OWNER.size, P))
+    there = truth.at(step)
+    step[2] = 0.0
+    there.gradient[2], there.information[2] = 1e300, 0.0
+    known = SecondOrder.unknown(OWNER.size, P, N).after(OWNER, step, here, there)
+    assert np.isfinite(known.matrix).all()
+    assert not known.matrix[2].any()
+    assert known.matrix[0].any()
+
+
 def test_who_was_told_wrong_goes_without() -> None:
     """What was learned elsewhere misleads one person; the other goes on with it."""
     truth, step = Quadratic(4), np.full((OWNER.size, P), 0.3)
