@@ -88,12 +88,15 @@ def unphysical(fit: Refit) -> list[int]:
 
 def _may_be(fit: Refit, addition: int) -> bool:
     own = fit.model.additions[addition]
-    effect = own.effect
-    if not effect.operation:
-        return True
-    if own.only_in_some and not members(fit, addition).only_some:
+    if own.effect.operation and own.only_in_some and not members(fit, addition).only_some:
         return False
-    if effect.signed:
+    return has_admissible_signs(fit, addition)
+
+
+def has_admissible_signs(fit: Refit, addition: int) -> bool:
+    """Whether the means of an addition's coefficients have signs that its effect may have."""
+    effect = fit.model.additions[addition].effect
+    if not effect.operation or effect.signed:
         return True
     columns = zip(fit.model.columns(addition), effect.coefficients, strict=True)
     linear = [column for column, coefficient in columns if coefficient.link == "linear"]

@@ -33,6 +33,7 @@ def measured(monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
 
     monkeypatch.setattr(stepwise, "measured", measure)
     monkeypatch.setattr(stepwise, "mixture_of_members", lambda *_: None)
+    monkeypatch.setattr(stepwise, "has_admissible_signs", lambda *_: True)
     monkeypatch.setattr(stepwise, "log_evidence", lambda fit: fit.evidence)
     return found
 
@@ -110,3 +111,16 @@ def test_one_effect_at_one_place_is_measured_once(measured: dict[str, float]) ->
     assert leader.gain == 100.0
     race.drop(leader)
     assert race.leader() is None
+
+
+def test_what_is_best_with_a_sign_that_it_cannot_have_counts_as_it_was(
+    measured: dict[str, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stepwise, "has_admissible_signs", lambda fit, _: fit.name != DELAY.id)
+    delay = trial(DELAY, 95.0)
+    race = contest(delay, trial(RESONATOR, 115.0))
+    leader = race.leader()
+    assert leader is not None
+    assert (leader.effect, leader.gain) == (DELAY, 95.0)  # 100 as it was measured
+    assert leader.fit is delay.fit
+    assert DELAY.id not in measured
