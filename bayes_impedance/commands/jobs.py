@@ -243,11 +243,13 @@ def diagnose_dataset(
                 page = helper.submit(write_diagnosis_report, replace(diagnosis, fit=None), out)
             else:
                 write_diagnosis_report(diagnosis, out)
-            progress("pictures and report", 1, 1)
-            if diagnosis.fit is not None:
-                write_extended(diagnosis, out / EXTENDED_FOLDER, options, executor, progress, helper)
-            if page is not None:
-                page.result()
+                progress("pictures and report", 1, 1)
+            try:
+                if diagnosis.fit is not None:
+                    write_extended(diagnosis, out / EXTENDED_FOLDER, options, executor, progress, helper)
+            finally:  # the page of the diagnosis is there even if the extended network's files cannot be written
+                if page is not None:
+                    page.result()
         discard(checkpoint)
     return diagnosis
 

@@ -20,9 +20,9 @@ from bayes_impedance.population.em_state import PRIOR_PERSONS, SMALLEST_DISPERSI
 
 _SHARE = 1e-5
 """Dispersion of an addition's parameter between repetitions, in its dispersions between people. There is none, but the
-algebra needs one, and no recording may see it: with 0.03, each of 60 recordings that determined a damping five times
-better than that counted as the choice of another one, and 54 units of log evidence were lost against a rival with which
-none was. Between 1e-4 and 1e-6 evidence stays the same."""
+algebra needs one, and no recording may see it: with 0.03, each of 60 recordings that determined a damping twice as
+precisely as that counted as the choice of another one, and 54 units of log evidence were lost against a rival with
+which none was. Between 1e-4 and 1e-6 evidence stays the same."""
 
 
 _LONGEST = 2.0

@@ -166,8 +166,7 @@ def _forward(
     steps_left: int = MOST_ADDITIONS + 1,
 ) -> Way:
     """At most so many steps from there, until nothing is significant, or better, any more."""
-    most, people = MOST_ADDITIONS, len(refitter.data)
-    of_any_kind = people // _PEOPLE_PER_ADDITION if people >= FEWEST_PEOPLE else 0
+    most = MOST_ADDITIONS
     of_the_chain = tuple(e for e in effects if e.side == "rig" and e.operation and len(e.coefficients) == 1)
     base, fit, steps, is_measured = way.base, way.fit, list(way.steps), way.measured
     number, repeats = len(steps), 0
@@ -175,7 +174,7 @@ def _forward(
     last = min(most, number + steps_left - 1)
     while number <= last:
         progress("looking for what is missing", number, most + 1)
-        few = number > 0 and sum(s.chosen.effect not in of_the_chain for s in steps if s.chosen) >= of_any_kind
+        few = _only_of_the_chain([s.chosen.effect for s in steps if s.chosen], of_the_chain, len(refitter.data))
         possible = of_the_chain if few else effects
         residuals = tuple(person_residuals(fit, names, executor))
         if begin is None:
@@ -224,6 +223,15 @@ def _forward(
         fit = step.chosen.fit
         number, known = number + 1, ()
     return Way(base, fit, tuple(steps), is_measured)
+
+
+def _only_of_the_chain(found: Sequence[Effect], of_the_chain: Sequence[Effect], people: int) -> bool:
+    """Whether so few people may have only effects of the measurement chain beside those that were found.
+
+    Without a standard error over people nothing else could earn its place (:func:`_earns_its_place`).
+    """
+    of_any_kind = people // _PEOPLE_PER_ADDITION if people >= FEWEST_PEOPLE else 0
+    return bool(found) and sum(effect not in of_the_chain for effect in found) >= of_any_kind
 
 
 def _earns_its_place(refitter: Refitter, fit: Refit, grown: Refit, seed: int, few: bool) -> bool:
@@ -286,7 +294,8 @@ class _Contest:
         self, refitter: Refitter, fit: Refit, ranked: Sequence[Trial], effects: Sequence[Effect], seed: int
     ) -> None:
         self.refitter, self.fit, self.effects, self.seed = refitter, fit, effects, seed
-        best: dict[tuple[str, str, str], Trial] = {}  # of one effect at one place: measured, all of them are the same
+        # Of one effect at one place the best: measured, another of it was at most 0.8 better.
+        best: dict[tuple[str, str, str], Trial] = {}
         for trial in sorted(ranked, key=lambda t: -t.gain):
             best.setdefault(trial.fit.model.additions[-1].key, trial)
         self.trials = list(best.values())

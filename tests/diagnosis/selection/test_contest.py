@@ -124,3 +124,20 @@ def test_what_is_best_with_a_sign_that_it_cannot_have_counts_as_it_was(
     assert (leader.effect, leader.gain) == (DELAY, 95.0)  # 100 as it was measured
     assert leader.fit is delay.fit
     assert DELAY.id not in measured
+
+
+@pytest.mark.parametrize(
+    ("found", "people", "expected"),
+    [
+        ((), 1, False),  # the first may be of any kind
+        ((MASS,), 9, True),  # nothing else could earn its place
+        ((MASS,), 10, False),  # one number for everybody takes nobody's place
+        ((RESONATOR,), 15, True),
+        ((RESONATOR, DELAY), 23, False),  # as where another choice is made in place of a second of the body
+        ((RESONATOR, RESONATOR, DELAY), 23, True),
+    ],
+)
+def test_so_many_effects_of_the_body_as_there_are_people_for(
+    found: tuple[Any, ...], people: int, expected: bool
+) -> None:
+    assert stepwise._only_of_the_chain(found, (DELAY, MASS), people) == expected
