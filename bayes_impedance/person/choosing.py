@@ -17,9 +17,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+_CHUNK = 2**17
+"""Most numbers of draws under different populations at once, 1 MB. By choice: they stay in the processor's cache."""
 _LEAST_ROOT = 1e-6
 """Least root of a weight, relative to the largest, with which the probability of being chosen goes. By choice: a draw
 of a smaller weight counts for nothing, but some must be chosen where too few have more."""
@@ -51,21 +54,30 @@ class Nearby:
             Of the reference population.
         """
         squares = np.full(len(theta), -np.inf)
-        for log_weight in self._log_weights(theta, log_ratio, mean):
-            squares = np.logaddexp(squares, 2 * log_weight)
+        for log_weights in self._log_weights(theta, log_ratio, mean):
+            squares = np.logaddexp(squares, np.logaddexp.reduce(2 * log_weights, axis=0))
         return 0.5 * squares
 
     def effective(self, theta: np.ndarray, log_ratio: np.ndarray, mean: np.ndarray) -> float:
         """Effective number of draws, harmonic mean over populations; the arguments are those of :meth:`log_roots`."""
-        squares = [np.exp(np.logaddexp.reduce(2 * w)) for w in self._log_weights(theta, log_ratio, mean)]
-        return float(1 / np.mean(squares))
+        squares = [np.exp(2 * w).sum(axis=1) for w in self._log_weights(theta, log_ratio, mean)]
+        return float(1 / np.mean(np.concatenate(squares)))
+
+    @cached_property
+    def _whitening(self) -> np.ndarray:
+        """Inverse Cholesky factors, (S, P, P)."""
+        return np.linalg.inv(np.linalg.cholesky(self.covariance))
 
     def _log_weights(self, theta: np.ndarray, log_ratio: np.ndarray, mean: np.ndarray) -> Iterator[np.ndarray]:
-        """Log weights (M,) under each population, normalised to sum to one."""
-        for shift, factor in zip(self.shift, np.linalg.cholesky(self.covariance), strict=True):
-            u = np.linalg.solve(factor, (theta - mean - shift).T)
-            log_weight = log_ratio - 0.5 * np.sum(u**2, axis=0)
-            yield log_weight - np.logaddexp.reduce(log_weight)
+        """Log weights of all draws under some populations after others, each normalised to sum to one: (s, M)."""
+        away = (theta - mean).T
+        at_once = max(1, _CHUNK // away.size)
+        for start in range(0, len(self.shift), at_once):
+            some = slice(start, start + at_once)
+            u = self._whitening[some] @ (away - self.shift[some, :, None])
+            log_weight = log_ratio - 0.5 * np.einsum("spk,spk->sk", u, u)
+            highest = log_weight.max(axis=1, keepdims=True)
+            yield log_weight - highest - np.log(np.exp(log_weight - highest).sum(axis=1, keepdims=True))
 
 
 def inclusion(log_root: np.ndarray, n: int) -> np.ndarray:

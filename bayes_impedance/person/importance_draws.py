@@ -9,7 +9,8 @@ et al. 2012), give the mean, covariance and bend of the next round's t.
 The best round is the result. If it is poor, draws are chosen from those of all rounds
 (:mod:`bayes_impedance.person.choosing`). If the populations are known under which they are to count, the better of the
 two is taken: a choice from all rounds is mostly better by half, but it keeps every draw that was far out.
-Points come from scrambled Sobol sequences, which cover eight dimensions far more evenly than random ones.
+Points come from Sobol sequences (:mod:`bayes_impedance.person.shifted_sobol`), which cover eight dimensions far more
+evenly than random ones.
 
 Each draw is stored as its log elements and :math:`\ln L(\theta) - \ln q(\theta)`. Multiplied with **any** population
 density :math:`N(\theta; \mu, \Sigma)` and averaged, this estimates the person's marginal likelihood under that
@@ -32,6 +33,7 @@ from bayes_impedance.person.first_proposal import along_conditional_modes
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.marginal_likelihood import Ridge, marginal_log_likelihood
 from bayes_impedance.person.mode import Mode
+from bayes_impedance.person.shifted_sobol import uniform_points
 from bayes_impedance.person.valley import follow
 
 
@@ -296,23 +298,15 @@ def _propose_along(
 
 def _propose(own: BentT, reference: Reference, share: float, n: int, seed: np.random.SeedSequence) -> np.ndarray:
     """Points (n, P) of the mixture of a t and a share of the reference."""
-    from scipy.stats import qmc  # half a second to import
-
     dimension, nu = own.centre.size, DEGREES_OF_FREEDOM
     from_reference = round(share * n)
     seeds = seed.spawn(2)
-
-    def uniform(size: int, columns: int, child: np.random.SeedSequence) -> np.ndarray:
-        sequence = qmc.Sobol(columns, rng=np.random.default_rng(child))
-        power = int(np.ceil(np.log2(max(size, 1))))  # whole powers of two keep the points balanced
-        return np.asarray(np.clip(sequence.random(2**power)[:size], 1e-12, 1 - 1e-12))
-
-    t = uniform(n - from_reference, dimension + 1, seeds[0])
+    t = uniform_points(n - from_reference, dimension + 1, seeds[0])
     stretch = np.sqrt(nu / (2 * gammaincinv(nu / 2, t[:, -1])))
     return np.vstack(
         [
             own.points(ndtri(t[:, :-1]) * stretch[:, None]),
             reference.mean
-            + ndtri(uniform(from_reference, dimension, seeds[1])) @ np.linalg.cholesky(reference.covariance).T,
+            + ndtri(uniform_points(from_reference, dimension, seeds[1])) @ np.linalg.cholesky(reference.covariance).T,
         ]
     )

@@ -13,7 +13,7 @@ fit could be mistaken for an effect that the model lacks.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -58,6 +58,9 @@ class Mode:
         Noise scale s at the mode: 1 when the network fits to within the noise.
     decrement : float
         Squared distance to the mode in posterior standard deviations.
+    apart : float
+        Largest difference in a log element from where the first of several starts ended: zero if the mode was reached
+        from there.
     """
 
     theta: np.ndarray
@@ -66,6 +69,7 @@ class Mode:
     information: np.ndarray
     scale: float
     decrement: float
+    apart: float = 0.0
 
     @property
     def converged(self) -> bool:
@@ -242,7 +246,8 @@ def find_mode(
     """
     ends, objectives, decrements = all_modes(kernel, likelihood, starts, prior_mean, prior_precision)
     best = int(np.argmax(objectives <= objectives.min() + 1e-3))
-    return mode_at(kernel, likelihood, ends[best], prior_mean, prior_precision, float(decrements[best]))
+    mode = mode_at(kernel, likelihood, ends[best], prior_mean, prior_precision, float(decrements[best]))
+    return replace(mode, apart=float(np.abs(ends[best] - ends[0]).max()))
 
 
 def mode_at(

@@ -31,6 +31,9 @@ APART = 0.3
 of a population near its rest changes."""
 _TRIAL_ROUNDS, _TRIAL_POINTS = 10, 100
 """Iterations and frequencies per person in comparing modes. By choice: few, as their evidences differ by much."""
+_MORE_PROBABLE = 1.0
+"""Gain in log evidence from which a population counts as another one. By choice: a factor e says nothing yet, and after
+so few iterations two that began apart and go to one mode still differ by half of it."""
 _MOST_TRIED, _FIRST_ROUNDS = 6, 3
 """Most persons whose solutions are tried for everybody, and iterations after which the best of them alone goes on. By
 choice: the first iteration leaves the common point, and two more order populations that differ by tens of nats."""
@@ -130,7 +133,7 @@ def from_one_person(
     now = _Trial.made(kernel, order, state_from(theta, thinned), range(1, _TRIAL_ROUNDS + 1))
     progress("solutions of single persons", len(tried) + 1, len(tried) + 1)
     gain = float(best.state.log_evidence() - now.state.log_evidence())
-    better = gain > 0 and (best.ordered or not now.ordered)
+    better = gain > _MORE_PROBABLE and (best.ordered or not now.ordered)
     return (best.state.theta, gain) if better else (None, gain)
 
 

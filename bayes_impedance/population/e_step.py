@@ -9,7 +9,7 @@ whose size does not depend on the number of persons.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -91,8 +91,9 @@ def expect(
     likelihood = likelihood.moved(before.deviations)
     mode = find_mode(kernel, likelihood, np.concatenate([before.theta[None], starts]), mean, precision)
     if len(starts) and mode.scale > GROSS:
-        nearer = bounded_search(kernel, likelihood, starts, mean, precision)
+        nearer, before_it = bounded_search(kernel, likelihood, starts, mean, precision), mode.apart
         mode = find_mode(kernel, likelihood, np.concatenate([mode.theta[None], nearer]), mean, precision)
+        mode = replace(mode, apart=max(mode.apart, before_it))
     gradient, information = repetition_equations(kernel, likelihood, mode.theta)
     deviations = _realigned(likelihood, mode, gradient, information, rho)
     return PersonFit(mode, deviations, likelihood.deviations, gradient, information)

@@ -239,10 +239,9 @@ def estimate(
             save_arrays(checkpoint, state.snapshot() | own)
 
     def searched(starts: np.ndarray) -> float:
-        """One iteration from other starting points too; who has gone to another solution is noted."""
-        before = state.theta[:, pooling.varying]
+        """One iteration from other starting points too; whose solution is better than where they were is noted."""
         change = state.iterate(starts)
-        jumped[np.abs(state.theta[:, pooling.varying] - before).max(axis=1) > APART] = True
+        jumped[np.array(state.fits.gathered(attrgetter("mode.apart"))) > APART] = True
         return change
 
     while True:

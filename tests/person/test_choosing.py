@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from bayes_impedance.person import choosing
 from bayes_impedance.person.choosing import Nearby, inclusion
 
 
@@ -28,3 +29,13 @@ def test_no_probabilities_have_less_variance_under_the_populations() -> None:
     reference = np.exp(log_ratio - 0.5 * np.sum((theta - mean) ** 2, axis=1))
     for other in (inclusion(0.5 * np.log(reference), 40), np.full(400, 0.1)):
         assert np.sum(squares / best) < np.sum(squares / other)
+
+
+def test_many_draws_are_computed_in_parts_like_few(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(2)
+    theta, log_ratio = rng.normal(size=(50, 3)), rng.normal(size=50)
+    near = Nearby(rng.normal(scale=0.2, size=(7, 3)), np.array([s * np.eye(3) for s in rng.uniform(0.5, 2, 7)]))
+    whole = near.log_roots(theta, log_ratio, np.zeros(3)), near.effective(theta, log_ratio, np.zeros(3))
+    monkeypatch.setattr(choosing, "_CHUNK", 2 * theta.size)
+    np.testing.assert_allclose(near.log_roots(theta, log_ratio, np.zeros(3)), whole[0], rtol=1e-12)
+    assert near.effective(theta, log_ratio, np.zeros(3)) == pytest.approx(whole[1], rel=1e-12)

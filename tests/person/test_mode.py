@@ -273,6 +273,19 @@ def test_first_start_is_preferred_among_equals():
         mode = find_mode(kernel, likelihood, starts, mean, 1e-4 * np.eye(4))
         assert mode.converged
         assert np.abs(mode.theta - first).max() < 0.5
+        assert mode.apart == 0
+
+
+def test_a_mode_tells_how_far_it_is_from_where_the_first_start_ended():
+    """The prior prefers one of two branches' orders by many nats; from the other's valley the search does not leave."""
+    theta = np.log([2e-3, 3.0, 0.2, 0.8])
+    kernel, likelihood, _ = person("(m1-r1)|(m2-r2)", theta, repetitions=1)
+    swapped = theta[[2, 3, 0, 1]]
+    alone = find_mode(kernel, likelihood, swapped[None], theta, np.eye(4))
+    both = find_mode(kernel, likelihood, np.array([swapped, theta]), theta, np.eye(4))
+    assert alone.apart == 0
+    assert both.objective < alone.objective - 1
+    assert both.apart == np.abs(both.theta - alone.theta).max() > 1
 
 
 @pytest.mark.parametrize("n", [1, 2, 103, 104, 105, 401])

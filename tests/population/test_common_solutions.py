@@ -70,9 +70,9 @@ def test_the_common_solution_of_highest_evidence_is_taken_and_an_exchange_is_no_
     np.testing.assert_array_equal(best("r1|r2", rising)[0], common[1])
 
 
-@pytest.mark.parametrize("gain", [5.0, -5.0])
+@pytest.mark.parametrize("gain", [5.0, 0.5, -5.0])
 def test_everybody_begins_from_one_persons_solution_if_that_is_more_probable(gain: float) -> None:
-    """Of those who have gone to another one only, and of equal ones only one is tried."""
+    """Of those who have gone to another one only, and of equal ones only one is tried; half a unit is no difference."""
     now = np.array([[0.0, 1.0], [0.1, 1.0], [4.0, 1.0], [4.1, 1.0], [0.0, 9.0]])
     began: list[tuple[float, ...]] = []
 
@@ -91,7 +91,7 @@ def test_everybody_begins_from_one_persons_solution_if_that_is_more_probable(gai
     begun, more = found(Order())
     assert sorted(began) == [(0.1, 1.0), (4.1, 1.0)]
     assert more == gain
-    if gain > 0:
+    if gain > 1:
         np.testing.assert_array_equal(begun, np.tile([4.1, 1.0], (5, 1)))
     else:
         assert begun is None

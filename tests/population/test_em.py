@@ -238,7 +238,7 @@ def test_an_interrupted_estimation_that_began_again_goes_on_to_the_same_numbers(
     """Everybody begins anew from a more probable solution, at most twice; the evidences of those before are kept."""
     theta = np.random.default_rng(2).normal(size=(8, 2)) * 0.2 + np.log([2e-3, 2.0])
     likelihoods, file = people("m1|r1", theta, 0.05, repetitions=2, moved=0.05), tmp_path / "point.npz"
-    monkeypatch.setattr(em, "APART", 0.0)  # so that everybody counts as gone elsewhere
+    monkeypatch.setattr(em, "APART", -1.0)  # so that everybody counts as gone elsewhere
     monkeypatch.setattr(em, "from_one_person", lambda _, __, ___, ____, now, *_____: (now + 0.5, 3.0))
     rounds: list[int] = []
     whole = estimated("m1|r1", likelihoods, theta, progress=lambda _, done, __: rounds.append(done))
