@@ -39,7 +39,7 @@ from bayes_impedance.population.importance_likelihood import ImportanceLikelihoo
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.shapes import normal_parts
 from bayes_impedance.population.shared_draws import monomial_slopes
-from bayes_impedance.population.shears import maps
+from bayes_impedance.population.shears import sheared_moments
 from bayes_impedance.population.two_components import through_groups
 
 
@@ -152,7 +152,8 @@ def _normal(
         part = counted[..., None] * v  # moments are weighted too
         first, squares = moments[:, :, n_squares:n_quadratic], moments[:, :, :n_squares]
         if moving.size:
-            first, squares, own = _sheared(marginal, persons, moving, precisions[j], v, counted, first, squares)
+            t, shears = np.ascontiguousarray(moving[:, : marginal.shears.shape[1]]), marginal.shears_in_u[persons]
+            first, squares, own = sheared_moments(precisions[j], v, counted, t, shears, first, squares, rows, columns)
             on_shears += own
         squares = squares.sum(axis=1)
         cross = np.swapaxes(first, 1, 2) @ v
@@ -196,32 +197,6 @@ def _normal(
         share=np.zeros(n_sets),
         separation=np.zeros((n_sets, n_elements)),
     )
-
-
-def _sheared(
-    marginal: ImportanceLikelihood,
-    persons: np.ndarray,
-    moving: np.ndarray,
-    precision: np.ndarray,
-    v: np.ndarray,
-    counted: np.ndarray,
-    first: np.ndarray,
-    squares: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Moments of Mu (W, n, P) and (W, n, m) from those of u, and the derivative with respect to t through M, (W, S).
-
-    Persons are `counted` (W, n) in part.
-    """
-    shears, (rows, columns) = marginal.shears_in_u[persons], marginal.pairs
-    m = maps(moving[:, : shears.shape[1]], shears)
-    whole = np.empty((*first.shape, first.shape[2]))
-    whole[..., rows, columns] = whole[..., columns, rows] = squares
-    of_both = m @ whole  # E[M u u^T]
-    there = np.einsum("wnpq,wnq->wnp", m, first)
-    slope = counted[..., None, None] * np.swapaxes(np.linalg.inv(m), -1, -2)
-    slope = slope - precision[:, None] @ (of_both - v[..., None] * first[..., None, :])
-    after = of_both @ np.swapaxes(m, -1, -2)
-    return there, after[..., rows, columns], np.einsum("wnpq,nspq->ws", slope, shears, optimize=True)
 
 
 def _moments(

@@ -28,7 +28,7 @@ from __future__ import annotations
 import numpy as np
 
 from bayes_impedance.network.kernel import compiled
-from bayes_impedance.person.small_matrices import log_determinant
+from bayes_impedance.person.small_matrices import inverses, log_determinants
 
 _REGULAR = 1.0
 """Ridge of the regression, beside the sum of squares over the draws of coordinates in which they have a variance of
@@ -69,6 +69,46 @@ def maps(t: np.ndarray, shears: np.ndarray) -> np.ndarray:
 
 
 @compiled
+def _maps_at(t: np.ndarray, shears: np.ndarray, result: np.ndarray) -> None:
+    """M(t) (P, P, n) of n persons at one t (S,), for shears (S, P, P, n)."""
+    size, n_persons = result.shape[0], result.shape[2]
+    for p in range(size):
+        for q in range(size):
+            target = result[p, q]
+            for i in range(n_persons):
+                target[i] = 1.0 if p == q else 0.0
+            for s in range(t.size):
+                distance, source = t[s], shears[s, p, q]
+                for i in range(n_persons):
+                    target[i] += distance * source[i]
+
+
+@compiled
+def _times(a: np.ndarray, m: np.ndarray, result: np.ndarray) -> None:
+    """Products (P, P, n) of one matrix (P, P) with those of n persons."""
+    size, n_persons = result.shape[0], result.shape[2]
+    for p in range(size):
+        for q in range(size):
+            target = result[p, q]
+            for i in range(n_persons):
+                target[i] = 0.0
+            for k in range(size):
+                factor, source = a[p, k], m[k, q]
+                for i in range(n_persons):
+                    target[i] += factor * source[i]
+
+
+@compiled
+def _dot(left: np.ndarray, right: np.ndarray, result: np.ndarray) -> None:
+    """Sum over the first of two dimensions (k, n) of the products, for n persons."""
+    result[:] = 0.0
+    for k in range(left.shape[0]):
+        one, other = left[k], right[k]
+        for i in range(result.size):
+            result[i] += one[i] * other[i]
+
+
+@compiled
 def sheared_coefficients(
     precision: np.ndarray,
     linear: np.ndarray,
@@ -103,31 +143,101 @@ def sheared_coefficients(
     n_sets, n_persons, size = linear.shape
     squares = np.empty((n_persons, n_sets, rows.size))
     moved, volume = np.empty((n_sets, n_persons, size)), np.empty((n_sets, n_persons))
-    m, product = np.empty((size, size)), np.empty((size, size))
-    for i in range(n_persons):
-        for w in range(n_sets):
-            for p in range(size):
-                for q in range(size):
-                    m[p, q] = 1.0 if p == q else 0.0
-            for s in range(t.shape[1]):
-                for p in range(size):
-                    for q in range(size):
-                        m[p, q] += t[w, s] * shears[i, s, p, q]
-            for p in range(size):
-                for q in range(size):
-                    product[p, q] = 0.0
-                for a in range(size):
-                    for q in range(size):
-                        product[p, q] += precision[w, p, a] * m[a, q]
-            for k in range(rows.size):
-                entry = 0.0
-                for a in range(size):
-                    entry += m[a, rows[k]] * product[a, columns[k]]
-                squares[i, w, k] = entry
-            for q in range(size):
-                entry = 0.0
-                for a in range(size):
-                    entry += linear[w, i, a] * m[a, q]
-                moved[w, i, q] = entry
-            volume[w, i] = log_determinant(m)
+    side_by_side = np.ascontiguousarray(shears.transpose(1, 2, 3, 0))
+    m, product, line = np.empty((size, size, n_persons)), np.empty((size, size, n_persons)), np.empty(n_persons)
+    for w in range(n_sets):
+        _maps_at(t[w], side_by_side, m)
+        _times(precision[w], m, product)
+        for k in range(rows.size):
+            _dot(m[:, rows[k]], product[:, columns[k]], line)
+            for i in range(n_persons):
+                squares[i, w, k] = line[i]
+        own = linear[w].T.copy()
+        for q in range(size):
+            _dot(own, m[:, q], line)
+            for i in range(n_persons):
+                moved[w, i, q] = line[i]
+        log_determinants(m, volume[w])
     return squares, moved, volume
+
+
+@compiled
+def sheared_moments(
+    precision: np.ndarray,
+    v: np.ndarray,
+    counted: np.ndarray,
+    t: np.ndarray,
+    shears: np.ndarray,
+    first: np.ndarray,
+    squares: np.ndarray,
+    rows: np.ndarray,
+    columns: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    r"""Moments of Mu from those of u, and the derivative of the log likelihood with respect to t through M.
+
+    With moments :math:`E[u]` and :math:`E[u u^T]` over a person's draws the derivative is
+    :math:`\sum_{pq} R_{s,pq}\,(M^{-T} - A\,(M E[u u^T] - v E[u]^T))_{pq}`, as follows from the density above.
+
+    Parameters
+    ----------
+    precision : ndarray, shape (W, P, P)
+        A.
+    v : ndarray, shape (W, n, P)
+    counted : ndarray, shape (W, n)
+        Part by which each person counts, which the moments hold already.
+    t : ndarray, shape (W, S)
+    shears : ndarray, shape (n, S, P, P)
+        In the coordinates u.
+    first, squares : ndarray, shape (W, n, P) and (W, n, m)
+        Moments of u: of pairs p, q those given by rows and columns (m,).
+
+    Returns
+    -------
+    first, squares : ndarray, shape (W, n, P) and (W, n, m)
+        Of M u.
+    slope : ndarray, shape (W, S)
+        Summed over persons.
+
+    Raises
+    ------
+    LinAlgError
+        If a map is singular.
+    """
+    n_sets, n_persons, size = first.shape
+    there, after, slope = np.empty(first.shape), np.empty(squares.shape), np.empty(t.shape)
+    side_by_side = np.ascontiguousarray(shears.transpose(1, 2, 3, 0))
+    m, whole, both = np.empty((3, size, size, n_persons))
+    product, inverse, line = np.empty((size, size, n_persons)), np.empty((size, size, n_persons)), np.empty(n_persons)
+    for w in range(n_sets):
+        _maps_at(t[w], side_by_side, m)
+        mean, centre = first[w].T.copy(), v[w].T.copy()
+        for k in range(rows.size):
+            for i in range(n_persons):
+                whole[rows[k], columns[k], i] = whole[columns[k], rows[k], i] = squares[w, i, k]
+        for p in range(size):
+            for q in range(size):
+                _dot(m[p], whole[:, q], both[p, q])  # E[M u u^T]
+            _dot(m[p], mean, line)
+            for i in range(n_persons):
+                there[w, i, p] = line[i]
+        for k in range(rows.size):
+            _dot(both[rows[k]], m[columns[k]], line)
+            for i in range(n_persons):
+                after[w, i, k] = line[i]
+        for p in range(size):
+            for q in range(size):
+                target, left, right = both[p, q], centre[p], mean[q]
+                for i in range(n_persons):
+                    target[i] -= left[i] * right[i]
+        _times(precision[w], both, product)
+        inverses(m, inverse)
+        share = counted[w].copy()
+        for s in range(t.shape[1]):
+            line[:] = 0.0
+            for p in range(size):
+                for q in range(size):
+                    of_volume, of_density, shear = inverse[q, p], product[p, q], side_by_side[s, p, q]
+                    for i in range(n_persons):
+                        line[i] += (share[i] * of_volume[i] - of_density[i]) * shear[i]
+            slope[w, s] = line.sum()
+    return there, after, slope

@@ -11,11 +11,11 @@ from scipy.special import logsumexp
 from shared_worlds import ONE, World, directions, fitted, moved_world, populations, world
 
 from bayes_impedance.person.likelihood import log_likelihood
-from bayes_impedance.person.small_matrices import log_determinant
+from bayes_impedance.person.small_matrices import inverses, log_determinant, log_determinants
 from bayes_impedance.population import shared_draws
 from bayes_impedance.population.parameters import PopulationParameters
 from bayes_impedance.population.sharded_likelihood import Part, _resampled
-from bayes_impedance.population.shears import fitted_shears, maps, sheared_coefficients
+from bayes_impedance.population.shears import fitted_shears, maps, sheared_coefficients, sheared_moments
 
 SIZE = 3
 
@@ -43,6 +43,49 @@ def test_coefficients_are_those_of_the_moved_coordinates() -> None:
         products = u[pairs[0]] * u[pairs[1]] * np.where(pairs[0] == pairs[1], 1, 2)
         ours = (squares @ products).T - 2 * linear @ u + np.einsum("wnp,wpq,wnq->wn", v, precision, v)
         np.testing.assert_allclose(ours, exact, rtol=1e-10)
+
+
+def test_moments_are_those_of_moved_draws_and_the_slope_is_that_of_the_density() -> None:
+    """Of four persons' weighted draws, two of whom count in part, under three populations."""
+    rng = np.random.default_rng(6)
+    n_sets, n, k, step = 3, 4, 50, 1e-6
+    root = rng.normal(size=(n_sets, SIZE, SIZE))
+    precision = root @ root.swapaxes(1, 2)
+    v, t, shears = rng.normal(size=(n_sets, n, SIZE)), rng.normal(size=(n_sets, 2)), rng.normal(size=(n, 2, SIZE, SIZE))
+    shears *= 0.2
+    counted, u = np.tile([1.0, 1.0, 0.3, 0.6], (n_sets, 1)), rng.normal(size=(n, k, SIZE))
+    weight = rng.dirichlet(np.ones(k), size=(n_sets, n)) * counted[..., None]
+    rows, columns = pairs = np.tril_indices(SIZE)
+    first = np.einsum("wnk,nkp->wnp", weight, u)
+    squares = np.einsum("wnk,nkm->wnm", weight, u[..., rows] * u[..., columns])
+    there, after, slope = sheared_moments(precision, v, counted, t, shears, first, squares, *pairs)
+    moved = np.einsum("wnpq,nkq->wnkp", maps(t, shears), u)
+    np.testing.assert_allclose(there, np.einsum("wnk,wnkp->wnp", weight, moved), atol=1e-12)
+    products = moved[..., rows] * moved[..., columns]
+    np.testing.assert_allclose(after, np.einsum("wnk,wnkm->wnm", weight, products), atol=1e-12)
+
+    def log_density(at: np.ndarray) -> np.ndarray:
+        m = maps(at, shears)
+        away = np.einsum("wnpq,nkq->wnkp", m, u) - v[:, :, None]
+        own = np.linalg.slogdet(m)[1][..., None] - 0.5 * np.einsum("wnkp,wpq,wnkq->wnk", away, precision, away)
+        return np.asarray(np.sum(weight * own, axis=(1, 2)))
+
+    for s in range(2):
+        ahead, behind = (log_density(t + sign * step * np.eye(2)[s]) for sign in (1, -1))
+        np.testing.assert_allclose(slope[:, s], (ahead - behind) / (2 * step), rtol=1e-5, atol=1e-5)
+
+
+def test_matrices_side_by_side_are_as_those_alone_even_where_rows_must_be_exchanged() -> None:
+    rng = np.random.default_rng(7)
+    a = np.moveaxis(rng.normal(size=(9, 4, 4)), 0, -1).copy()
+    a[0, 0, 3] = 0.0
+    a[:, :, 5] = np.eye(4)[::-1]
+    found, volume = np.empty(a.shape), np.empty(9)
+    inverses(a, found)
+    log_determinants(a, volume)
+    alone = np.moveaxis(a, -1, 0)
+    np.testing.assert_allclose(np.moveaxis(found, -1, 0) @ alone, np.tile(np.eye(4), (9, 1, 1)), atol=1e-9)
+    np.testing.assert_allclose(volume, np.linalg.slogdet(alone)[1], atol=1e-10)
 
 
 @pytest.mark.parametrize("size", [0.02, 10.0])
