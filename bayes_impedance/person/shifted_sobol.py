@@ -38,4 +38,4 @@ def _sequence(power: int, dimension: int) -> np.ndarray:
     sequence = qmc.Sobol(dimension, bits=_BITS, rng=np.random.default_rng(_SEED))
     digits = np.round(sequence.random(2**power) * 2.0**_BITS).astype(np.uint32)
     digits.flags.writeable = False  # everybody's
-    return digits
+    return np.asarray(digits)
