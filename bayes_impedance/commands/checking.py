@@ -137,15 +137,10 @@ def doubt_of_quantity(recordings: Recordings, of_signals: bool) -> str | None:
 
 def _passive_as(recordings: Recordings, names: Collection[str]) -> tuple[str, str] | None:
     """The quantities as which most subjects would be passive, if Re z of these is clearly negative; else None."""
-    from bayes_impedance.quality.negative_real_part import explain
-    from bayes_impedance.quality.point_anomalies import not_passive
-    from bayes_impedance.recordings.plausibility import is_clearly_negative
+    from bayes_impedance.quality.negative_real_part import other_quantity
 
-    sizes = []
-    for one in recordings.subjects:
-        if one.name in names and is_clearly_negative(one) and any(not_passive(one.frequency_hz, one.mean[None])):
-            found = explain(one.frequency_hz, one.mean)
-            sizes += [found.size] if found.cause == "quantity" else []
+    found = [other_quantity(one) for one in recordings.subjects if one.name in names]
+    sizes = [own.size for own in found if own is not None]
     if len(sizes) <= _MOST * len(recordings):
         return None
     return ("apparent mass", "receptance") if sum(sizes) > 0 else ("accelerance", "dynamic stiffness")

@@ -36,8 +36,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayes_impedance.quality.point_anomalies import not_passive
 from bayes_impedance.recordings.csv_table import ComplexArray, FloatArray
+from bayes_impedance.recordings.files import Subject
 from bayes_impedance.recordings.phase_relation import excess_phase
+from bayes_impedance.recordings.plausibility import is_clearly_negative
 from bayes_impedance.units import number_with_unit
 
 _HARDLY_NEGATIVE, _MUCH_NEGATIVE = 0.05, 0.2
@@ -102,6 +105,18 @@ def explain(frequency_hz: FloatArray, z: ComplexArray) -> Explanation:
     ):
         return Explanation("exchange", -float(np.sign(np.polyfit(np.log(frequency_hz), np.log(np.abs(z)), 1)[0])))
     return Explanation("filter")
+
+
+def other_quantity(subject: Subject) -> Explanation | None:
+    """Why a subject's recordings look like another quantity; None if they do not.
+
+    Re z must be negative beyond its scatter: that of a load without losses is so at every other point by noise.
+    """
+    f, z = subject.frequency_hz, subject.mean
+    if not (is_clearly_negative(subject) and any(not_passive(f, z[None]))):
+        return None
+    found = explain(f, z)
+    return found if found.cause == "quantity" else None
 
 
 def _is_filtered(frequency_hz: FloatArray, z: ComplexArray) -> bool:

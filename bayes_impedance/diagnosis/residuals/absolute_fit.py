@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from bayes_impedance.quality.curve_anomalies import duplicates, suspect_units
-from bayes_impedance.quality.negative_real_part import explain
+from bayes_impedance.quality.negative_real_part import other_quantity
 from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.units import ELECTRICAL_UNIT, who
 
@@ -91,7 +91,7 @@ def no_impedance(recordings: Recordings, remains: bool) -> list[str]:
         ]
     if not remains:
         return []
-    others = [explain(s.frequency_hz, s.mean).cause == "quantity" for s in recordings.subjects]
+    others = [other_quantity(subject) is not None for subject in recordings.subjects]
     if np.mean(others) <= 0.5:  # most people decide
         return []
     return [

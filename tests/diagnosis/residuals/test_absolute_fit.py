@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayes_impedance.diagnosis import diagnose
-from bayes_impedance.diagnosis.residuals.absolute_fit import GROSS_ERROR, badly_described, copies, far_off
+from bayes_impedance.diagnosis.residuals.absolute_fit import GROSS_ERROR, badly_described, copies, far_off, no_impedance
 from bayes_impedance.diagnosis.verdict_types import Verdict
 from bayes_impedance.population.simulate import VirtualPopulation, simulate_recordings
 from bayes_impedance.recordings.files import Recordings
@@ -89,3 +89,23 @@ def test_people_whom_the_network_does_not_describe_are_named() -> None:
     assert badly_described(names, np.r_[np.ones(9), 1.8]) == []
     assert "(P9; residuals up to 40 times the noise)" in badly_described(names, np.r_[np.ones(9), 40.0])[0]
     assert badly_described(names, np.full(10, 40.0)) == []  # that is the network's fault and not one person's
+
+
+def test_a_load_without_losses_is_no_other_quantity() -> None:
+    """Its Re z is negative at every other point by noise, and by jw it would be positive where a spring rules."""
+    central = {"n1": 1e-3, "m1": 0.02, "n2": 5e-3}
+    population = VirtualPopulation(
+        network="n1|(m1-n2)", central=central, between_persons=dict.fromkeys(central, 0.2), noise_corner_hz=0.0
+    )
+    made = simulate_recordings(population, 8, 1, np.geomspace(0.5, 60, 200), 1).recordings
+    assert np.mean([s.z.real < 0 for s in made.subjects]) > 0.2
+    assert no_impedance(made, True) == []
+
+
+def test_a_quantity_whose_real_part_is_clearly_negative_is_one() -> None:
+    """Apparent mass is negative where springs rule; who has described the recordings knows what they are."""
+    made = recordings(8)
+    changed = tuple(replace(s, z=s.z / (2j * np.pi * s.frequency_hz)) for s in made.subjects)
+    (said,) = no_impedance(replace(made, subjects=changed), True)
+    assert "divided or multiplied by jw" in said
+    assert no_impedance(replace(made, subjects=changed), False) == []
