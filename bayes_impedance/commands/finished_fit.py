@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bayes_impedance.commands.proposed_network import plain_network
-from bayes_impedance.commands.result_folders import FIT_FILES, PICTURE_FOLDER, page_files, remove
+from bayes_impedance.commands.result_folders import PICTURE_FOLDER, extended_files, remove
 from bayes_impedance.runtime.clock import Clock
 from bayes_impedance.runtime.output_folder import output_folder
 
@@ -116,10 +116,9 @@ def write_extended(
     fit = diagnosis.fit
     assert fit is not None  # there is an extended network
     before = ModelBefore(diagnosis.verdict.network[0], diagnosis.before)
-    pages = page_files()
-    with output_folder(out, [*FIT_FILES, *pages], options.overwrite):
+    with output_folder(out, extended_files(), options.overwrite):
         result = examined_result(fit, options, Clock(), executor, progress, (), helper, before)
-        remove(out, (*pages, *FIT_FILES))
+        remove(out, extended_files())
         save_result(result, out)
         write_pages(result, out, (), progress, helper)
     return result

@@ -31,6 +31,8 @@ from bayes_impedance.commands.result_folders import (
     page_files,
     pictures,
     remove,
+    remove_extended,
+    require_extended,
 )
 from bayes_impedance.errors import InputError
 from bayes_impedance.runtime.atomic_files import write_json
@@ -214,6 +216,7 @@ def diagnose_dataset(
     names = [VERDICT_FILE, DIAGNOSIS_FILE, *pictures(DIAGNOSIS_PICTURES)]
     checkpoint = out / DIAGNOSIS_CHECKPOINT_FOLDER
     require_own(checkpoint)
+    require_extended(out, options.overwrite)
     with output_folder(out, names, options.overwrite):
         if not resume:
             discard(checkpoint)
@@ -245,7 +248,9 @@ def diagnose_dataset(
                 write_diagnosis_report(diagnosis, out)
                 progress("pictures and report", 1, 1)
             try:
-                if diagnosis.fit is not None:
+                if diagnosis.fit is None:
+                    remove_extended(out, options.overwrite)
+                else:
                     write_extended(diagnosis, out / EXTENDED_FOLDER, options, executor, progress, helper)
             finally:  # the page of the diagnosis is there even if the extended network's files cannot be written
                 if page is not None:

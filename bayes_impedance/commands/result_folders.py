@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bayes_impedance.errors import InputError
-from bayes_impedance.runtime.output_folder import output_folder
+from bayes_impedance.runtime.output_folder import output_folder, require_ours
 
 if TYPE_CHECKING:
     from bayes_impedance.commands.fit_options import FitOptions
@@ -83,6 +83,29 @@ def page_files() -> list[str]:
     from bayes_impedance.plots import PICTURES
 
     return [REPORT_FILE, *pictures(picture.name for picture in PICTURES)]
+
+
+def extended_files() -> list[str]:
+    """File names of the result of an extended network."""
+    return [*FIT_FILES, *page_files()]
+
+
+def require_extended(out: Path, overwrite: bool) -> None:
+    """Refuse the folder of a diagnosis whose folder of the extended network holds another's files."""
+    require_ours(out / EXTENDED_FOLDER, extended_files(), overwrite)
+
+
+def remove_extended(out: Path, overwrite: bool) -> None:
+    """Remove an earlier diagnosis' result of an extended network: it contradicts one that has none."""
+    folder = out / EXTENDED_FOLDER
+    if not folder.is_dir():
+        return
+    with output_folder(folder, extended_files(), overwrite):
+        remove(folder, extended_files())
+    with suppress(OSError):  # what is not the package's stays
+        (folder / PICTURE_FOLDER).rmdir()
+    with suppress(OSError):
+        folder.rmdir()
 
 
 def pictures(names: Iterable[str]) -> list[str]:

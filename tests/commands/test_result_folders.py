@@ -11,15 +11,19 @@ from conftest import THREE_ELEMENTS
 from bayes_impedance.commands.fit_options import FitOptions
 from bayes_impedance.commands.result_folders import (
     CHECKPOINT_FOLDER,
+    EXTENDED_FOLDER,
     FIT_FILES,
     PICTURE_FOLDER,
     REPORT_FILE,
     discarded_if_useless,
+    extended_files,
     fit_folder,
     interrupted,
     page_files,
     pictures,
     remove,
+    remove_extended,
+    require_extended,
 )
 from bayes_impedance.errors import BusyError, InputError
 from bayes_impedance.plots import PICTURES
@@ -28,6 +32,7 @@ from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.results.persons_file import PERSONS_FILE
 from bayes_impedance.results.result import RESULT_FILE, SECONDS_FILE, SUMMARY_FILE
 from bayes_impedance.runtime.checkpoint import claim, save_arrays
+from bayes_impedance.runtime.output_folder import output_folder
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +55,35 @@ def test_the_names_are_those_of_the_files_that_a_result_has() -> None:
     assert names[0] == REPORT_FILE
     assert len(names) == len(set(names)) == 1 + 2 * len(PICTURES)
     assert pictures(["a", "b"]) == [f"{PICTURE_FOLDER}/{name}" for name in ("a.svg", "a.png", "b.svg", "b.png")]
+
+
+def test_an_earlier_result_of_an_extended_network_goes_and_what_is_the_users_stays(tmp_path: Path) -> None:
+    folder = tmp_path / EXTENDED_FOLDER
+    remove_extended(tmp_path, False)  # there is none
+    for users in ("notes.txt", None):
+        with output_folder(folder, extended_files()):
+            for name in ("summary.json", f"{PICTURE_FOLDER}/bands.png"):
+                (folder / name).parent.mkdir(exist_ok=True)
+                (folder / name).write_text("{}")
+        if users:
+            (folder / users).write_text("mine")
+        require_extended(tmp_path, False)
+        remove_extended(tmp_path, False)
+        assert folder.exists() == bool(users)
+        if users:
+            assert [file.name for file in folder.iterdir()] == [users]
+            (folder / users).unlink()
+
+
+def test_a_file_of_the_users_in_the_place_of_an_extended_result_refuses_the_folder(tmp_path: Path) -> None:
+    (tmp_path / EXTENDED_FOLDER).mkdir()
+    file = tmp_path / EXTENDED_FOLDER / "summary.json"
+    file.write_text("a year of work")
+    for refuse in (require_extended, remove_extended):
+        with pytest.raises(InputError, match="not written by this package"):
+            refuse(tmp_path, False)
+    require_extended(tmp_path, True)
+    assert file.read_text() == "a year of work"
 
 
 def test_only_the_named_files_are_removed(tmp_path: Path) -> None:

@@ -120,6 +120,16 @@ def test_an_interruption_while_drawing_says_that_the_fit_is_there(
     assert main(["report", str(tmp_path / "out")]) == 0
 
 
+def test_a_diagnosis_refuses_a_users_file_before_it_searches(
+    tiny: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "extended").mkdir()
+    (tmp_path / "extended" / "report.html").write_text("a thesis")
+    assert main(["diagnose", str(tiny / "data"), "--network", "m1|r1|n1", "-o", str(tmp_path)]) == 2
+    assert "was not written by this package" in capsys.readouterr().err
+    assert contents(tmp_path) == {"extended/report.html": b"a thesis"}
+
+
 @pytest.mark.long
 def test_a_diagnosis_stands_beside_a_fit_and_is_resumed_to_the_same_verdict(tiny: Path, tmp_path: Path) -> None:
     out, again = tmp_path / "out", tmp_path / "again"
