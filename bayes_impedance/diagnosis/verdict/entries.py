@@ -136,6 +136,8 @@ def aliases_of(step: Step, quick: bool, remaining: Sequence[PersonResiduals] = (
     """Rivals of a step's choice, the closest first, and the measurements that would separate them.
 
     A rival of the other side may be ahead (``elpd_behind`` below zero), because rig or body is decided by dispersion.
+    Forms of one effect at one place, such as a second path with and without inertia, are one explanation: the closest
+    is listed, and it is excluded if all are; those of the choice's own effect and place are none.
 
     Parameters
     ----------
@@ -146,8 +148,15 @@ def aliases_of(step: Step, quick: bool, remaining: Sequence[PersonResiduals] = (
         Of the final model, if structure remains in them.
     """
     assert step.chosen is not None
-    rows = []
-    for k, (trial, behind, separated) in enumerate(rivals(step, remaining)):
+    said = [(step.chosen.effect.id, step.chosen.candidate.place)]
+    rows: list[Alias] = []
+    found = rivals(step, remaining)
+    for k, (trial, behind, _) in enumerate(found):
+        name = trial.effect.id, trial.candidate.place
+        if name in said:
+            continue
+        said.append(name)
+        separated = all(s for t, _, s in found if (t.effect.id, t.candidate.place) == name)
         remedy = trial.effect.separates
         if not separated and k < _PROPOSALS and not quick:
             remedy = f"{best_sentence(separation(step.chosen.fit, trial.fit))}; in general: {remedy}"

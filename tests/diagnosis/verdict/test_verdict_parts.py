@@ -5,6 +5,7 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from bayes_impedance.diagnosis.selection.cross_validation import HeldOut
 from bayes_impedance.diagnosis.selection.score_scan import screen
 from bayes_impedance.diagnosis.selection.stepwise import Found, search
 from bayes_impedance.diagnosis.types import Snapshot
+from bayes_impedance.diagnosis.verdict import entries
 from bayes_impedance.diagnosis.verdict.entries import joint_of
 from bayes_impedance.diagnosis.verdict.model_bands import own_errors, snapshot
 from bayes_impedance.diagnosis.verdict.ranking import critical_z, detection_limits, ranking
@@ -325,3 +327,26 @@ def test_joint_correlations_are_those_of_the_draws() -> None:
     made = joint_of(fit.model, posterior)
     assert made.parameters == ("rig.delay delay",)
     assert made.correlation == ((1.0,),)
+
+
+def test_forms_of_one_effect_at_one_place_are_one_alias(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The closest is listed, excluded if all of its forms are; those of the choice's own effect and place are none."""
+
+    def trial(id: str, place: str, form: str) -> SimpleNamespace:
+        effect = SimpleNamespace(id=id, name=id, form=form, separates="more")
+        return SimpleNamespace(effect=effect, candidate=SimpleNamespace(place=place))
+
+    chosen = trial("body.bypass", "port", "full")
+    rows = [
+        (trial("body.bypass", "port", "reduced"), 0.5, False),
+        (trial("body.resonator", "port", "full"), 2.0, True),
+        (trial("body.resonator", "n1", "full"), 3.0, True),
+        (trial("body.resonator", "port", "reduced"), 4.0, False),
+        (trial("body.resonator", "n1", "reduced"), 9.0, True),
+    ]
+    monkeypatch.setattr(entries, "rivals", lambda *_: rows)
+    found = entries.aliases_of(SimpleNamespace(chosen=chosen), True)  # type: ignore[arg-type]
+    assert [(a.id, a.place, a.elpd_behind, a.separated) for a in found] == [
+        ("body.resonator", "port", 2.0, False),
+        ("body.resonator", "n1", 3.0, True),
+    ]
