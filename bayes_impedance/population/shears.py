@@ -69,33 +69,30 @@ def maps(t: np.ndarray, shears: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def _maps_at(t: np.ndarray, shears: np.ndarray, result: np.ndarray) -> None:
-    """M(t) (P, P, n) of n persons at one t (S,), for shears (S, P, P, n)."""
-    size, n_persons = result.shape[0], result.shape[2]
-    for p in range(size):
-        for q in range(size):
-            target = result[p, q]
-            for i in range(n_persons):
-                target[i] = 1.0 if p == q else 0.0
-            for s in range(t.size):
-                distance, source = t[s], shears[s, p, q]
-                for i in range(n_persons):
-                    target[i] += distance * source[i]
+def _combined(weights: np.ndarray, values: np.ndarray, result: np.ndarray) -> None:
+    """Weighted sum over the first of two dimensions (k, n), for n persons."""
+    result[:] = 0.0
+    for k in range(weights.size):
+        weight, source = weights[k], values[k]
+        for i in range(result.size):
+            result[i] += weight * source[i]
 
 
 @compiled
-def _times(a: np.ndarray, m: np.ndarray, result: np.ndarray) -> None:
-    """Products (P, P, n) of one matrix (P, P) with those of n persons."""
-    size, n_persons = result.shape[0], result.shape[2]
-    for p in range(size):
-        for q in range(size):
-            target = result[p, q]
-            for i in range(n_persons):
-                target[i] = 0.0
-            for k in range(size):
-                factor, source = a[p, k], m[k, q]
-                for i in range(n_persons):
-                    target[i] += factor * source[i]
+def _maps_at(t: np.ndarray, shears: np.ndarray, result: np.ndarray) -> None:
+    """M(t) (P, P, n) of n persons at one t (S,), for shears (S, P, P, n); M^T for transposed ones."""
+    for p in range(result.shape[0]):
+        for q in range(result.shape[0]):
+            _combined(t, shears[:, p, q], result[p, q])
+        result[p, p] += 1.0
+
+
+@compiled
+def _times(a: np.ndarray, transposed: np.ndarray, result: np.ndarray) -> None:
+    """Products a m of one matrix (P, P) with those of n persons, transposed as the latter are: (P, P, n)."""
+    for q in range(result.shape[0]):
+        for p in range(result.shape[0]):
+            _combined(a[p], transposed[q], result[q, p])
 
 
 @compiled
@@ -143,18 +140,18 @@ def sheared_coefficients(
     n_sets, n_persons, size = linear.shape
     squares = np.empty((n_persons, n_sets, rows.size))
     moved, volume = np.empty((n_sets, n_persons, size)), np.empty((n_sets, n_persons))
-    side_by_side = np.ascontiguousarray(shears.transpose(1, 2, 3, 0))
+    side_by_side = np.ascontiguousarray(shears.transpose(1, 3, 2, 0))  # columns of M as rows, which are adjacent
     m, product, line = np.empty((size, size, n_persons)), np.empty((size, size, n_persons)), np.empty(n_persons)
     for w in range(n_sets):
         _maps_at(t[w], side_by_side, m)
         _times(precision[w], m, product)
         for k in range(rows.size):
-            _dot(m[:, rows[k]], product[:, columns[k]], line)
+            _dot(m[rows[k]], product[columns[k]], line)
             for i in range(n_persons):
                 squares[i, w, k] = line[i]
         own = linear[w].T.copy()
         for q in range(size):
-            _dot(own, m[:, q], line)
+            _dot(own, m[q], line)
             for i in range(n_persons):
                 moved[w, i, q] = line[i]
         log_determinants(m, volume[w])
@@ -206,7 +203,7 @@ def sheared_moments(
     n_sets, n_persons, size = first.shape
     there, after, slope = np.empty(first.shape), np.empty(squares.shape), np.empty(t.shape)
     side_by_side = np.ascontiguousarray(shears.transpose(1, 2, 3, 0))
-    m, whole, both = np.empty((3, size, size, n_persons))
+    m, whole, both, away = np.empty((4, size, size, n_persons))
     product, inverse, line = np.empty((size, size, n_persons)), np.empty((size, size, n_persons)), np.empty(n_persons)
     for w in range(n_sets):
         _maps_at(t[w], side_by_side, m)
@@ -216,7 +213,7 @@ def sheared_moments(
                 whole[rows[k], columns[k], i] = whole[columns[k], rows[k], i] = squares[w, i, k]
         for p in range(size):
             for q in range(size):
-                _dot(m[p], whole[:, q], both[p, q])  # E[M u u^T]
+                _dot(m[p], whole[q], both[p, q])  # E[M u u^T]
             _dot(m[p], mean, line)
             for i in range(n_persons):
                 there[w, i, p] = line[i]
@@ -226,17 +223,17 @@ def sheared_moments(
                 after[w, i, k] = line[i]
         for p in range(size):
             for q in range(size):
-                target, left, right = both[p, q], centre[p], mean[q]
+                target, source, left, right = away[q, p], both[p, q], centre[p], mean[q]
                 for i in range(n_persons):
-                    target[i] -= left[i] * right[i]
-        _times(precision[w], both, product)
+                    target[i] = source[i] - left[i] * right[i]
+        _times(precision[w], away, product)
         inverses(m, inverse)
         share = counted[w].copy()
         for s in range(t.shape[1]):
             line[:] = 0.0
             for p in range(size):
                 for q in range(size):
-                    of_volume, of_density, shear = inverse[q, p], product[p, q], side_by_side[s, p, q]
+                    of_volume, of_density, shear = inverse[q, p], product[q, p], side_by_side[s, p, q]
                     for i in range(n_persons):
                         line[i] += (share[i] * of_volume[i] - of_density[i]) * shear[i]
             slope[w, s] = line.sum()
