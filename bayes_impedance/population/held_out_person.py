@@ -57,8 +57,7 @@ def held_out_log_densities(fit: PopulationFit, person: Subject, seed: np.random.
     """
     p, elements = fit.parameters, len(fit.kernel.elements)
     covariates = _standardised(fit, person)
-    span = DispersionRange.of_draws(p.between_repetitions)
-    rho = span.middle
+    rho = np.maximum(np.median(p.between_repetitions, axis=0), LEAST_RHO)
     stretch = 1.0  # of somebody far from the others
     mean = p.mu.mean(axis=0) + p.slopes.mean(axis=0) @ covariates
     covariance = p.covariance.mean(axis=0) + np.diag(rho**2) / len(person.repetitions)
@@ -79,6 +78,7 @@ def held_out_log_densities(fit: PopulationFit, person: Subject, seed: np.random.
             weight = weights_of(squared_distances([found], mean[None], precision), tail, elements)[0]
             stretch = max(1 / weight, 1.0)
             found = _mode(fit, likelihood, mean, stretch * covariance, rho, searching)
+    span = DispersionRange.of_draws(p.between_repetitions, [found])
     wide = covariance * widening(len(fit.recordings.subjects)) ** 2
     for child, along_valley in ((drawing, False), (again, True)):
         part = part_of(

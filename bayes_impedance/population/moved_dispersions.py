@@ -12,15 +12,21 @@ Without :math:`c_k` the likelihood of a dispersion is too narrow where one perso
 weakly: 16 people whose repetitions differed by 0.22 in a spring were given 0.07 with a standard deviation of 0.03.
 
 **A polynomial for each draw.** Elements' dispersions act nearly independently, so that :math:`c_k` is taken as a sum
-over elements of functions of one dispersion each. These are smooth and bounded in
+over elements of functions of one dispersion each. If recordings determine a deviation with curvature h and slope b,
 
-.. math:: t_p = \frac{\rho_p^2}{\rho_p^2 + \bar\rho_p^2} - \frac12, \qquad -\tfrac12 < t_p < \tfrac12,
+.. math:: \ln p(\rho) = -\tfrac12\ln(1 + h\rho^2) + \tfrac12\,b^2 v, \qquad v = \frac{\rho^2}{1 + h\rho^2},
 
-because the posterior variance of a deviation is :math:`\rho^2/(1 + h\rho^2)`. Polynomials of degree two without a
-constant, fitted at some nodes, describe them; they are zero at :math:`\bar\rho`, where the draws are made. The nodes
-span what the contrasts at the modes leave possible. Beyond that a draw's likelihood is that at the edge. The contrasts
-go on there, so that an edge inside the posterior would be a false peak: the range moves outward until the posterior
-lies within it.
+where v is the deviation's posterior variance. A draw at which h and b are a little different from those at the mode
+changes that by :math:`-\tfrac12 v\,\delta h - \tfrac12 b^2 v^2\,\delta h + b v\,\delta b`, a polynomial of degree two
+in v. So :math:`c_k` is taken as one in
+
+.. math:: t_p \propto \frac{\rho_p^2}{\rho_p^2 + s_p^2}, \qquad s_p = h_p^{-1/2},
+
+where :math:`s_p`, the standard deviation with which recordings determine a deviation, is that of the median person. t
+is zero at :math:`\bar\rho_p`, where the draws are made and the polynomials have no constant, and its range is one wide.
+The nodes at which polynomials are fitted span what the contrasts at the modes leave possible. Beyond that a draw's
+likelihood is that at the edge. The contrasts go on there, so that an edge inside the posterior would be a false peak:
+the range moves outward until the posterior lies within it.
 """
 
 from __future__ import annotations
@@ -41,13 +47,17 @@ from bayes_impedance.population.prior import Prior
 from bayes_impedance.runtime.sharded import Kept
 
 _DEGREE, _NODES = 2, 6
-"""Degree of the polynomials and number of nodes. Measured (four populations of 16 people, two repetitions): the log
-likelihood was off by 0.1 to 1.2 (standard deviation over posterior draws). Of what the draws' responses change,
-polynomials of degree one miss 0.05 to 0.3, of degree two 0.01 to 0.1; cross terms between elements change that by less
-than 0.01."""
+"""Degree of the polynomials and number of nodes. Measured: of 20 people whose recordings resolve a spring's change only
+where it exceeds what is likely, the log likelihood of a change of nearly zero was 0.3 to 1.1 too low against that of
+the likely one when t bent at the likely dispersion, and is off by 0.3 at most (0.15 in the middle) where it bends at
+what recordings resolve; polynomials of degree four are no better. In four populations of 16 people cross terms between
+elements changed the log likelihood by less than 0.01."""
 _GRID, _LEAST_SHARE, _FARTHER = 60, 0.005, 1.5
 """Number of dispersions at which the contrasts' likelihood is taken, the share of it that is left out on either side,
 and by how much the range of the rest is widened. By choice: with the other dispersions held, a range is too narrow."""
+_FAR = 10.0
+"""Most by which the bend of t lies beyond the range, as a factor. By choice: t is proportional to the square of rho, or
+to that of its reciprocal, to a hundredth then."""
 BEYOND_ALLOWED = 0.025
 """Largest share of an element's likely dispersions that may lie beyond either end of the range: half of what a 90 %
 interval leaves out there, so that its ends lie where the likelihood is known."""
@@ -66,24 +76,28 @@ class DispersionRange:
         At which deviations are integrated out of the draws' likelihoods.
     lowest, highest : ndarray
         The ends, above zero.
+    resolved : ndarray
+        Standard deviation with which one person's recordings determine a deviation (:func:`resolved_by`).
     """
 
     middle: np.ndarray
     lowest: np.ndarray
     highest: np.ndarray
+    resolved: np.ndarray
 
     @classmethod
-    def of_draws(cls, rho: np.ndarray) -> DispersionRange:
-        """That of posterior draws (W, P)."""
-        return cls._wider(np.quantile(np.maximum(rho, LEAST_RHO), (_LEAST_SHARE, 0.5, 1 - _LEAST_SHARE), axis=0))
+    def of_draws(cls, rho: np.ndarray, fits: Sequence[PersonFit]) -> DispersionRange:
+        """That of posterior draws (W, P), for the recordings of some people."""
+        levels = np.quantile(np.maximum(rho, LEAST_RHO), (_LEAST_SHARE, 0.5, 1 - _LEAST_SHARE), axis=0)
+        return cls._wider(levels, resolved_by(fits, levels[1]))
 
     @classmethod
-    def _wider(cls, levels: np.ndarray) -> DispersionRange:
+    def _wider(cls, levels: np.ndarray, resolved: np.ndarray) -> DispersionRange:
         """From the lowest, middle and highest dispersions (3, P) that leave a small share on either side."""
         lowest, middle, highest = levels
         lowest = np.maximum(middle - _FARTHER * (middle - lowest), 0.5 * LEAST_RHO)
         highest = np.maximum(middle + _FARTHER * (highest - middle), 2 * LEAST_RHO)
-        return cls(np.maximum(middle, LEAST_RHO), lowest, highest)
+        return cls(np.maximum(middle, LEAST_RHO), lowest, highest, resolved)
 
     def beyond(self, rho: np.ndarray) -> np.ndarray:
         """Share of dispersions (W, P) below and above the range, shape (2, P); what is negligible is all the same."""
@@ -100,15 +114,15 @@ class DispersionRange:
         if not np.any(below | above):
             return self
         least, most = np.quantile(np.maximum(rho, LEAST_RHO), (_LEAST_SHARE, 1 - _LEAST_SHARE), axis=0)
-        wider = self._wider(np.array([least, self.middle, most]))
+        wider = self._wider(np.array([least, self.middle, most]), self.resolved)
         lowest, highest = np.where(below, wider.lowest, self.lowest), np.where(above, wider.highest, self.highest)
         return replace(self, lowest=lowest, highest=highest)
 
     @property
     def nodes(self) -> np.ndarray:
         """Dispersions at which draws' likelihoods are computed, shape (P, M), evenly spread in t."""
-        share = np.linspace(self._t(self.lowest), self._t(self.highest), _NODES, axis=1) + 0.5
-        return np.asarray(self.middle[:, None] * np.sqrt(share / (1 - share)))
+        share = np.linspace(self._share(self.lowest), self._share(self.highest), _NODES, axis=1)
+        return np.asarray(self._bend[:, None] * np.sqrt(share / (1 - share)))
 
     def terms(self, rho: np.ndarray) -> np.ndarray:
         """Powers of t of dispersions (W, P), shape (W, M): all elements' first, then all elements' squares."""
@@ -121,11 +135,22 @@ class DispersionRange:
         t = self._t(rho)
         own = np.split(on_terms, _DEGREE, axis=-1)
         on_t = sum(power * t ** (power - 1) * slope for power, slope in enumerate(own, start=1))
-        turning = 2 * rho * self.middle**2 / (rho**2 + self.middle**2) ** 2
+        turning = 2 * rho * self._bend**2 / (rho**2 + self._bend**2) ** 2 / self._width
         return np.asarray(np.where(inside, on_t * turning, 0.0))
 
     def _t(self, rho: np.ndarray) -> np.ndarray:
-        return np.asarray(rho**2 / (rho**2 + self.middle**2) - 0.5)
+        return np.asarray((self._share(rho) - self._share(self.middle)) / self._width)
+
+    def _share(self, rho: np.ndarray) -> np.ndarray:
+        return np.asarray(rho**2 / (rho**2 + self._bend**2))
+
+    @property
+    def _bend(self) -> np.ndarray:
+        return np.asarray(np.clip(self.resolved, self.lowest / _FAR, self.highest * _FAR))
+
+    @property
+    def _width(self) -> np.ndarray:
+        return np.asarray(self._share(self.highest) - self._share(self.lowest))
 
 
 def range_of(fits: Kept, prior: Prior, rho: np.ndarray) -> DispersionRange | None:
@@ -156,7 +181,27 @@ def range_of(fits: Kept, prior: Prior, rho: np.ndarray) -> DispersionRange | Non
         [np.interp(level, own, g) for own, g in zip(share, grid, strict=True)]
         for level in (_LEAST_SHARE, 0.5, 1 - _LEAST_SHARE)
     ]
-    return DispersionRange._wider(np.array(levels))
+    each = [own for own in fits.ask(_resolved, np.array(levels[1])) if len(own)]
+    return DispersionRange._wider(np.array(levels), np.median(np.concatenate(each), axis=0))
+
+
+def resolved_by(fits: Sequence[PersonFit], rho: np.ndarray) -> np.ndarray:
+    """Standard deviation with which the median person's recordings determine a deviation of a repetition, shape (P,).
+
+    The other elements' deviations are free within their dispersions rho (P,).
+    """
+    own = _resolved(fits, rho)
+    return np.asarray(np.median(own, axis=0)) if len(own) else rho
+
+
+def _resolved(fits: Sequence[PersonFit], rho: np.ndarray) -> np.ndarray:
+    """The same of every contrast of some persons: (M, P)."""
+    found, rho = [], np.maximum(rho, LEAST_RHO)
+    for j, group in contrasts_of(fits).items():
+        posterior = np.linalg.inv(np.moveaxis(group.information, -1, 0) + np.diag(np.tile(rho**-2.0, j - 1)))
+        variance = np.diagonal(posterior, axis1=1, axis2=2).reshape(-1, rho.size)
+        found.append(rho * np.sqrt(variance / np.maximum(rho**2 - variance, np.finfo(float).eps * rho**2)))
+    return np.concatenate(found) if found else np.empty((0, rho.size))
 
 
 def _profiles(fits: Sequence[PersonFit], sets: np.ndarray) -> np.ndarray | None:

@@ -17,7 +17,7 @@ def prior() -> Prior:
 
 def test_a_dispersion_that_may_be_negligible_is_on_the_linear_part() -> None:
     own, estimate = prior(), np.array([0.06, 0.06])
-    span = DispersionRange(estimate, np.array([5e-4, 0.03]), np.array([0.2, 0.1]))
+    span = DispersionRange(estimate, np.array([5e-4, 0.03]), np.array([0.2, 0.1]), estimate)
     np.testing.assert_allclose(bend_of(estimate, own), 0.02)
     np.testing.assert_allclose(bend_of(estimate, own, span), [0.2, 0.02])
     coordinates = Coordinates(

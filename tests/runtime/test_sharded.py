@@ -233,7 +233,7 @@ def test_sums_over_parts_are_those_over_all_persons() -> None:
         root = rng.normal(size=(own, size, 2 * size))
         information = np.moveaxis(root @ np.swapaxes(root, 1, 2), 0, -1)
         contrasts.append(Contrasts(np.ascontiguousarray(information), rng.normal(size=(size, own))))
-    span = DispersionRange(np.full(2, 0.1), np.full(2, 0.04), np.full(2, 0.25))
+    span = DispersionRange(np.full(2, 0.1), np.full(2, 0.04), np.full(2, 0.25), np.full(2, 0.1))
     responses = [0.5 * rng.normal(size=(4, k)) for _ in draws]
     plan = DrawingPlan(
         kernel=Kernel(parse("m1|r1")),
