@@ -65,7 +65,7 @@ def test_slopes_of_terms():
 
 
 def recordings(people: int = PEOPLE, changes: Mapping[str, float] | None = None, relative: float = NOISE) -> Recordings:
-    """People of whom one recording determines n3 weakly, and whose repetitions differ much, if nothing else is given."""
+    """People of whom one recording determines n3 weakly, and whose repetitions differ much unless said otherwise."""
     kernel, rng = Kernel(NETWORK), np.random.default_rng(3)
     centre = np.log([VALUES[name] for name in kernel.elements])
     change = np.array([(changes or CHANGE)[name] for name in kernel.elements])
