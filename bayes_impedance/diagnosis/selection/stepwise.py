@@ -264,7 +264,7 @@ def _explanations(
     fresh = try_shortlist(refitter, fit, screening, seed, begin, tried)
     if not known:
         fresh += from_afar(refitter, fit, effects, seed)
-        fresh += in_some_people(refitter, fit, effects, seed)
+        fresh += in_some_people(refitter, fit, effects, fresh, seed)
         ranked = finalists(refitter, fit, fresh, effects, seed)
         ranked = with_lookalikes(refitter, fit, screening, ranked, effects, seed)
         return fresh, where_few_decide(refitter, fit, ranked, effects, seed)

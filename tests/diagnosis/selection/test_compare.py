@@ -138,6 +138,18 @@ def test_one_persons_gain_is_none_of_all() -> None:
     assert typical_gain(gains) < 0
 
 
+def test_unequal_gains_of_few_count_as_much_as_equal_ones_of_as_many() -> None:
+    """Ten of 52 people with a layer, of whom one gains more than all others together; three are too few either way."""
+    gains = np.full(52, -0.5) + 0.3 * np.random.default_rng(4).normal(size=52)
+    gains[:8] = [826.0, 303.0, 268.0, 65.0, 62.0, 58.0, 32.0, 20.0]
+    assert gains.sum() < 2 * np.sqrt(52) * gains.std(ddof=1)
+    assert typical_gain(gains) > 2
+    gains[3:8] = -0.5
+    assert typical_gain(gains) < 2
+    gains[:3] = 300.0
+    assert gains.sum() < 2 * np.sqrt(52) * gains.std(ddof=1)
+
+
 def test_next_to_nothing_in_everybody_is_no_agreement_about_one_persons_gain() -> None:
     gains = np.full(30, 0.01) + 0.002 * np.random.default_rng(4).normal(size=30)
     gains[4] = 33.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from experiments import Experiment, entry, toy
@@ -13,7 +15,7 @@ from bayes_impedance.diagnosis.fit.measured import measured
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.fit.spike_slab import members
 from bayes_impedance.diagnosis.selection.compare import log_evidence
-from bayes_impedance.diagnosis.selection.in_some_people import among_the_described, in_some_people
+from bayes_impedance.diagnosis.selection.in_some_people import among_the_described, described, in_some_people
 from bayes_impedance.diagnosis.selection.trial import Trial
 
 NETWORK = "(m1-n1-r1)|m2"
@@ -39,7 +41,7 @@ def fit(world: Experiment) -> Refit:
 
 @pytest.fixture(scope="module")
 def best(world: Experiment, fit: Refit) -> Trial:
-    return max(in_some_people(world.refitter, fit, registered(), 1), key=lambda t: t.gain)
+    return max(in_some_people(world.refitter, fit, registered(), (), 1), key=lambda t: t.gain)
 
 
 def test_the_network_alone_is_a_mixture_and_those_who_lack_the_layer_are_described(fit: Refit) -> None:
@@ -48,7 +50,7 @@ def test_the_network_alone_is_a_mixture_and_those_who_lack_the_layer_are_describ
 
 
 def test_everybody_is_put_among_those_who_are_described(world: Experiment, fit: Refit) -> None:
-    begin = among_the_described(world.refitter, fit, 1)
+    begin = among_the_described(world.refitter, fit, described(fit, ()), 1)
     assert begin is not None
     np.testing.assert_allclose(begin.population.mu, np.log(list(CENTRES.values())), atol=0.2)
     off = np.abs(begin.persons - begin.population.mu) / np.sqrt(np.diag(begin.population.covariance))
@@ -75,6 +77,16 @@ def test_the_layer_is_found_with_its_size_and_in_whom_it_is(world: Experiment, f
 
 
 def test_nothing_is_tried_where_everybody_is_described(world: Experiment, fit: Refit, best: Trial) -> None:
-    assert among_the_described(world.refitter, best.fit, 1) is None
-    assert in_some_people(world.refitter, best.fit, registered(), 1) == []
-    assert in_some_people(world.refitter, fit, [entry("rig.mass")], 1) == []
+    assert among_the_described(world.refitter, best.fit, described(best.fit, ()), 1) is None
+    assert in_some_people(world.refitter, best.fit, registered(), (), 1) == []
+    assert in_some_people(world.refitter, fit, [entry("rig.mass")], (), 1) == []
+
+
+def test_who_gains_by_something_is_not_described_however_small_the_residuals_are(
+    fit: Refit, best: Trial, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No scale of the residuals shows a few percent of the noise, which are many units of log evidence."""
+    monkeypatch.setattr("bayes_impedance.diagnosis.selection.in_some_people.MISFIT_SCALE", np.inf)
+    assert described(fit, ()).all()
+    np.testing.assert_array_equal(described(fit, (best,)), ~WITH_LAYER)
+    assert described(fit, (replace(best, gain=np.nan),)).all()
