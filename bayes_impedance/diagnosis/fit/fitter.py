@@ -74,6 +74,9 @@ so short that the gradient decides alone."""
 _ROUNDING = 1e-6
 """Log likelihood by which a person's objective may grow in a step."""
 
+RAN_AWAY = 10.0
+"""Log evidence by which a fit may end below the best that it had on its way. By choice."""
+
 _SUMMINGS = 2
 """How often recordings are summed up in a fit. By choice: the second time is around a place near the optimum, where
 sums are nearly exact; where one round with all frequencies still moves the fit, more sums would not help."""
@@ -215,6 +218,7 @@ class Refitter:
         moving = np.ones(n, dtype=bool)
         alone = plan.hold_population and not self.one_person and plan.hold_additions
         state = replace(state, settled=False)
+        best, most_evidence = state, -np.inf
         while used < most and not state.settled:
             used += 1
             state, steps = self._move_people(model, stack, state, moving)
@@ -234,6 +238,12 @@ class Refitter:
             state = replace(state, settled=moved < plan.tolerance and drift < plan.tolerance)
             if alone:  # nothing that a person depends on changes any more; a step may be short because it is damped
                 moving &= ~((steps < plan.tolerance) & (state.damping <= DAMPING))
+                continue
+            evidence = float(self._evidence(model, state).sum())
+            if evidence > most_evidence:
+                best, most_evidence = state, evidence
+        if not alone and used and evidence < most_evidence - RAN_AWAY:
+            return best, used
         return state, used
 
     def settle(self, fit: Refit, seed: int, tries: int = 6, rounds: int = 3, hold: bool = False) -> Refit:

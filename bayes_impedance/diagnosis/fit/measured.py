@@ -13,7 +13,7 @@ import numpy as np
 from bayes_impedance.diagnosis.fit.coefficient_posterior import CoefficientPosterior, coefficient_posterior
 from bayes_impedance.diagnosis.fit.evidence_surface import climbed
 from bayes_impedance.diagnosis.fit.extend import extended_start, with_pooling
-from bayes_impedance.diagnosis.fit.fitter import Refitter
+from bayes_impedance.diagnosis.fit.fitter import RAN_AWAY, Refitter
 from bayes_impedance.diagnosis.fit.model import Model
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.fit.shape_starts import searched_shapes
@@ -36,12 +36,13 @@ def measured(refitter: Refitter, fit: Refit, seed: int) -> Refit:
         Of a model with at least one addition.
     seed : int
     """
-    fit = searched_shapes(refitter, fit)
+    begin = fit = searched_shapes(refitter, fit)
     for _ in range(_PASSES):
         if all(a.pooling == "shared" for a in fit.model.additions):
             break
         fit = with_measured_dispersions(refitter, fit, seed)
-    return climbed(refitter, fit, seed)
+    there = climbed(refitter, fit, seed)
+    return max(there, begin, key=lambda one: one.evidence.sum() + RAN_AWAY * (one is there))
 
 
 def with_measured_dispersions(refitter: Refitter, fit: Refit, seed: int) -> Refit:
