@@ -3,7 +3,8 @@
 A quick refit has typical dispersions, and every person's shapes where they started. Before an explanation is believed,
 everybody's frequencies are searched (:mod:`.shape_starts`), dispersions are taken from the posterior
 (:mod:`.coefficient_posterior`), and the model is fitted with them, to where its evidence is largest
-(:mod:`.evidence_surface`).
+(:mod:`.evidence_surface`). If the evidence has become much less on the way, the fit has run away (:mod:`.fitter`), and
+the quick one is the better.
 """
 
 from __future__ import annotations
