@@ -51,6 +51,7 @@ from bayes_impedance.diagnosis.fit.outliers_alone import ends_of_outliers
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.fit.rounds import (
     DAMPING,
+    Blocks,
     Layout,
     Plan,
     State,
@@ -78,8 +79,8 @@ _ROUNDING = 1e-6
 """Log likelihood by which a person's objective may grow in a step."""
 
 RAN_AWAY = 10.0
-"""Log evidence by which a fit may end below the best that it had on its way; else it ends there. By choice: far more than
-rounds change near an optimum, and far less than was lost (130 to 1400)."""
+"""Log evidence by which a fit may end below the best that it had on its way; else it ends there. By choice: far more
+than rounds change near an optimum, and far less than was lost (130 to 1400)."""
 
 _SUMMINGS = 2
 """How often recordings are summed up in a fit. By choice: the second time is around a place near the optimum, where
@@ -207,12 +208,16 @@ class Refitter:
         start, said, end = (log_misfit(self.layout, own.chi) for own in (before, summed_up, after))
         return bool(np.all(np.abs(said - end) <= np.maximum(_GAIN_ERROR, _GAIN_SHARE * np.abs(start - end))))
 
-    def _evidence(self, model: Model, state: State) -> np.ndarray:
-        """Log evidence of each person, shape (N,)."""
-        v, undamped = state.u[:, ~model.shared], np.zeros(len(self.data))
-        blocks = blocks_of(self.layout, model, state.equations, state.u, state.persons, state.population, undamped)
+    def _evidence(self, model: Model, state: State, blocks: Blocks | None = None) -> np.ndarray:
+        """Log evidence of each person, shape (N,); from the undamped blocks of the state if they are known."""
+        blocks = blocks or self._undamped(model, state)
+        v = state.u[:, ~model.shared]
         value = objective(self.layout, model, state.equations.chi, v, state.persons, state.population)
         return np.asarray(-value - 0.5 * blocks.log_determinants(self.owner, model, state.population))
+
+    def _undamped(self, model: Model, state: State) -> Blocks:
+        nothing = np.zeros(len(self.data))
+        return blocks_of(self.layout, model, state.equations, state.u, state.persons, state.population, nothing)
 
     def _rounds(self, plan: Plan, stack: Stack, state: State, most: int) -> tuple[State, int]:
         """At most so many rounds with the data of a stack, until the fit is at rest there; and how many were made."""
@@ -222,7 +227,7 @@ class Refitter:
         moving = np.ones(n, dtype=bool)
         alone = plan.hold_population and not self.one_person and plan.hold_additions
         state = replace(state, settled=False)
-        best, most_evidence = state, -np.inf
+        best, most_evidence, evidence = state, -np.inf, -np.inf
         while used < most and not state.settled:
             used += 1
             state, steps = self._move_people(model, stack, state, moving)
@@ -230,25 +235,25 @@ class Refitter:
             if not plan.hold_additions:
                 state, share, step = move_additions(self.data, self.layout, stack, self.executor, model, state, share)
                 moved = max(moved, step)
+            if alone:
+                state = replace(state, settled=moved < plan.tolerance)
+                # Nothing that a person depends on changes any more; a step may be short because it is damped.
+                moving &= ~((steps < plan.tolerance) & (state.damping <= DAMPING))
+                continue
+            blocks = self._undamped(model, state)
+            evidence = float(self._evidence(model, state, blocks).sum())
+            if evidence > most_evidence:
+                best, most_evidence = state, evidence
             if not plan.hold_population or (self.one_person and self.repeated):
-                u, population = state.u, state.population
-                blocks = blocks_of(self.layout, model, state.equations, u, state.persons, population, np.zeros(n))
-                there, change = maximised(self.layout, model, u[:, varying], state.persons, blocks, population)
+                v, population = state.u[:, varying], state.population
+                there, change = maximised(self.layout, model, v, state.persons, blocks, population)
                 if plan.hold_population:
                     there = replace(population, rho=there.rho)
                 else:
                     drift = change
                 state = replace(state, population=there)
             state = replace(state, settled=moved < plan.tolerance and drift < plan.tolerance)
-            if alone:  # nothing that a person depends on changes any more; a step may be short because it is damped
-                moving &= ~((steps < plan.tolerance) & (state.damping <= DAMPING))
-                continue
-            evidence = float(self._evidence(model, state).sum())
-            if evidence > most_evidence:
-                best, most_evidence = state, evidence
-        if not alone and used and evidence < most_evidence - RAN_AWAY:
-            return best, used
-        return state, used
+        return (state if evidence >= most_evidence - RAN_AWAY else best), used
 
     def settle(self, fit: Refit, seed: int, tries: int = 6, rounds: int = 3, hold: bool = False) -> Refit:
         """Look for better optima of every person, from the median person and from draws, until none is found.
