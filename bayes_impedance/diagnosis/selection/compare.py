@@ -158,10 +158,15 @@ def _error_of_sum(own: np.ndarray) -> float:
     return float(np.sqrt(own.size) * own.std(ddof=1))
 
 
-def typical_gain(own: np.ndarray) -> float:
-    """Sum of the clipped differences, in its standard errors; at most zero if it does not exceed the least gain."""
+def typical_gain(own: np.ndarray, of_most: bool = False) -> float:
+    """Sum of the clipped differences, in its standard errors; at most zero if it does not exceed the least gain.
+
+    Clipped so that it shows what most people agree about, or what four do.
+    """
     size = np.sort(np.abs(own))
-    limit = max(CLIPPED * float(np.median(size)), float(size[-min(_FEWEST_EQUAL, size.size)]))
+    limit = CLIPPED * float(np.median(size))
+    if not of_most:
+        limit = max(limit, float(size[-min(_FEWEST_EQUAL, size.size)]))
     clipped = np.clip(own, -limit, limit)
     total, error = float(clipped.sum()), _error_of_sum(clipped)
     if not error > 0 or 0 < total <= LEAST_GAIN:

@@ -65,7 +65,11 @@ def who_decides(difference: np.ndarray) -> np.ndarray:
     difference : ndarray, shape (N,)
         How much better the first describes each person, in log evidence.
     """
-    if not np.all(np.isfinite(difference)) or difference.sum() <= 0 or typical_gain(difference) > SCATTERS:
+    if (
+        not np.all(np.isfinite(difference))
+        or difference.sum() <= 0
+        or typical_gain(difference, of_most=True) > SCATTERS
+    ):
         return np.zeros(0, dtype=int)
     return np.flatnonzero(difference > max(EQUAL, CLIPPED * float(np.median(np.abs(difference)))))
 

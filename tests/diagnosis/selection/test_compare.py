@@ -144,6 +144,7 @@ def test_unequal_gains_of_few_count_as_much_as_equal_ones_of_as_many() -> None:
     gains[:8] = [826.0, 303.0, 268.0, 65.0, 62.0, 58.0, 32.0, 20.0]
     assert gains.sum() < 2 * np.sqrt(52) * gains.std(ddof=1)
     assert typical_gain(gains) > 2
+    assert typical_gain(gains, of_most=True) < 2
     gains[3:8] = -0.5
     assert typical_gain(gains) < 2
     gains[:3] = 300.0
