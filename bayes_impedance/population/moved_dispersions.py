@@ -77,7 +77,7 @@ class DispersionRange:
     lowest, highest : ndarray
         The ends, above zero.
     resolved : ndarray
-        Standard deviation with which one person's recordings determine a deviation (:func:`resolved_by`).
+        Standard deviation with which the median person's recordings determine a deviation.
     """
 
     middle: np.ndarray
@@ -89,7 +89,7 @@ class DispersionRange:
     def of_draws(cls, rho: np.ndarray, fits: Sequence[PersonFit]) -> DispersionRange:
         """That of posterior draws (W, P), for the recordings of some people."""
         levels = np.quantile(np.maximum(rho, LEAST_RHO), (_LEAST_SHARE, 0.5, 1 - _LEAST_SHARE), axis=0)
-        return cls._wider(levels, resolved_by(fits, levels[1]))
+        return cls._wider(levels, _typical([_resolved(fits, levels[1])], levels[1]))
 
     @classmethod
     def _wider(cls, levels: np.ndarray, resolved: np.ndarray) -> DispersionRange:
@@ -181,21 +181,21 @@ def range_of(fits: Kept, prior: Prior, rho: np.ndarray) -> DispersionRange | Non
         [np.interp(level, own, g) for own, g in zip(share, grid, strict=True)]
         for level in (_LEAST_SHARE, 0.5, 1 - _LEAST_SHARE)
     ]
-    each = [own for own in fits.ask(_resolved, np.array(levels[1])) if len(own)]
-    return DispersionRange._wider(np.array(levels), np.median(np.concatenate(each), axis=0))
+    middle = np.array(levels[1])
+    return DispersionRange._wider(np.array(levels), _typical(fits.ask(_resolved, middle), middle))
 
 
-def resolved_by(fits: Sequence[PersonFit], rho: np.ndarray) -> np.ndarray:
-    """Standard deviation with which the median person's recordings determine a deviation of a repetition, shape (P,).
-
-    The other elements' deviations are free within their dispersions rho (P,).
-    """
-    own = _resolved(fits, rho)
+def _typical(resolved: Sequence[np.ndarray], rho: np.ndarray) -> np.ndarray:
+    """Median over all contrasts of some parts of the persons, (P,); rho (P,) where nobody was recorded twice."""
+    own = np.concatenate(resolved)
     return np.asarray(np.median(own, axis=0)) if len(own) else rho
 
 
 def _resolved(fits: Sequence[PersonFit], rho: np.ndarray) -> np.ndarray:
-    """The same of every contrast of some persons: (M, P)."""
+    """Standard deviation with which recordings determine every contrast between repetitions of some persons, (M, P).
+
+    The other elements' contrasts are free within their dispersions rho (P,).
+    """
     found, rho = [], np.maximum(rho, LEAST_RHO)
     for j, group in contrasts_of(fits).items():
         posterior = np.linalg.inv(np.moveaxis(group.information, -1, 0) + np.diag(np.tile(rho**-2.0, j - 1)))

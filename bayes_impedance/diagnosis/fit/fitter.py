@@ -79,8 +79,8 @@ _ROUNDING = 1e-6
 """Log likelihood by which a person's objective may grow in a step."""
 
 RAN_AWAY = 10.0
-"""Log evidence by which a fit may end below the best that it had on its way; else it ends there. By choice: far more
-than rounds change near an optimum, and far less than was lost (130 to 1400)."""
+"""Log evidence by which a run of rounds may end below the best that it had on its way; else it ends there. By choice:
+of 582 runs in three ordinary populations 49 lost 1 to 10 and none more; where fits ran away it was 12 to 9000."""
 
 _SUMMINGS = 2
 """How often recordings are summed up in a fit. By choice: the second time is around a place near the optimum, where

@@ -43,7 +43,7 @@ def measured(refitter: Refitter, fit: Refit, seed: int) -> Refit:
             break
         fit = with_measured_dispersions(refitter, fit, seed)
     there = climbed(refitter, fit, seed)
-    return max(there, begin, key=lambda one: one.evidence.sum() + RAN_AWAY * (one is there))
+    return there if there.evidence.sum() >= begin.evidence.sum() - RAN_AWAY else begin
 
 
 def with_measured_dispersions(refitter: Refitter, fit: Refit, seed: int) -> Refit:

@@ -346,16 +346,11 @@ def _without_last(refitter: Refitter, fit: Refit, grown: Refit) -> Refit | None:
 
 
 def _backward(refitter: Refitter, base: Refit, fit: Refit, seed: int) -> Refit:
-    """Remove additions that later ones have made superfluous, if what is left has signs that it may have."""
+    """Remove additions that later ones have made superfluous."""
     first = len(base.model.additions)
     while len(fit.model.additions) > first + 1:
-        smaller = [without(refitter, fit, k, seed) for k in range(first, len(fit.model.additions))]
-        possible = [
-            one for one in smaller if all(has_admissible_signs(one, i) for i in range(len(one.model.additions)))
-        ]
-        if not possible:
-            return fit
-        best = max(possible, key=log_evidence)
+        smaller = (without(refitter, fit, k, seed) for k in range(first, len(fit.model.additions)))
+        best = max(smaller, key=log_evidence)
         if compare(fit, best).decided:
             best = refitter.settle(
                 best, seed, tries=3, rounds=1
