@@ -51,7 +51,7 @@ class Mode:
     objective : float
         Negative log posterior density at the mode, up to a constant.
     precision : ndarray, shape (P, P)
-        Curvature including the prior's.
+        Curvature including the prior's. It can be inverted (:data:`ROUNDING`).
     information : ndarray, shape (P, P)
         Curvature of the likelihood alone, in units of the inferred noise.
     scale : float
@@ -266,10 +266,12 @@ def mode_at(
     offset = theta - prior_mean
     objective = exponent * np.log(d.beta + 0.5 * chi) + 0.5 * offset @ prior_precision @ offset
     scale = float(np.sqrt((d.beta + 0.5 * chi) / exponent))  # inf, and no error, where chi is
+    precision = w * information + prior_precision
+    np.fill_diagonal(precision, (1 + ROUNDING) * precision.diagonal())
     return Mode(
         theta=theta,
         objective=float(objective),
-        precision=w * information + prior_precision,
+        precision=precision,
         information=w * information,
         scale=scale,
         decrement=decrement,

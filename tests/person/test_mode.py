@@ -18,7 +18,15 @@ from bayes_impedance.person.likelihood import (
     normal_equations,
     repetition_equations,
 )
-from bayes_impedance.person.mode import DECREMENT_LIMIT, _gradient, _hessian, all_modes, find_mode, mode_at
+from bayes_impedance.person.mode import (
+    DECREMENT_LIMIT,
+    ROUNDING,
+    _gradient,
+    _hessian,
+    all_modes,
+    find_mode,
+    mode_at,
+)
 
 FREQUENCY = np.geomspace(5.0, 2000.0, 40)
 PAPER_THETA = np.log([8e-4, 1.5, 3e-4, 1.2, 6e-4, 0.02, 2e-3, 2.5])  # n3 r3 m2 r1 n1 m1 n2 r2
@@ -213,7 +221,8 @@ def test_curvature_and_scale_at_the_mode():
     assert mode.scale == pytest.approx(np.sqrt((2 + 0.5 * chi) / (2 + likelihood.count)), rel=1e-10)
     fisher = repetition_equations(kernel, likelihood, mode.theta)[1].sum(axis=0)
     np.testing.assert_allclose(mode.information, fisher / mode.scale**2, rtol=1e-10)
-    np.testing.assert_allclose(mode.precision, mode.information + precision, rtol=1e-12)
+    ridge = ROUNDING * np.diag(np.diag(mode.precision))
+    np.testing.assert_allclose(mode.precision - ridge, mode.information + precision, rtol=1e-13)
 
 
 @pytest.mark.parametrize("factor", [1.0, 3.0])
@@ -303,3 +312,22 @@ def test_normal_equations_are_sums_over_frequencies_however_they_are_divided(n):
     np.testing.assert_allclose(gradient, expected, rtol=1e-9, atol=1e-11 * np.abs(expected).max())
     expected = np.real((derivative.conj() * weight) @ derivative.T)
     np.testing.assert_allclose(information, expected, rtol=1e-9, atol=1e-11 * np.abs(expected).max())
+
+
+def test_curvature_beside_a_resonance_that_nothing_damps_can_be_inverted():
+    """One frequency weighs 1e18 times as much as the prior there, and what the others say is lost in rounding."""
+    kernel = Kernel(parse("m1|r1|(n1-m2)"))
+    mass = 2e-3
+    resonant = np.log([2e-3, 1.5, 1 / (mass * (2 * np.pi * FREQUENCY[20]) ** 2), mass])
+    z = kernel.impedance(resonant + np.array([0, 0, 0.3, 0]), FREQUENCY)[None]
+    likelihood = Likelihood.make(FREQUENCY, z, 1e-2 * np.abs(z), np.zeros((1, 4)))
+    lost = 0
+    for distance in np.geomspace(1e-10, 1e-7, 20):
+        theta = resonant + np.array([0, 0, distance, 0])
+        mode = mode_at(kernel, likelihood, theta, resonant, np.eye(4), 0.0)
+        try:
+            np.linalg.cholesky(mode.information + np.eye(4))
+        except np.linalg.LinAlgError:
+            lost += 1
+        np.linalg.cholesky(mode.precision)
+    assert lost > 0
