@@ -3,7 +3,12 @@ r"""A step of shared parameters and mean coefficients, to which everybody's elem
 The objective F is the data's misfit with the prior of the additions and with everybody's deviation from the mean
 (:mod:`.normal_equations`). The last two are quadratic, so F changes along a step by what the quadratic expansion says,
 give or take the error of what that says of the misfit. That the misfit falls would be too much to ask: near the end it
-grows along the way to the optimum, and the additions would be left where they are.
+grows along the way to the optimum, and the additions would be left where they are. What the expansion leaves out of the
+marginal likelihood is :mod:`.shape_force`.
+
+Dispersions of coefficients are a share of the mean, and are held in a step. Afterwards they go half of the way to the
+share of the new mean: where the mean is smaller the wider people differ, it would go to and fro otherwise, a standard
+deviation each way without end beside a delay of the rig.
 """
 
 from __future__ import annotations
@@ -18,6 +23,7 @@ from bayes_impedance.diagnosis.fit.model import Model, with_dispersions
 from bayes_impedance.diagnosis.fit.normal_equations import Population, Stack, equations_at, marginal, quadratic
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.fit.rounds import Layout, State, log_misfit, means_of
+from bayes_impedance.diagnosis.fit.shape_force import shape_force
 from bayes_impedance.person.likelihood import Likelihood
 
 _LONGEST_STEP, _LONGEST_SHARE = 1.0, 0.3
@@ -36,6 +42,10 @@ _ROUNDING = 1e-3
 
 _LONGEST_RESPONSE = 1.0
 """Largest change of an element's logarithm in a step. By choice."""
+
+_BEGINS = 5.0
+"""Factor between dispersions from which the whole way is gone at once. By choice: a coefficient that begins at zero
+does not differ between people."""
 
 
 def move_additions(
@@ -68,7 +78,8 @@ def move_additions(
     share : float
         To be tried first in the next step.
     length : float
-        Of the step that leads to the optimum, in standard deviations; 0 if no step descends.
+        Of the step that leads to the optimum, in standard deviations, or the change of a dispersion's logarithm that
+        is left, if that is more; 0 if no step descends.
     """
     u, population, n = state.u, state.population, len(data)
     e, a = slice(0, model.n_elements), slice(model.n_elements, None)
@@ -76,14 +87,16 @@ def move_additions(
     h, d, response = quadratic(model, data, u, state.equations, population.covariance)
     now, tau = _central(model, u, population), _dispersion(model, population)
     target = marginal(model, h, d, tau)
-    whole = target.mean - now
+    y = means_of(u[:, a], layout.owner, n)
+    beside = shape_force(model, h, d, y, tau, now, target.precision)
+    whole = target.mean - now + np.linalg.solve(target.precision, beside)
     force = target.precision @ whole
     prior = np.array([p.prior_sd for p in model.parameters])
     linear = np.array([p.is_coefficient for p in model.parameters])
     longest = np.maximum(_LONGEST_STEP * np.minimum(prior, 1.0), _LONGEST_SHARE * np.abs(now) * linear)
     part = begun = share / max(1.0, float(np.abs(whole / longest).max()))
     follows = _follows(d, tau, varying)
-    pull = h - np.einsum("nab,nb->na", d, means_of(u[:, a], layout.owner, n))
+    pull = h - np.einsum("nab,nb->na", d, y)
     for _ in range(_TRIES):
         step = part * whole
         own = np.tile(step, (n, 1))
@@ -100,9 +113,10 @@ def move_additions(
             persons = state.persons.copy()
             persons[:, a] += own[:, varying]
             persons[:, e] += means_of(trial[:, e] - u[:, e], layout.owner, n)
-            shifted = replace(population, mu=mu, covariance=with_dispersions(model, population.covariance, mu))
+            covariance, left = _half_way(model, population.covariance, mu)
+            shifted = replace(population, mu=mu, covariance=covariance)
             state = replace(state, u=trial, persons=persons, population=shifted, equations=equations)
-            length = float(np.sqrt(max(whole @ target.precision @ whole, 0.0)))
+            length = max(left, float(np.sqrt(max(whole @ target.precision @ whole, 0.0))))
             share = share / _SHORTER if part == begun else share * part / begun
             return state, min(1.0, share), length
         part *= _SHORTER
@@ -146,6 +160,15 @@ def _follows(d: np.ndarray, tau: np.ndarray, varying: np.ndarray) -> np.ndarray:
     """
     inside = np.eye(int(varying.sum())) + np.diag(tau[varying] ** 2) @ d[:, varying][:, :, varying]
     return np.asarray(np.linalg.inv(inside))
+
+
+def _half_way(model: Model, covariance: np.ndarray, mu: np.ndarray) -> tuple[np.ndarray, float]:
+    """The covariance with dispersions half of the way to their share of the mean, and the largest log change left."""
+    wanted = with_dispersions(model, covariance, mu)
+    change = 0.5 * np.log(np.diag(wanted) / np.diag(covariance))
+    left = np.where(np.abs(change) > np.log(_BEGINS), 0.0, 0.5 * change)
+    shorter = np.exp(-left)
+    return wanted * np.outer(shorter, shorter), float(np.abs(left).max())
 
 
 def _moved(u: np.ndarray, own: np.ndarray, response: np.ndarray) -> np.ndarray:

@@ -15,9 +15,8 @@ varying coefficients move to the maximum of :mod:`~bayes_impedance.diagnosis.fit
 every recording free. With the elements held to the population's distribution instead, maximising over u (not
 integrating) would bias the additions by many standard errors. The dispersion of a varying coefficient is held at a
 fraction of its mean: single persons say too little about it for expectation-maximisation to converge. A step is made
-with this dispersion as it is, and it follows the mean afterwards. Where a shape and a coefficient change the curve
-nearly alike, and a few people are far from the mean, smaller coefficients are nearer to it in every round, and the fit
-can walk away from its optimum until nothing is left; so it ends at the best place that it met if it lost much.
+with this dispersion as it is, and it follows the mean afterwards (:mod:`.additions_step`). If a run of rounds loses
+much nevertheless, it ends at the best place that it met.
 **Population** of the elements: expectation-maximisation as in :mod:`bayes_impedance.population.em`.
 
 The **evidence** of a person is Laplace's approximation of the likelihood with all :math:`v_{ij}`, :math:`v_i` and the

@@ -1,8 +1,8 @@
-"""A fit that walks away from an optimum: a small layer in a fifth of the people, beside a delay of the rig.
+"""A fit that would walk away from an optimum: a small layer in a fifth of the people, beside a delay of the rig.
 
 Compliance and time constant of the layer change the curve nearly alike. Members are far from a mean over everybody,
-whose dispersion is held at a share of it, so that smaller compliances are nearer to it in every round, the mean and its
-dispersion follow them, and the shape follows the compliances.
+whose dispersion is a share of it, so that smaller compliances are nearer to it in every round, the mean and its
+dispersion follow them, and the shape follows the compliances; unless a step takes that into account.
 """
 
 from __future__ import annotations
@@ -13,11 +13,15 @@ import numpy as np
 import pytest
 from experiments import Experiment, entry, toy
 
-from bayes_impedance.diagnosis.fit import fitter
+from bayes_impedance.diagnosis.fit import additions_step, fitter
+from bayes_impedance.diagnosis.fit.additions_step import central_values
+from bayes_impedance.diagnosis.fit.evidence_surface import EvidenceSurface
 from bayes_impedance.diagnosis.fit.extend import extended_start
 from bayes_impedance.diagnosis.fit.measured import measured
 from bayes_impedance.diagnosis.fit.model import DISPERSION_IN_SOME, Addition, build
+from bayes_impedance.diagnosis.fit.normal_equations import marginal, quadratic
 from bayes_impedance.diagnosis.fit.refit import Refit
+from bayes_impedance.diagnosis.fit.shape_force import shape_force
 
 NETWORK = "m1|n1|(r2-n2)"
 CENTRES = {"m1": 0.0235, "n1": 2.1e-4, "r2": 79.0, "n2": 9.1e-5}
@@ -55,14 +59,59 @@ def fitted(world: Experiment, rounds: int) -> Refit:
     return world.refitter.fit(model, u, population, rounds)
 
 
+def without_its_force(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(additions_step, "shape_force", lambda *args: np.zeros(len(args[-2])))
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_a_step_knows_that_the_dispersion_follows(
+    named: bool, world: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fitter, "RAN_AWAY", np.inf)
+    if not named:
+        without_its_force(monkeypatch)
+    first, last = (float(fitted(world, rounds).evidence.sum()) for rounds in (1, 40))
+    assert (last > first - 3) if named else (last < first - 100)
+
+
 @pytest.mark.parametrize("bounded", [True, False])
 def test_a_fit_ends_at_the_best_place_that_it_met(
     bounded: bool, world: Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    without_its_force(monkeypatch)
     if not bounded:
         monkeypatch.setattr(fitter, "RAN_AWAY", np.inf)
     first, last = (float(fitted(world, rounds).evidence.sum()) for rounds in (1, 40))
     assert (last > first - 10) if bounded else (last < first - 100)
+
+
+@pytest.mark.parametrize("rounds", [1, 3, 40])
+@pytest.mark.parametrize("own_shape", [-0.3, 0.0, 0.3])
+def test_force_on_a_shape_is_the_derivative_of_the_evidence(rounds: int, own_shape: float, world: Experiment) -> None:
+    """With the mean where the expansion sees it for the shape, and the dispersion its share."""
+    fit = fitted(world, rounds)
+    surface = EvidenceSurface(world.refitter, fit, 1)
+    names = [p.name.split(".")[2] for p in fit.model.parameters]
+    shape, mean = names.index("time_constant"), names.index("compliance")
+    step = np.zeros(len(names))
+    step[shape] = own_shape
+    fit, _ = surface.held(fit, surface.centre + step, fit.model)
+    a = central_values(fit)
+    h, d, _ = quadratic(fit.model, fit.data, fit.u, fit.equations, fit.population.covariance)
+    tau = np.zeros(len(names))
+    tau[mean] = np.sqrt(fit.population.covariance[-1, -1])
+    own = marginal(fit.model, h, d, tau)
+    p = own.precision
+    y = np.array([fit.u[fit.owner == i, fit.model.n_elements :].mean(axis=0) for i in range(N)])
+    beside = shape_force(fit.model, h, d, y, tau, a, p)
+    expanded = p @ (own.mean - a)
+    along = np.zeros(len(names))
+    along[shape], along[mean] = 1.0, -p[mean, shape] / p[mean, mean]
+    ahead, back = (surface.held(fit, a + t * along, fit.model)[1] for t in (0.02, -0.02))
+    measured_force = (ahead - back) / 0.04
+    assert beside[mean] == 0
+    assert beside[names.index("delay")] == 0
+    assert along @ (expanded + beside) == pytest.approx(measured_force, abs=1.0)
 
 
 @pytest.mark.parametrize("lost", [0.1, 1.0])
