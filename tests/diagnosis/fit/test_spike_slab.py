@@ -49,6 +49,23 @@ def test_the_gain_is_the_likelihood_ratio_of_the_two_models() -> None:
     assert found.fraction == pytest.approx(1 / (1 + np.exp(-best.x[2])), abs=0.01)
 
 
+def test_the_gain_is_over_the_best_slab_where_those_without_are_known_best() -> None:
+    """Their weighted mean is a little below zero, where a slab for all people is the best of its neighbourhood."""
+    h, d, has = people(2, 60, 0.3, sd=0.02)
+    h, d = np.where(has, h, h - 5 * np.sqrt(d)), np.where(has, d, 50 * d)
+    found = mixture(h, d)
+
+    def log_slab(mean: float, tau: float) -> np.ndarray:
+        return (h**2 * tau**2 + 2 * h * mean - d * mean**2) / (2 * (1 + d * tau**2)) - 0.5 * np.log1p(d * tau**2)
+
+    relative = np.linspace(0.1, 1.5, 15)
+    of_all = max(log_slab(mean, r * mean).sum() for mean in np.geomspace(1e-3, 1, 40) for r in relative)
+    slab = log_slab(found.mean, found.dispersion * found.mean)
+    of_some = np.logaddexp(np.log(found.fraction) + slab, np.log1p(-found.fraction)).sum()
+    assert found.only_some
+    assert found.gain == pytest.approx(of_some - of_all, abs=1.0)  # it ends at a limit of the dispersion
+
+
 @pytest.mark.parametrize("sign", [1, -1])
 def test_people_with_and_without_are_told_apart(sign: int) -> None:
     covered = []
