@@ -18,6 +18,7 @@ Both are differences between two models, person by person; the standard error of
 from __future__ import annotations
 
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -34,6 +35,10 @@ BLOCKS = 8
 _ROUNDS = 40
 """Largest number of rounds of a refit without a fold or a block. By choice: it begins near its end, but one that is
 left before it is at rest says that a block was foretold which was not."""
+
+_known: WeakKeyDictionary[Refitter, WeakKeyDictionary[Refit, dict[int, np.ndarray]]] = WeakKeyDictionary()
+"""Evidences of held-out people that are computed already, by the seed of the folds, as long as refitter and fit live:
+several explanations are compared with one fit, and with each other."""
 
 
 @dataclass(frozen=True)
@@ -74,8 +79,7 @@ def held_out(refitter: Refitter, before: Refit, after: Refit, seed: int, blocks:
     folds = n >= FEWEST_PEOPLE
     people = people_se = None
     if folds:
-        fold = person_folds(n, seed)
-        difference = _people(refitter, after, fold) - _people(refitter, before, fold)
+        difference = _people(refitter, after, seed) - _people(refitter, before, seed)
         people, people_se = float(difference.sum()), _se(difference)
     if folds and not blocks:
         return HeldOut(people, people_se, None, None, f"{FOLDS} subject folds")
@@ -86,8 +90,7 @@ def held_out(refitter: Refitter, before: Refit, after: Refit, seed: int, blocks:
 
 def people_gain(refitter: Refitter, before: Refit, after: Refit, seed: int) -> tuple[float, float | None]:
     """Gain on held-out people alone, with its standard error."""
-    fold = person_folds(len(refitter.data), seed)
-    difference = _people(refitter, after, fold) - _people(refitter, before, fold)
+    difference = _people(refitter, after, seed) - _people(refitter, before, seed)
     return float(difference.sum()), _se(difference)
 
 
@@ -107,8 +110,15 @@ def _se(difference: np.ndarray) -> float | None:
     return float(np.sqrt(difference.size) * difference.std(ddof=1))
 
 
-def _people(refitter: Refitter, fit: Refit, fold: np.ndarray) -> np.ndarray:
+def _people(refitter: Refitter, fit: Refit, seed: int) -> np.ndarray:
     """Evidence of each person under a population that was estimated without that person's fold, shape (N,)."""
+    known = _known.setdefault(refitter, WeakKeyDictionary()).setdefault(fit, {})
+    if seed not in known:
+        known[seed] = _people_of(refitter, fit, person_folds(len(refitter.data), seed))
+    return known[seed]
+
+
+def _people_of(refitter: Refitter, fit: Refit, fold: np.ndarray) -> np.ndarray:
     result = np.empty(fold.size)
     for k in np.unique(fold):
         inside, outside = np.flatnonzero(fold == k), np.flatnonzero(fold != k)
