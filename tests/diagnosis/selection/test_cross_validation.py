@@ -20,7 +20,7 @@ from bayes_impedance.diagnosis.selection import cross_validation
 from bayes_impedance.diagnosis.selection.cross_validation import (
     BLOCKS,
     FOLDS,
-    _people,
+    _people_of,
     _without,
     block_gains,
     held_out,
@@ -87,6 +87,24 @@ def test_people_alone_are_held_out_on_request_and_gain_the_same() -> None:
     assert alone.blocks is None
     assert alone.blocks_se is None
     assert alone.described == f"{FOLDS} subject folds"
+
+
+def test_one_fit_is_held_out_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    experiment, before, after = compared("rig.mass", 2)
+    refitter, asked = experiment.refitter.subset(np.arange(20)), list[Refit]()
+
+    def noting(refitter: Refitter, fit: Refit, fold: np.ndarray) -> np.ndarray:
+        asked.append(fit)
+        return _people_of(refitter, fit, fold)
+
+    monkeypatch.setattr(cross_validation, "_people_of", noting)
+    first = people_gain(refitter, before, after, 1)
+    assert people_gain(refitter, before, after, 1) == first
+    assert people_gain(refitter, after, before, 1)[0] == -first[0]
+    assert asked == [after, before]
+    assert people_gain(refitter, before, after, 2) != first  # other folds
+    assert people_gain(refitter.subset(np.arange(20)), before, after, 1) == first  # the same people, asked anew
+    assert asked == [after, before] * 3
 
 
 @pytest.mark.parametrize("bad", ["where they are without it", "where they were with all"])
@@ -157,8 +175,8 @@ def test_a_population_does_not_depend_on_those_it_was_trained_without(hidden: st
     fold = (np.arange(n) >= 5).astype(int)
     louder = list(experiment.data)
     louder[changed] = replace(louder[changed], z=1.5 * louder[changed].z)
-    plain = _people(experiment.refitter, fit, fold)
-    other = _people(Refitter(louder, Serial()), fit, fold)
+    plain = _people_of(experiment.refitter, fit, fold)
+    other = _people_of(Refitter(louder, Serial()), fit, fold)
     moved = np.abs(other - plain)
     companions = (fold == fold[changed]) & (np.arange(n) != changed)
     # Rounds end when the last person is at rest, so companions may make a few steps more or less.
