@@ -38,12 +38,16 @@ def people(
     n: int = 24,
     spread: float = 0.3,
     strengths: tuple[float, ...] = FALLING,
+    curve: np.ndarray | float = 1.0,
 ) -> list[PersonResiduals]:
-    """Residuals of noise that is threefold below 12 Hz, with hum of a part of the impedance at its first harmonic."""
+    """Residuals of noise that is threefold below 12 Hz, with hum of a part of the impedance at its first harmonic.
+
+    The impedance is constant, or changes over frequency by a `curve` (F,).
+    """
     rng = np.random.default_rng(seed)
     found = []
     for i in range(n):
-        z = np.exp(rng.normal(0, spread)) * np.broadcast_to(4.0 + 0j, (3, FREQUENCY.size))
+        z = np.exp(rng.normal(0, spread)) * np.broadcast_to(4.0 * curve + 0j, (3, FREQUENCY.size))
         own = 0.01 * np.exp(rng.normal(0, 0.2)) * np.where(FREQUENCY < 12, 3.0, 1.0)
         sd = np.broadcast_to(own, z.shape) * np.abs(z)
         noise = sd * (rng.normal(size=z.shape) + 1j * rng.normal(size=z.shape))
@@ -112,6 +116,18 @@ def test_hum_is_found_where_everybody_was_recorded_once(line: float, periods: fl
     assert {(hum.line_hz, hum.coherent, hum.harmonics[0]) for hum in hums} == {(line, False, 1)}
     amplitude = size * np.sqrt(float(pattern(FREQUENCY, line, periods, 1.0).max()) / 2)
     assert sum(hum.q05 <= amplitude <= hum.q95 for hum in hums) >= 4
+
+
+def test_hum_of_one_force_is_found_where_the_impedance_is_small_at_some_frequencies() -> None:
+    """An antiresonance at 80 Hz and a resonance at 320 Hz: a thirtieth of the impedance, and ten times it."""
+    f = FREQUENCY / 80
+    curve = np.abs((1 - f**2 + 0.03j * f) / (1 - (f / 4) ** 2 + 0.1j * f / 4))
+    for seed in range(3):
+        everybody = once(people(300 + seed, 60.0, 0.1, 10.0, 30, curve=curve))
+        hum = find_skirts(everybody)
+        assert hum is not None
+        assert hum.line_hz == 60.0
+        assert find_skirts(once(people(400 + seed, n=30, curve=curve))) is None
 
 
 @pytest.mark.long
