@@ -8,11 +8,13 @@ is no description of it at all, and the derivative there says nothing about the 
 If the network is that far off, delays and filters, effects with one coefficient x, are therefore also fitted from many
 random starts, as a network is (:mod:`bayes_impedance.population.starting_fits`): the elements of a typical person
 together with x, at sizes of either sign from the smallest that the band shows to the largest. Everybody begins at the
-best of these. The same is done where the network has driven elements away from everybody's values
-(:func:`~bayes_impedance.diagnosis.fit.cold_start.driven_away`): there the derivative had the wrong sign for a
-high-pass, and refits from the network ended 900 nats behind the truth. There everything else that the rig may add is
-searched as well, with shapes anywhere in their grids: a residual mass was not even among the candidates of the scan,
-and a semi-inductance only after a resonator had been found in its place and the network beside that one was right.
+best of these. The same is done where the network has driven elements away from everybody's values, or to where nobody's
+recordings feel them (:func:`~bayes_impedance.diagnosis.fit.lost_elements.lost_elements`): there the derivative had the
+wrong sign for a high-pass, and refits from the network ended 900 nats behind the truth. There everything else that the
+rig may add is searched as well, with shapes anywhere in their grids: a residual mass was not even among the candidates
+of the scan, and a semi-inductance only after a resonator had been found in its place and the network beside that one
+was right. A branch of a damper and a spring became the rig's damper, the spring rigid in everybody, and a relaxation
+took the branch's place: a damper of the rig was no candidate where the network had one.
 
 Elements that were driven away do not return when the right effect is there. So beside an explanation that is about to
 be compared, and where one of several is left out, the network is searched in the same way, with the effects near their

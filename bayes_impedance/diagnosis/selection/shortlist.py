@@ -11,9 +11,9 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from bayes_impedance.diagnosis.catalogue.effect import Effect
-from bayes_impedance.diagnosis.fit.cold_start import driven_away
 from bayes_impedance.diagnosis.fit.extend import has_shapes
 from bayes_impedance.diagnosis.fit.fitter import Refitter
+from bayes_impedance.diagnosis.fit.lost_elements import lost_elements
 from bayes_impedance.diagnosis.fit.outliers_alone import BADLY
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection import far_starts
@@ -211,9 +211,10 @@ def lookalike_trials(refitter: Refitter, fit: Refit, screening: Screening, leade
 def from_afar(refitter: Refitter, fit: Refit, effects: Sequence[Effect], seed: int) -> list[Trial]:
     """Trials of effects of the rig that do not begin at the network (:mod:`.far_starts`).
 
-    They are made if it does not describe the recordings at all, or has driven elements away from everybody's values.
+    They are made if it does not describe the recordings at all, or has lost elements: driven away from everybody's
+    values, or to where most people's recordings do not feel them.
     """
-    if not far_starts.wholly_off(fit) and (refitter.one_person or not driven_away(fit).any()):
+    if not far_starts.wholly_off(fit) and (refitter.one_person or not lost_elements(fit).any()):
         return []
     found = []
     for candidate in far_starts.of_the_chain(fit, effects):

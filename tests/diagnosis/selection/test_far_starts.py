@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from experiments import Experiment, entry, toy
@@ -9,9 +11,11 @@ from experiments import Experiment, entry, toy
 from bayes_impedance.diagnosis.catalogue.effect import Candidate, registered
 from bayes_impedance.diagnosis.fit.cold_start import driven_away
 from bayes_impedance.diagnosis.fit.extend import extended, extended_start
+from bayes_impedance.diagnosis.fit.lost_elements import lost_elements
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection import far_starts
 from bayes_impedance.diagnosis.selection.far_starts import network_from_afar, of_the_chain, refits_from_afar
+from bayes_impedance.diagnosis.selection.shortlist import from_afar
 
 NETWORK = "((r1|n1)-n2-r2)|((m1|r3)-r4)"
 CENTRES = {"r1": 27.7, "n1": 3.7e-4, "n2": 1.1e-4, "r2": 36.7, "m1": 0.045, "r3": 45.4, "r4": 13.5}
@@ -92,3 +96,28 @@ def test_a_semi_inductance_is_found_from_elements_that_it_has_driven_away() -> N
     found = dict(zip(("coefficient", "exponent"), shape_values_of(best), strict=True))
     assert found["exponent"] == pytest.approx(exponent, abs=0.02)
     assert found["coefficient"] == pytest.approx(size * fit.model.scales.middle**exponent, rel=0.05)
+
+
+def test_where_the_network_took_the_place_of_the_rigs_damper_it_is_found_from_afar() -> None:
+    """Its weak branch has become the damper, and nobody's recordings feel the spring in it: it differs in nobody."""
+    damping = 11.0
+    centres = {"m1": 1.6, "n1": 1.8e-4, "r2": 24.0, "n2": 4.8e-3}
+    frequency_hz = np.geomspace(0.64, 516, 61)
+    hidden = toy(
+        "m1|n1|(r2-n2)", centres, seed=1, noise=0.016, tau=0.35, frequency_hz=frequency_hz,
+        hidden=lambda s, z, _: (z + damping, np.zeros(20)),
+    )  # fmt: skip
+    names = hidden.model.network.elements
+    r2, n2 = names.index("r2"), names.index("n2")
+    u, mu = hidden.u.copy(), hidden.population.mu.copy()
+    u[:, r2] = mu[r2] = np.log(damping)
+    u[:, n2] = mu[n2] = np.log(5e-7)
+    fit = hidden.refitter.fit(hidden.model, u, replace(hidden.population, mu=mu), 60)
+    assert not driven_away(fit).any()
+    assert lost_elements(fit).tolist() == [name == "n2" for name in names]
+    trials = from_afar(hidden.refitter, fit, [entry("rig.damping")], 1)
+    best = max(trials, key=lambda t: t.gain)
+    assert best.physical
+    assert best.gain > 100
+    size = entry("rig.damping").coefficients[0].scale(hidden.model.scales)
+    assert best.fit.u[0, -1] * size == pytest.approx(damping, rel=0.02)
