@@ -26,7 +26,8 @@ Roughness of the background beyond its spline is counted as scatter.
 **Size.** The pattern is fitted to all harmonics at once, whose strengths it does not know, and to mean squares over
 people, most of which may come from the few whose impedance is small: as a measure of the hum it was off by factors of
 0.4 to 1.7. So once hum is known to be there, its size is found at the strongest point alone, by maximum likelihood over
-everybody's contrasts, beside the background at the nearest points without hum.
+everybody's contrasts, beside the background at the nearest points without hum. If that is zero, it was no hum: an
+element that changed in the course of the sweeps had scatter of a line's pattern, and none at its strongest point.
 """
 
 from __future__ import annotations
@@ -154,7 +155,8 @@ def find_skirts(residuals: Sequence[PersonResiduals], alpha: float = 0.01) -> Hu
             return None
     fine = np.geomspace(amplitude / 10, amplitude * 10, 401)
     ratio = float(fine[int(np.argmin(misfit(y - np.log1p(fine[:, None] * seen))))])
-    return _hum(grid, line, periods, ratio, p, seen, y, contrasts, p_value)
+    hum = _hum(grid, line, periods, ratio, p, seen, y, contrasts, p_value)
+    return hum if hum.amplitude > 0.0 else None  # everybody's recordings at the strongest point show none
 
 
 def _misfit(design: np.ndarray, root: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:

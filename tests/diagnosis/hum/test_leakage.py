@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
+from bayes_impedance.diagnosis.hum import leakage as leakage_module
 from bayes_impedance.diagnosis.hum.leakage import find_skirts, pattern
 from bayes_impedance.diagnosis.hum.line import affected_points
 
@@ -128,6 +129,13 @@ def test_hum_of_one_force_is_found_where_the_impedance_is_small_at_some_frequenc
         assert hum is not None
         assert hum.line_hz == 60.0
         assert find_skirts(once(people(400 + seed, n=30, curve=curve))) is None
+
+
+@pytest.mark.parametrize("size", [0.0, 0.01])
+def test_hum_of_no_size_is_none(size: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(leakage_module, "_mean_squares", lambda *_: np.array([size**2, 0.0, 1.0]))
+    hum = find_skirts(people(1, 50.0, 0.06))
+    assert hum is None if size == 0.0 else hum is not None
 
 
 @pytest.mark.long
