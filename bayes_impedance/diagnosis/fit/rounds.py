@@ -198,7 +198,12 @@ def damped_anew(damping: np.ndarray, fall: np.ndarray, promised: np.ndarray, wor
 def maximised(
     layout: Layout, model: Model, v: np.ndarray, persons: np.ndarray, blocks: Blocks, population: Population
 ) -> tuple[Population, float]:
-    """One M step from v (M, V), and the change of the population in standard deviations."""
+    """One M step from v (M, V), and the change of the population in standard deviations.
+
+    No prior keeps dispersions between repetitions from zero. Where two recordings' worth of 5 % did, elements that do
+    not change cost a network of 29 people 340 units of log evidence, and a second path in place of one of them was
+    ahead of the stiffness that was missing.
+    """
     n, size = persons.shape
     posterior = np.linalg.inv(blocks.precision)
     elements = np.arange(size) < model.n_elements
@@ -219,7 +224,7 @@ def maximised(
         spread = blocks.inverse + follow @ posterior[layout.owner] @ np.swapaxes(follow, 1, 2)
         square = (v - persons[layout.owner]) ** 2 + np.einsum("mpp->mp", spread)
         many = layout.many
-        rho = np.sqrt((square[many].sum(axis=0) + 2 * 0.05**2) / (many.sum() + 2))
+        rho = np.sqrt(square[many].sum(axis=0) / many.sum())
         rho = np.where(elements, np.clip(rho, LEAST_RHO, 1.0), LEAST_RHO)
     sd = np.sqrt(np.diag(population.covariance) / n)
     shift = np.abs(mu - population.mu) / sd

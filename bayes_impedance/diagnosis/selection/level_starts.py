@@ -19,7 +19,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayes_impedance.diagnosis.catalogue.effect import Candidate
+from bayes_impedance.diagnosis.catalogue.effect import Candidate, Effect
 from bayes_impedance.diagnosis.fit.extend import extended, extended_start
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.model import Model
@@ -28,16 +28,27 @@ from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.residuals.sensitivity import local_impedances
 from bayes_impedance.person.likelihood import SCALE_SHAPE
 
-_LEVELS = np.geomspace(0.1, 60.0, 14)
-"""Coefficients that are tried, relative to the one that equals the place at the upper end of the band: w there. The
-first standing wave enters the band at 2.5, the third leaves the grid at 60. Steps of 1.6 by choice."""
+_SMALLEST, _FIRST_WAVE, _STEP = 0.1, 2.5, 1.6
+"""Least coefficient that is tried, that with which the first standing wave enters the band, and the factor between
+neighbours; relative to the coefficient that equals the place at the upper end of the band, where w is. By choice."""
+
+_BELOW = 4.0
+"""The lowest frequency may be that much below the first standing wave, or less, for a coefficient to be tried. By
+choice: of a line whose waves fill the whole band no recording shows the element that it stands for. With a grid that
+ended at the third wave in the band, a compliance whose fifth was in it was not found in anybody, and the median of what
+they had instead led nowhere."""
 
 _PEOPLE, _POINTS = 16, 100
 """Largest numbers of people and of frequencies for the grid. By choice: only a start is wanted."""
 
-_LEAST_GAIN, _LEAST_SHARE = 10.0, 0.3
-"""Of log likelihood, and relative to the best effect and place: what gains less is not refitted. By choice: a line in
-the right place gained 0.6 and 1.0 of the best in two populations of fingertips."""
+_LEAST_GAIN = 10.0
+"""Of log likelihood: what gains less is not refitted. By choice."""
+
+_PLACES_EACH = 2
+"""Places at which one effect is refitted from here. By choice. Elements are as the model without the effect has left
+them, and what the grid gains is a weak sign: a line in the right place gained 0.6 and 1.0 of the best in two
+populations of fingertips, and 0.24 of it, behind five others at wrong places, in a third that it then described 2.6
+times as well as anything else."""
 
 MOST = 5
 """Largest number of refits from such starts. By choice."""
@@ -60,7 +71,7 @@ def level_start(fit: Refit, candidate: Candidate) -> tuple[float, float]:
         at = slice(None, None, -(-data.omega.size // _POINTS))
         omega, z, weight = data.omega[at], (data.z[0, 0] + 1j * data.z[0, 1])[at], data.weight[0, at]
         here = local_impedances(fit.model, fit.u[[row]], omega)[candidate.place].z
-        values = np.append(0.0, float(secant({"level": 1.0}, omega, here)[0]) * _LEVELS)
+        values = np.append(0.0, float(secant({"level": 1.0}, omega, here)[0]) * _levels(omega))
         trial = np.repeat(u[[row]], values.size, axis=0)
         trial[:, column] = values / scale
         own = -(SCALE_SHAPE + omega.size) * np.log(SCALE_SHAPE + 0.5 * _misfits(model, trial, omega, z, weight))
@@ -69,6 +80,14 @@ def level_start(fit: Refit, candidate: Candidate) -> tuple[float, float]:
         best.append(values[k])
         gain += float(own[k] - own[0])
     return float(np.median(best)), gain
+
+
+def _levels(omega: np.ndarray) -> np.ndarray:
+    """Coefficients to try, relative to the one that equals the place at the upper end of the band."""
+    waves = max(float(omega.max() / omega.min()) / _BELOW, 1.0)
+    largest = _FIRST_WAVE * waves**2
+    number = 1 + int(np.ceil(np.log(largest / _SMALLEST) / np.log(_STEP)))
+    return np.geomspace(_SMALLEST, largest, number)
 
 
 def _misfits(model: Model, u: np.ndarray, omega: np.ndarray, z: np.ndarray, weight: np.ndarray) -> np.ndarray:
@@ -83,9 +102,15 @@ def best_levels(fit: Refit, candidates: Sequence[Candidate]) -> list[tuple[Candi
     """The effects and places whose grid gains most, with the coefficient of :func:`level_start`, best first."""
     sites = {(c.effect, c.place): c for c in candidates if c.effect.operation and c.effect.traits.secant is not None}
     rows = [(c, *level_start(fit, c)) for c in sites.values()]
-    top = max((gain for _, _, gain in rows), default=0.0)
-    rows = sorted((row for row in rows if row[2] > max(_LEAST_GAIN, _LEAST_SHARE * top)), key=lambda row: -row[2])
-    return [(c, size) for c, size, _ in rows[:MOST]]
+    places: dict[Effect, int] = {}
+    chosen: list[tuple[Candidate, float]] = []
+    for candidate, size, gain in sorted(rows, key=lambda row: -row[2]):
+        if gain <= _LEAST_GAIN or len(chosen) == MOST:
+            break
+        if places.get(candidate.effect, 0) < _PLACES_EACH:
+            places[candidate.effect] = places.get(candidate.effect, 0) + 1
+            chosen.append((candidate, size))
+    return chosen
 
 
 def from_level(refitter: Refitter, fit: Refit, candidate: Candidate, size: float, rounds: int) -> Refit:

@@ -145,7 +145,8 @@ def _elsewhere(
     """Effects that could lead, at the places where they were not tried.
 
     That is the leader, and what would be ahead of it if the people whom it describes badly were described as well as
-    the median person: at a wrong place it is chance which people are in other valleys.
+    the median person: at a wrong place it is chance which people are in other valleys. And it is what a score promises
+    to be as good there: a gain of half of its square, if the log likelihood is quadratic and nobody differs.
     """
     best = {t.effect: t for t in sorted(_possible(trials), key=lambda t: t.gain)}
     if not best:
@@ -156,7 +157,8 @@ def _elsewhere(
     for k in best_shapes(screening):
         other = screening.candidates[k]
         known = best.get(other.effect)
-        if known is None or hoped_for(known, BADLY) < leader.gain:
+        promised = 0.5 * screening.z[k] ** 2 > (1 - _OUT_OF_REACH) * leader.gain
+        if known is None or (hoped_for(known, BADLY) < leader.gain and not promised):
             continue
         if (other.place, known.pooling) in {(t.candidate.place, t.pooling) for t in trials if t.effect == other.effect}:
             continue

@@ -90,6 +90,26 @@ def test_a_coefficient_that_is_nearly_the_same_in_all_is_worth_what_a_shared_one
     assert own.evidence.sum() == pytest.approx(one.evidence.sum(), abs=1.0)
 
 
+@pytest.mark.parametrize("rho", [0.0, 0.05])
+def test_the_dispersion_between_repetitions_is_where_the_evidence_is_largest(rho: float) -> None:
+    """No prior keeps it from zero: a network whose elements stay the same would lose against what cannot change."""
+    experiment = toy(*TOY, seed=11, n=20, repetitions=3, rho=rho)
+    begun = replace(experiment.population, rho=np.full(2, 0.05))
+    fit = experiment.refitter.fit(experiment.model, experiment.u, begun, 100)
+    assert fit.settled
+    steps = (0.8, 1.0, 1.25) if rho else (1.0, 2.0, 4.0)
+    evidence = []
+    for factor in steps:
+        held = replace(fit.population, rho=fit.population.rho * factor)
+        there = experiment.refitter.fit(experiment.model, fit.u, held, 100, hold_population=True)
+        evidence.append(float(there.evidence.sum()))
+    assert int(np.argmax(evidence)) == (1 if rho else 0)
+    if rho:
+        np.testing.assert_allclose(fit.population.rho, rho, rtol=0.3)
+    else:
+        assert np.all(fit.population.rho < 2e-3)  # a recording determines an element to 2e-3
+
+
 # Optima
 
 TWO_PATHS = ("(r1-n1)|(r2-n2)|r3", {"r1": 3.0, "n1": 1e-2, "r2": 8.0, "n2": 1e-4, "r3": 0.5})

@@ -7,6 +7,7 @@ import pytest
 from experiments import entry, recovered, toy
 
 from bayes_impedance.diagnosis.catalogue.effect import Candidate
+from bayes_impedance.diagnosis.selection import level_starts
 from bayes_impedance.diagnosis.selection.compare import log_evidence
 from bayes_impedance.diagnosis.selection.level_starts import MOST, best_levels, from_level, level_start
 
@@ -58,3 +59,23 @@ def test_places_are_sorted_by_what_they_gain(inside) -> None:
 def test_where_there_are_no_waves_nothing_is_tried() -> None:
     fit = toy("m1|r1", {"m1": MASS, "r1": 5.0}, seed=5, n=18).fit()
     assert best_levels(fit, [candidate()]) == []
+
+
+def test_waves_far_below_the_upper_end_of_the_band_are_found() -> None:
+    """The first standing wave is at 333 Hz of 2 to 2000, and two more are in the band."""
+    deep = 6**2 * COMPLIANCE
+    own = toy("m1|r1", {"m1": MASS, "r1": 5.0}, seed=6, n=12, hidden=waves(deep))
+    fit = own.refitter.fit(own.model, own.u, own.population, 0)  # elements are near where they belong
+    size, gain = level_start(fit, candidate())
+    assert 0.5 < size / deep < 2.0
+    assert gain > 100
+
+
+def test_every_effect_is_tried_at_two_places_at_most(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However little the others gain: elements are as the network without the effect has left them."""
+    gains = {"a": 300.0, "b": 200.0, "c": 100.0, "m1": 40.0, "m2": 5.0}
+    monkeypatch.setattr(level_starts, "level_start", lambda _, c: (1.0, gains[c.place]))
+    lines = [Candidate(entry("body.line"), place, {"level": 1.0}) for place in "abc"]
+    others = [Candidate(entry("body.free_line"), place, {"level": 1.0}) for place in ("m1", "m2")]
+    found = [c for c, _ in best_levels(None, [*others, *lines])]  # type: ignore[arg-type]
+    assert found == [lines[0], lines[1], others[0]]

@@ -172,7 +172,7 @@ def test_what_has_little_in_common_but_differs_in_everybody_is_on_the_list() -> 
 
 
 def test_effects_that_could_lead_are_tried_everywhere() -> None:
-    """The leader, and what would be ahead of it if one badly described person were described as the others are."""
+    """The leader, what would be ahead if one badly described person were as the others are, and what a score promises."""
     n = 16
     experiment = toy(*PLACES, seed=1, n=n, hidden=with_mass(0.3))
     fit = experiment.fit()
@@ -192,9 +192,17 @@ def test_effects_that_could_lead_are_tried_everywhere() -> None:
         return Trial(candidate=first[effect], pooling="shared", fit=end, gain=gain, physical=True)
 
     leader, hopeful, behind = several
-    trials = [trial(leader, 100.0, fit), trial(hopeful, 80.0, misled), trial(behind, 80.0, fit)]
+    most = 5 * float(np.nanmax(screening.z**2))
+    trials = [trial(leader, most, fit), trial(hopeful, most - 20.0, misled), trial(behind, most - 20.0, fit)]
     found = _elsewhere(experiment.refitter, fit, screening, trials, None)
     assert {t.effect for t in found} == {leader, hopeful}
+    promising = [k for k in best_shapes(screening) if screening.candidates[k].effect is behind]
+    there = next(k for k in promising if screening.candidates[k].place != first[behind].place)
+    z = screening.z.copy()
+    z[there] = np.sign(z[there]) * np.sqrt(2 * 0.7 * most)
+    found = _elsewhere(experiment.refitter, fit, replace(screening, z=z), trials, None)
+    ours = [t.candidate.place for t in found if t.effect == behind]
+    assert ours == [screening.candidates[there].place]
     for t in found:
         assert t.candidate.place != first[t.effect].place
         assert t.pooling == "shared"
