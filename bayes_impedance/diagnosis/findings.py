@@ -22,6 +22,7 @@ from bayes_impedance.diagnosis.selection.compare import SCATTERS, log_evidence
 from bayes_impedance.diagnosis.selection.cross_validation import people_gain
 from bayes_impedance.diagnosis.selection.exchange import Way
 from bayes_impedance.diagnosis.selection.identifiability import names_that_hold
+from bayes_impedance.diagnosis.selection.names_of_a_size import names_of_a_size
 from bayes_impedance.diagnosis.selection.predictive_gain import Gain, names_that_predict
 from bayes_impedance.diagnosis.selection.stepwise import Found, search
 from bayes_impedance.diagnosis.selection.trial import Trial
@@ -128,6 +129,7 @@ def find(
     with clock.measure("search"):
         found = search(fitted.refitter, base, names, effects, seed, executor, progress, begin, way)
         found, gains = names_that_predict(fitted.refitter, found, seed)
+        found = names_of_a_size(fitted.refitter, found, seed)
     with clock.measure("locate"):
         progress("locating", 0, 2)
         residuals = found.steps[0].residuals

@@ -172,7 +172,7 @@ def test_what_has_little_in_common_but_differs_in_everybody_is_on_the_list() -> 
 
 
 def test_effects_that_could_lead_are_tried_everywhere() -> None:
-    """The leader, what would be ahead if one badly described person were as the others are, and what a score promises."""
+    """The leader, what would be ahead if one person were described as the others are, and what a score promises."""
     n = 16
     experiment = toy(*PLACES, seed=1, n=n, hidden=with_mass(0.3))
     fit = experiment.fit()
