@@ -56,9 +56,10 @@ def test_places_are_sorted_by_what_they_gain(inside) -> None:
     assert all(c.effect.operation == "free_line" and size > 0 for c, size in found)
 
 
-def test_where_there_are_no_waves_nothing_is_tried() -> None:
+def test_where_there_are_no_waves_hardly_anything_is_gained() -> None:
+    """People's best of so many coefficients gain by chance, a tenth of what waves gain in as many."""
     fit = toy("m1|r1", {"m1": MASS, "r1": 5.0}, seed=5, n=18).fit()
-    assert best_levels(fit, [candidate()]) == []
+    assert level_start(fit, candidate())[1] < 10
 
 
 def test_waves_far_below_the_upper_end_of_the_band_are_found() -> None:
@@ -71,11 +72,12 @@ def test_waves_far_below_the_upper_end_of_the_band_are_found() -> None:
     assert gain > 100
 
 
-def test_every_effect_is_tried_at_two_places_at_most(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_two_places_of_every_effect_come_first(monkeypatch: pytest.MonkeyPatch) -> None:
     """However little the others gain: elements are as the network without the effect has left them."""
-    gains = {"a": 300.0, "b": 200.0, "c": 100.0, "m1": 40.0, "m2": 5.0}
+    gains = {"a": 300.0, "b": 200.0, "c": 100.0, "d": 90.0, "m1": 40.0, "m2": 5.0, "m3": -1.0}
     monkeypatch.setattr(level_starts, "level_start", lambda _, c: (1.0, gains[c.place]))
-    lines = [Candidate(entry("body.line"), place, {"level": 1.0}) for place in "abc"]
-    others = [Candidate(entry("body.free_line"), place, {"level": 1.0}) for place in ("m1", "m2")]
+    lines = [Candidate(entry("body.line"), place, {"level": 1.0}) for place in "abcd"]
+    others = [Candidate(entry("body.free_line"), place, {"level": 1.0}) for place in ("m1", "m2", "m3")]
     found = [c for c, _ in best_levels(None, [*others, *lines])]  # type: ignore[arg-type]
-    assert found == [lines[0], lines[1], others[0]]
+    assert found == [lines[0], lines[1], others[0], others[1], lines[2]]
+    assert [c for c, _ in best_levels(None, others)] == others[:2]  # type: ignore[arg-type]
