@@ -105,7 +105,8 @@ def best_levels(fit: Refit, candidates: Sequence[Candidate]) -> list[tuple[Candi
     rows = [(c, *level_start(fit, c)) for c in sites.values()]
     rows = sorted((row for row in rows if row[2] > 0), key=lambda row: -row[2])
     places: dict[Effect, int] = {}
-    first, later = [], []
+    first: list[tuple[Candidate, float]] = []
+    later: list[tuple[Candidate, float]] = []
     for candidate, size, _ in rows:
         places[candidate.effect] = places.get(candidate.effect, 0) + 1
         (first if places[candidate.effect] <= _PLACES_EACH else later).append((candidate, size))
