@@ -201,8 +201,8 @@ def maximised(
     """One M step from v (M, V), and the change of the population in standard deviations.
 
     No prior keeps dispersions between repetitions from zero. Where two recordings' worth of 5 % did, elements that do
-    not change cost a network of 29 people 340 units of log evidence, and a second path in place of one of them was
-    ahead of the stiffness that was missing.
+    not change cost the right explanation of 29 people 340 units of log evidence, and a second path in place of one of
+    them was ahead of it.
     """
     n, size = persons.shape
     posterior = np.linalg.inv(blocks.precision)

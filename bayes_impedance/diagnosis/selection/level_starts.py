@@ -8,8 +8,8 @@ at x, the elements after one Gauss-Newton step and the person's noise scale inte
 .. math:: \ell_i(x) = -(\alpha + N_i)\,\ln\bigl(\beta + \tfrac12\,|(1 - QQ^T)\,r_i(x)|^2\bigr)
 
 with Q a basis of what the elements can absorb there. The median of the best x is everybody's start, because a person
-whose best lies far from it has probably found another optimum; the gain of all people together decides whether a refit
-is tried.
+whose best lies far from it has probably found another optimum; the gain of all people together says which effects and
+places are refitted first.
 """
 
 from __future__ import annotations
@@ -33,10 +33,9 @@ _SMALLEST, _FIRST_WAVE, _STEP = 0.1, 2.5, 1.6
 neighbours; relative to the coefficient that equals the place at the upper end of the band, where w is. By choice."""
 
 _BELOW = 4.0
-"""The lowest frequency may be that much below the first standing wave, or less, for a coefficient to be tried. By
-choice: of a line whose waves fill the whole band no recording shows the element that it stands for. With a grid that
-ended at the third wave in the band, a compliance whose fifth was in it was not found in anybody, and the median of what
-they had instead led nowhere."""
+"""Least ratio of the first standing wave to the lowest frequency: larger coefficients are not tried. By choice: of a
+line whose waves fill the whole band no recording shows the element that it stands for. With a grid that ended at the
+third wave in the band, a compliance whose fifth was in it was not found: the median of people's best led nowhere."""
 
 _PEOPLE, _POINTS = 16, 100
 """Largest numbers of people and of frequencies for the grid. By choice: only a start is wanted."""
