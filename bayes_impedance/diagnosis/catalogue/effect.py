@@ -177,6 +177,11 @@ class Effect(Brief):
         return self.side == "rig"
 
     @property
+    def is_of_the_channel(self) -> bool:
+        """Whether it changes the signal of all that the rig measures, its own masses, springs and dampers included."""
+        return self.side == "rig" and bool(self.operation) and self.traits.connection == "replaces"
+
+    @property
     def is_innermost(self) -> bool:
         """Whether it changes the element at its place before all other effects there."""
         return bool(self.operation) and self.traits.of_the_element

@@ -149,6 +149,24 @@ def shrunk(refitter: Refitter, fit: Refit, model: Model, kept: Sequence[int], ro
     return refitter.fit(model, u, smaller, rounds)
 
 
+def with_last(refitter: Refitter, fit: Refit, addition: int) -> Refit:
+    """Refit of the same additions with one of them in the last place, from `fit`."""
+    kept = [*(k for k in range(len(fit.model.additions)) if k != addition), addition]
+    model = rebuilt(fit.model, [fit.model.additions[k] for k in kept], kept)
+    old = [*range(model.n_elements), *(c for k in kept for c in fit.model.columns(k))]
+    new = [*range(model.n_elements), *(c for k in range(len(kept)) for c in model.columns(k))]
+    columns = np.array(old)[np.argsort(new)]
+    varying = np.cumsum(~fit.model.shared) - 1
+    positions = varying[columns[~model.shared]]
+    population = replace(
+        fit.population,
+        mu=fit.population.mu[positions],
+        covariance=fit.population.covariance[np.ix_(positions, positions)],
+        rho=fit.population.rho[positions],
+    )
+    return refitter.fit(model, fit.u[:, columns], population)
+
+
 def dispersion_of_shared(fit: Refit, addition: int, seed: int) -> np.ndarray:
     """Posterior draws of the relative dispersion between people of a coefficient that was fitted as shared."""
     model = with_pooling(fit.model, addition, "varying")

@@ -222,11 +222,8 @@ def build(network: Network, additions: Sequence[Addition], scales: Scales, start
     inner = _with_labels(network)
     names = {place.name: _inner_name(inner, place) for place in network.places()}
     grown, parameters, found = inner, list[Parameter](), list[tuple[Addition, tuple[str, ...], int]]()
-    # What changes an element itself is innermost at its place, and the rig is outermost.
-    order = sorted(
-        range(len(additions)),
-        key=lambda i: (additions[i].effect.is_outermost, not additions[i].effect.is_innermost),
-    )
+    # What changes an element itself is innermost at its place; the rig is outermost, and its signals pass there last.
+    order = sorted(range(len(additions)), key=lambda i: _from_inside(additions[i].effect))
     branch_parameters: list[Parameter] = []
     for i in order:
         addition, shape = additions[i], starts[i]
@@ -295,6 +292,10 @@ def build(network: Network, additions: Sequence[Addition], scales: Scales, start
             kernel = _Reordered(grown, operations, first)
     extra = [by_name[e] for e in kernel.elements[len(network.elements) :]]
     return Model(network, tuple(additions), scales, kernel, tuple(extra))
+
+
+def _from_inside(effect: Effect) -> tuple[bool, bool, bool]:
+    return effect.is_outermost, effect.is_of_the_channel, not effect.is_innermost
 
 
 class _Reordered(Kernel):

@@ -11,16 +11,28 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 
+from bayes_impedance.diagnosis.catalogue.effect import Candidate
 from bayes_impedance.diagnosis.fit.model import Model, inner_places
 from bayes_impedance.network.notation import Element, Network, Parallel, PowerLaw, Wrapped
 from bayes_impedance.network.operations import N_PARAMETERS
 from bayes_impedance.network.program import changed_by
 from bayes_impedance.network.transform import transform_many
 
-INSIDE = "port, inside the rig"
+INSIDE, BEFORE_CHANNELS = "port, inside the rig", "port, before the channels"
+
+
+def spot_of(candidate: Candidate) -> str:
+    """Where an effect acts, among those at the port: a body's effects are inside of the rig.
+
+    Of the rig's own, masses, springs and dampers are measured through its channels.
+    """
+    if candidate.place != "port" or candidate.effect.is_of_the_channel:
+        return candidate.place
+    return BEFORE_CHANNELS if candidate.effect.is_outermost else INSIDE
 
 
 @dataclass(frozen=True)
@@ -53,11 +65,12 @@ def local_impedances(model: Model, u: np.ndarray, omega: np.ndarray) -> dict[str
     -------
     dict of str to Local
         By the names of the places. ``port`` is the port after all effects; :data:`INSIDE` is the port after the body's
-        effects and before the rig's operations.
+        effects and before the rig's operations, and :data:`BEFORE_CHANNELS` after those of its mechanics, where its
+        delays and filters begin.
     """
     kernel = model.kernel
     values = {name: u[:, i, None] for i, name in enumerate(kernel.elements)}
-    inside_rig: list[Local] = []
+    at_port: dict[str, Local] = {}
     before: dict[tuple[int, ...], list[np.ndarray]] = {}
     wrapping: dict[tuple[int, ...], np.ndarray] = {}
     after: dict[tuple[int, ...], np.ndarray] = {}
@@ -85,12 +98,11 @@ def local_impedances(model: Model, u: np.ndarray, omega: np.ndarray) -> dict[str
                 stages.append(z)
         before[path], after[path] = slopes, np.asarray(z)
         if not path:
-            n_rig = sum(bool(a.effect.operation) and a.effect.is_outermost for a in model.additions)
-            inner = len(slopes) - n_rig
-            felt = np.ones_like(stages[0])
-            for slope in slopes[inner:]:
-                felt = felt * slope
-            inside_rig.append(Local(stages[inner], felt))
+            rig = [a.effect for a in model.additions if a.effect.operation and a.effect.is_outermost]
+            channels = sum(effect.is_of_the_channel for effect in rig)
+            for name, later in ((INSIDE, len(rig)), (BEFORE_CHANNELS, channels)):
+                first = len(slopes) - later
+                at_port[name] = Local(stages[first], reduce(np.multiply, slopes[first:], np.ones_like(stages[0])))
         return after[path]
 
     up(kernel.network, ())
@@ -119,4 +131,4 @@ def local_impedances(model: Model, u: np.ndarray, omega: np.ndarray) -> dict[str
     down(kernel.network, (), np.ones_like(after[()]))
     found: Mapping[str, tuple[int, ...]] = inner_places(model)
     places = {name: Local(after[path], adjoints[path]) for name, path in found.items()}
-    return {**places, INSIDE: inside_rig[0]}
+    return {**places, **at_port}

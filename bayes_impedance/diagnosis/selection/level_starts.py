@@ -25,7 +25,7 @@ from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.model import Model
 from bayes_impedance.diagnosis.fit.person_residuals import directions, real_and_imaginary
 from bayes_impedance.diagnosis.fit.refit import Refit
-from bayes_impedance.diagnosis.residuals.sensitivity import local_impedances
+from bayes_impedance.diagnosis.residuals.sensitivity import local_impedances, spot_of
 from bayes_impedance.person.likelihood import SCALE_SHAPE
 
 _SMALLEST, _FIRST_WAVE, _STEP = 0.1, 2.5, 1.6
@@ -67,7 +67,7 @@ def level_start(fit: Refit, candidate: Candidate) -> tuple[float, float]:
         data = fit.data[i]
         at = slice(None, None, -(-data.omega.size // _POINTS))
         omega, z, weight = data.omega[at], (data.z[0, 0] + 1j * data.z[0, 1])[at], data.weight[0, at]
-        here = local_impedances(fit.model, fit.u[[row]], omega)[candidate.place].z
+        here = local_impedances(fit.model, fit.u[[row]], omega)[spot_of(candidate)].z
         values = np.append(0.0, float(secant({"level": 1.0}, omega, here)[0]) * _levels(omega))
         trial = np.repeat(u[[row]], values.size, axis=0)
         trial[:, column] = values / scale

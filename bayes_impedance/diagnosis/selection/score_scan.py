@@ -37,7 +37,7 @@ from bayes_impedance.diagnosis.catalogue.effect import Candidate, Effect, direct
 from bayes_impedance.diagnosis.fit.model import Model
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
 from bayes_impedance.diagnosis.fit.refit import Refit
-from bayes_impedance.diagnosis.residuals.sensitivity import INSIDE, local_impedances
+from bayes_impedance.diagnosis.residuals.sensitivity import local_impedances, spot_of
 from bayes_impedance.network.operations import ADDING
 
 _DRAWS = 6_000
@@ -300,8 +300,7 @@ def _signatures(
     n = omega.size
     felt = {name: place.adjoint / person.sd for name, place in local.items()}
     for k, candidate in enumerate(candidates):
-        inside = candidate.place == "port" and candidate.effect.side == "body"
-        spot = INSIDE if inside else candidate.place
+        spot = spot_of(candidate)
         d = constant[k]
         if d is None:
             d = direction(candidate.effect, candidate.shape, model.scales, omega, local[spot].z)

@@ -200,7 +200,7 @@ def _forward(
                     break
                 better_than_without = compare(trial.weighed, fit)
                 decided = better_than_without.decided
-                if decided and (number == 0 or _earns_its_place(refitter, fit, trial.fit, seed, few)):
+                if decided and (number == 0 or _earns_its_place(refitter, fit, trial.fit, seed, len(possible) * few)):
                     chosen, is_measured = replace(trial, gain=better_than_without.difference), True
                     break
                 unpredictive |= decided and not few
@@ -234,14 +234,14 @@ def _only_of_the_chain(found: Sequence[Effect], of_the_chain: Sequence[Effect], 
     return bool(found) and sum(effect not in of_the_chain for effect in found) >= of_any_kind
 
 
-def _earns_its_place(refitter: Refitter, fit: Refit, grown: Refit, seed: int, few: bool) -> bool:
-    """Whether a further addition predicts what was held out: people, or frequencies of `few` people.
+def _earns_its_place(refitter: Refitter, fit: Refit, grown: Refit, seed: int, of_few: int) -> bool:
+    """Whether a further addition predicts what was held out: people, or frequencies, if it is one `of_few` effects.
 
     Structure that the first leaves has many ways to resemble some effect. One that does not predict would cost a step
     more, and all choices made anew beside it, before its name is withdrawn.
     """
-    if few:
-        return holds_beside(refitter, fit, grown, seed)
+    if of_few:
+        return holds_beside(refitter, fit, grown, seed, of_few)
     return clearly_gains(*people_gain(refitter, fit, grown, seed))
 
 

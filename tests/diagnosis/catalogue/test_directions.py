@@ -10,13 +10,14 @@ from experiments import entry
 from fingertip_effects import BEFORE, BRANCHES, FREQUENCY, NETWORK, OMEGA, SCALES, THETA, S, assert_slope, own_name
 
 from bayes_impedance.diagnosis.catalogue.effect import (
+    Candidate,
     Effect,
     direction,
     registered,
     shape_grid,
 )
 from bayes_impedance.diagnosis.fit.model import Addition, Model, build
-from bayes_impedance.diagnosis.residuals.sensitivity import INSIDE, local_impedances
+from bayes_impedance.diagnosis.residuals.sensitivity import local_impedances, spot_of
 from bayes_impedance.network.notation import parse
 from bayes_impedance.network.operations import line_compliance, line_mass
 
@@ -28,7 +29,7 @@ def assert_direction(effect: Effect, place: str, shape: dict[str, float], before
     starts = [{"time_constant": 0.01, "frequency": 900.0, "damping_ratio": 0.2} for _ in before]
     small = build(NETWORK, before, SCALES, starts)
     u = np.column_stack([THETA, *(np.full(3, p.start + 0.1 * p.is_coefficient) for p in small.parameters)])
-    local = local_impedances(small, u, OMEGA)[INSIDE if effect.side == "body" and place == "port" else place]
+    local = local_impedances(small, u, OMEGA)[spot_of(Candidate(effect, place, shape))]
     change = direction(effect, shape, SCALES, OMEGA, local.z)
     model = build(NETWORK, [*before, Addition(effect=effect, place=place, pooling="shared")], SCALES, [*starts, shape])
     columns = model.columns(len(before))

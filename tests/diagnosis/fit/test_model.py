@@ -138,18 +138,21 @@ def test_rig_effects_are_outermost() -> None:
     delay, mount = (entry("rig.delay"), "port", [tau]), (entry("rig.series_compliance"), "port", [n])
     tissue, layer = (entry("body.mass"), "port", [m]), (entry("body.subgroup"), "port", [1e-6, 1e-3])
     inside = 1 / (1 / (at("port", lambda z: z) + S * m) + S * 1e-6 / (1 + S * 1e-3))
-    expected = 1 / (1 / (inside * np.exp(-S * tau)) + S * n)
+    expected = 1 / (1 / inside + S * n) * np.exp(-S * tau)
     for items in (
         (tissue, layer, delay, mount),
         (delay, tissue, layer, mount),
         (delay, mount, tissue, layer),
         (delay, tissue, mount, layer),
-    ):
+        (tissue, mount, layer, delay),
+    ):  # a channel delays what the rig's mechanics does, whichever was found first
         np.testing.assert_allclose(with_additions(*items)[1], expected, rtol=1e-10)
-    # Among themselves they keep their order.
-    other = 1 / (1 / inside + S * n) * np.exp(-S * tau)
-    np.testing.assert_allclose(with_additions(tissue, mount, layer, delay)[1], other, rtol=1e-10)
-    assert np.abs(other / expected - 1).max() > 1e-6
+    # Those of one kind keep their order: a damper of the rig behind its compliance, or before it.
+    damper = entry("rig.damping"), "port", [2.0]
+    outer, inner = 1 / (1 / inside + S * n) + 2.0, 1 / (1 / (inside + 2.0) + S * n)
+    np.testing.assert_allclose(with_additions(tissue, layer, mount, damper)[1], outer, rtol=1e-10)
+    np.testing.assert_allclose(with_additions(tissue, layer, damper, mount)[1], inner, rtol=1e-10)
+    assert np.abs(outer / inner - 1).max() > 1e-6
     # A branch of the rig is outside of a branch of the body, whichever came first.
     foot, nail = (FOOT, "port", [1e-8, 50.0]), (NAIL, "port", [1e-4, 1e-3, 0.3])
     beside = parse(NAIL.branch).impedance(S, {"m": 1e-4, "n": 1e-3, "r": 0.3})

@@ -12,7 +12,7 @@ from hypothesis import given
 from strategies import network_impedance, networks_with_elements, repeatable
 
 from bayes_impedance.diagnosis.fit.model import Addition, Model, build, inner_places
-from bayes_impedance.diagnosis.residuals.sensitivity import INSIDE, local_impedances
+from bayes_impedance.diagnosis.residuals.sensitivity import BEFORE_CHANNELS, INSIDE, local_impedances
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Network
 from bayes_impedance.network.operations import Operation
@@ -61,14 +61,31 @@ def test_adjoints_against_differences(name: str) -> None:
     own = [np.full(3, p.start) + (0.1 if p.is_coefficient else 0.3) * rng.normal(size=3) for p in model.parameters]
     u = np.column_stack([THETA, *own])
     local = local_impedances(model, u, OMEGA)
-    assert set(local) == {place.name for place in NETWORK.places()} | {INSIDE}
-    del local[INSIDE]
+    assert set(local) == {place.name for place in NETWORK.places()} | {INSIDE, BEFORE_CHANNELS}
+    del local[INSIDE], local[BEFORE_CHANNELS]
     paths = inner_places(model)
     for place, here in local.items():
         curve = probed(model, u, paths[place])
         assert_slope(curve, here.adjoint, 1 / np.abs(here.z) + np.abs(here.adjoint / curve(0.0)))
     np.testing.assert_allclose(local["port"].z, model.kernel.impedance(u, FREQUENCY), rtol=1e-10)
     np.testing.assert_array_equal(local["port"].adjoint, 1)
+
+
+def test_the_rigs_mechanics_is_measured_through_its_channels() -> None:
+    """Before the channels is behind masses, springs and dampers of the rig, whichever was found first."""
+    delay, damper = (Addition(effect=entry(f"rig.{k}"), place="port", pooling="shared") for k in ("delay", "damping"))
+    for additions in ((delay, damper), (damper, delay)):
+        model = build(NETWORK, additions, SCALES, [{}, {}])
+        u = np.column_stack([THETA, np.full((3, 2), 0.2)])
+        size = {a.effect.id: 0.2 * a.effect.coefficients[0].scale(SCALES) for a in additions}
+        local = local_impedances(model, u, OMEGA)
+        channel = np.exp(-1j * OMEGA * size["rig.delay"])
+        bare = build(NETWORK, (), SCALES, ()).kernel.impedance(THETA, FREQUENCY)
+        np.testing.assert_allclose(local[INSIDE].z, bare, rtol=1e-10)
+        np.testing.assert_allclose(local[BEFORE_CHANNELS].z, bare + size["rig.damping"], rtol=1e-10)
+        np.testing.assert_allclose(local["port"].z, (bare + size["rig.damping"]) * channel, rtol=1e-10)
+        for place in (INSIDE, BEFORE_CHANNELS):
+            np.testing.assert_allclose(local[place].adjoint, np.broadcast_to(channel, bare.shape), rtol=1e-10)
 
 
 @repeatable

@@ -23,7 +23,7 @@ NOTHING: Any = None
 
 
 def fit_of(*names: str, evidence: float = 0.0) -> Any:
-    additions = tuple(SimpleNamespace(key=(name, "", "port")) for name in names)
+    additions = tuple(SimpleNamespace(key=(name, "", "port"), pooling="shared") for name in names)
     own = np.array([evidence])
     return SimpleNamespace(name="+".join(names), model=SimpleNamespace(additions=additions), settled=True, evidence=own)
 
@@ -64,7 +64,12 @@ def without(monkeypatch: pytest.MonkeyPatch) -> None:
         fit.kept = True
         return fit
 
+    def last(_: Any, fit: Any, addition: int) -> Any:
+        names = list(names_of(fit))
+        return fit_of(*(*names[:addition], *names[addition + 1 :], names[addition]))
+
     evidence = {
+        f"{HIGHPASS.id}+{RESONATOR.id}": 34.5,
         "rig.highpass+rig.resonance": 56.0,
         "rig.highpass+rig.delay": 2.0,
         "rig.highpass": 0.0,
@@ -75,6 +80,7 @@ def without(monkeypatch: pytest.MonkeyPatch) -> None:
         f"{RESONATOR.id}+{HIGHPASS.id}": 0.0,
     }
     monkeypatch.setattr(exchange, "without", left)
+    monkeypatch.setattr(exchange, "with_last", last)
     monkeypatch.setattr(exchange, "_elements_kept", kept)
     monkeypatch.setattr(exchange, "log_evidence", lambda fit: evidence[fit.name])
     monkeypatch.setattr(exchange, "unphysical", lambda fit: [])
@@ -134,6 +140,18 @@ def test_a_choice_that_stays_is_compared_with_what_was_tried_beside_the_others()
     assert first.before.name == HIGHPASS.id
     assert [t.effect for t in first.trials] == [DELAY, RESONATOR]
     assert (second, last) == (SECOND, LAST)
+    # What was tried gained 34; the fit that the search had come to is 34.5 ahead of the high-pass alone.
+    assert first.chosen.gain == pytest.approx(34.5)
+    assert names_of(first.chosen.fit) == (HIGHPASS.id, RESONATOR.id)
+
+
+@pytest.mark.usefixtures("without")
+def test_what_was_tried_counts_where_it_describes_more_than_the_known_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    evidence, less = exchange.log_evidence, f"{HIGHPASS.id}+{RESONATOR.id}"
+    monkeypatch.setattr(exchange, "log_evidence", lambda fit: 33.0 if fit.name == less else evidence(fit))
+    chosen = exchanged(NOTHING, WAY, OneStep(DELAY), 1)[0].steps[0].chosen
+    assert chosen is not None
+    assert chosen.gain == pytest.approx(34.0)
 
 
 @pytest.mark.usefixtures("without")
