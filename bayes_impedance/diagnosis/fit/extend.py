@@ -51,14 +51,18 @@ def shape_values(model: Model, addition: int) -> list[float]:
     return [float(c.value(p.centre, model.scales)) for c, p in zip(effect.coefficients, own, strict=True)]
 
 
+def carried(old: Model, new: Model, u: np.ndarray) -> np.ndarray:
+    """Parameters (M, P') of a larger model: those (M, P) of the smaller one, and new ones at their start values."""
+    position = {name: i for i, name in enumerate(old.kernel.elements)}
+    begin = {name: p.start for name, p in zip(new.kernel.elements[new.n_elements :], new.parameters, strict=True)}
+    columns = [u[:, position[e]] if e in position else np.full(len(u), begin[e]) for e in new.kernel.elements]
+    return np.column_stack(columns)
+
+
 def extended_start(fit: Refit, model: Model) -> tuple[np.ndarray, Population]:
     """Start of a larger model's refit: the smaller model's estimates, and new parameters at their start values."""
     old, new = fit.model, model
-    position = {name: i for i, name in enumerate(old.kernel.elements)}
-    begin = {name: p.start for name, p in zip(new.kernel.elements[new.n_elements :], new.parameters, strict=True)}
-    u = np.empty((fit.u.shape[0], len(new.kernel.elements)))
-    for i, name in enumerate(new.kernel.elements):
-        u[:, i] = fit.u[:, position[name]] if name in position else begin[name]
+    u = carried(old, new, fit.u)
     varying_old = [n for n, s in zip(old.kernel.elements, old.shared, strict=True) if not s]
     varying_new = [n for n, s in zip(new.kernel.elements, new.shared, strict=True) if not s]
     n = len(varying_new)

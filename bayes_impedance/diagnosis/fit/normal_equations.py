@@ -172,6 +172,16 @@ def _recordings(
     return chi, gradient, information
 
 
+def at_many(
+    model: Model, u: np.ndarray, omega: np.ndarray, z: np.ndarray, weight: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Chi-square (K,), gradient (K, P) and information (K, P, P) of one recording at many u (K, P).
+
+    The recording z is a pair of real and imaginary part, shape (2, F), and has weights (F,).
+    """
+    return _recordings(model.kernel.program, u, omega, z[None], weight[None], np.zeros(len(u), dtype=np.int64))  # type: ignore[no-any-return]
+
+
 def _piece(
     blocks: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], task: tuple[Program, np.ndarray, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -27,7 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -38,6 +38,7 @@ from bayes_impedance.diagnosis.fit.model import Model
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.residuals.sensitivity import local_impedances, spot_of
+from bayes_impedance.diagnosis.selection.level_starts import LevelEvidence, best_levels, has_levels
 from bayes_impedance.network.operations import ADDING
 
 _DRAWS = 6_000
@@ -79,6 +80,9 @@ class Screening:
         Fraction of each signature's length that the elements cannot absorb.
     effective : float
         Effective number of independent candidates.
+    levels : tuple of LevelEvidence
+        Effects with poles of their own of which a grid of coefficients says that they are there, best first
+        (:mod:`.level_starts`).
     """
 
     candidates: tuple[Candidate, ...]
@@ -91,11 +95,20 @@ class Screening:
     cosine: np.ndarray
     visible: np.ndarray
     effective: float
+    levels: tuple[LevelEvidence, ...] = ()
 
     def log_p(self, z: np.ndarray | float, two_sided: bool = True) -> np.ndarray:
         """Natural logarithm of the p-value of scores, corrected for all candidates."""
         tail = log_ndtr(-np.abs(z)) + (np.log(2) if two_sided else 0.0)
         return np.asarray(np.minimum(tail + np.log(self.effective), 0.0))
+
+    @property
+    def log_p_levels(self) -> float:
+        """Natural logarithm of the p-value of the largest evidence on a grid of coefficients, of all on one."""
+        if not self.levels:
+            return 0.0
+        on_grid = {(c.effect, c.place) for c in self.candidates if has_levels(c)}
+        return min(float(np.log(len(on_grid))) - self.levels[0].log_e, 0.0)
 
     @property
     def physical(self) -> np.ndarray:
@@ -165,7 +178,7 @@ def screen(
     b, m = np.concatenate(score), np.concatenate(information)
     length = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     gram *= np.outer(np.sqrt(m.sum(axis=0)) / length, np.sqrt(m.sum(axis=0)) / length)
-    return _pooled(candidates, b, m, gram, total, c, seed)
+    return replace(_pooled(candidates, b, m, gram, total, c, seed), levels=best_levels(fit, candidates, executor))
 
 
 def _shares(

@@ -18,7 +18,7 @@ from bayes_impedance.diagnosis.fit.outliers_alone import BADLY
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection import far_starts
 from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, FEWEST_TO_VARY
-from bayes_impedance.diagnosis.selection.level_starts import best_levels, from_level
+from bayes_impedance.diagnosis.selection.level_starts import MOST, from_level
 from bayes_impedance.diagnosis.selection.lookalikes import from_the_leader, lookalikes
 from bayes_impedance.diagnosis.selection.score_scan import Screening
 from bayes_impedance.diagnosis.selection.trial import Trial, from_cold, hoped_for, own_shapes, trial_of, try_candidate
@@ -114,7 +114,6 @@ def try_shortlist(
     refitter: Refitter,
     fit: Refit,
     screening: Screening,
-    seed: int,
     begin: Refit | None = None,
     tried: Collection[tuple[Effect, str]] = (),
 ) -> list[Trial]:
@@ -135,7 +134,7 @@ def try_shortlist(
     trials = _continued(refitter, fit, trials)
     if tried:
         return trials
-    trials += _from_levels(refitter, fit, screening, seed, max((t.gain for t in _possible(trials)), default=0.0))
+    trials += _from_levels(refitter, fit, screening)
     return trials + _elsewhere(refitter, fit, screening, trials, begin)
 
 
@@ -175,22 +174,12 @@ def _possible(trials: Sequence[Trial]) -> list[Trial]:
     return [t for t in trials if t.physical and np.isfinite(t.gain)]
 
 
-def _from_levels(refitter: Refitter, fit: Refit, screening: Screening, seed: int, best_gain: float) -> list[Trial]:
-    """Effects with poles of their own, from the coefficients on a grid that fit best.
-
-    `best_gain` is that of all other trials.
-    """
-    if len(refitter.data) < FEWEST_TO_VARY:
-        return []
-    found = []
-    for candidate, size in best_levels(fit, screening.candidates):
-        grown = from_level(refitter, fit, candidate, size, _FIRST_ROUNDS + _MORE_ROUNDS)
-        trial = from_cold(refitter, fit, trial_of(candidate, "varying", grown, fit), _FIRST_ROUNDS + _MORE_ROUNDS)
-        if within_reach(trial, best_gain):
-            # Whoever has a pole in the band begins on the wrong side of it.
-            rested = trial_of(candidate, "varying", refitter.settle(trial.fit, seed), fit)
-            trial = max(trial, rested, key=lambda t: t.gain)
-        found.append(trial)
+def _from_levels(refitter: Refitter, fit: Refit, screening: Screening) -> list[Trial]:
+    """Effects with poles of their own, from the coefficients on a grid that are most probable."""
+    rounds, found = _FIRST_ROUNDS + _MORE_ROUNDS, []
+    for level in screening.levels[:MOST]:
+        grown = from_level(refitter, fit, level, rounds)
+        found.append(from_cold(refitter, fit, trial_of(level.candidate, "varying", grown, fit), rounds))
     return found
 
 

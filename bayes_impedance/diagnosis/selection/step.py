@@ -50,9 +50,9 @@ class Step:
 
     @property
     def log_p(self) -> float:
-        """Smallest corrected log p-value among candidates with an admissible sign, of a shared or a varying effect."""
+        """Smallest corrected log p-value: of shared or varying effects with an admissible sign, or of poles."""
         s = self.screening
         z = np.where(s.physical, np.nan_to_num(s.z), 0.0)
         body = np.array([c.effect.side == "body" for c in s.candidates], dtype=bool)
         spread = float(np.min(np.where(body & s.physical, s.log_p_spread, 0.0), initial=0.0))
-        return min(float(s.log_p(np.abs(z).max(initial=0.0))), spread + SPREAD_PENALTY)
+        return min(float(s.log_p(np.abs(z).max(initial=0.0))), spread + SPREAD_PENALTY, s.log_p_levels)

@@ -261,7 +261,7 @@ def _explanations(
     """
     known = [replace(t, gain=log_evidence(t.weighed) - log_evidence(fit)) for t in known]
     tried = {(t.effect, t.candidate.place) for t in known}
-    fresh = try_shortlist(refitter, fit, screening, seed, begin, tried)
+    fresh = try_shortlist(refitter, fit, screening, begin, tried)
     if not known:
         fresh += from_afar(refitter, fit, effects, seed)
         fresh += in_some_people(refitter, fit, effects, fresh, seed)

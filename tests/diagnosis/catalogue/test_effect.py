@@ -316,7 +316,7 @@ def test_an_effect_of_ones_own_is_screened_and_refitted(
     assert strength[mine].max() > 0.9 * strength.max()
     assert screening.log_p(strength[mine].max()) < np.log(1e-9)
     only = screen(fit, residuals, [effect], 1, Serial())
-    trials = try_shortlist(refitter, fit, only, 1)
+    trials = try_shortlist(refitter, fit, only)
     best = finalists(refitter, fit, trials, registered(), 1)[0]
     assert best.effect is effect
     assert best.gain > 10

@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
+
 import numpy as np
 import pytest
-from experiments import entry, recovered, toy
+from experiments import Experiment, Serial, entry, recovered, toy
 
 from bayes_impedance.diagnosis.catalogue.effect import Candidate
+from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection import level_starts
 from bayes_impedance.diagnosis.selection.compare import log_evidence
-from bayes_impedance.diagnosis.selection.level_starts import MOST, best_levels, from_level, level_start
+from bayes_impedance.diagnosis.selection.level_starts import LevelEvidence, best_levels, from_level
+from bayes_impedance.diagnosis.selection.score_scan import screen
+from bayes_impedance.diagnosis.selection.step import Step
 
 MASS, COMPLIANCE = 2e-3, 8e-6
 
 
-def waves(compliance: float):
+def waves(compliance: float, spread: float = 0.2):
     """A layer with a free surface in place of the mass of m1|r1."""
 
     def hidden(s: np.ndarray, z: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-        n = compliance * np.exp(0.2 * rng.normal(size=len(z)))
+        n = compliance * np.exp(spread * rng.normal(size=len(z)))
         mass = 1j * z.imag
         x = np.sqrt(s * mass * n[:, None, None])
         return z - mass + mass * np.tanh(x) / x, n
@@ -27,7 +35,7 @@ def waves(compliance: float):
 
 
 @pytest.fixture(scope="module")
-def inside():
+def inside() -> Experiment:
     """The first standing wave is at 2 kHz, where the band ends: in half of the people it is inside."""
     return toy("m1|r1", {"m1": MASS, "r1": 5.0}, seed=4, n=18, hidden=waves(COMPLIANCE))
 
@@ -36,30 +44,54 @@ def candidate() -> Candidate:
     return Candidate(entry("body.free_line"), "m1", {"level": 1.0})
 
 
-def test_the_grid_finds_the_compliance_and_the_refit_is_better_than_from_zero(inside) -> None:
+def levels(fit: Refit, *candidates: Candidate) -> tuple[LevelEvidence, ...]:
+    return best_levels(fit, candidates or [candidate()], Serial())
+
+
+def test_the_grid_finds_the_compliance_and_the_refit_is_better_than_from_zero(inside: Experiment) -> None:
     fit = inside.fit()
-    size, gain = level_start(fit, candidate())
-    assert 0.5 < size / COMPLIANCE < 2.0
-    assert gain > 100
-    grown = from_level(inside.refitter, fit, candidate(), size, 40)
+    (level,) = levels(fit)
+    assert 0.7 < level.size / COMPLIANCE < 1.4
+    assert level.spread < 0.5
+    assert level.log_e > 100
+    grown = from_level(inside.refitter, fit, level, 40)
     assert grown.settled
     from_zero = recovered(inside, entry("body.free_line"), "m1", "varying", 60)
     assert log_evidence(grown) > log_evidence(from_zero) + 100
 
 
-def test_places_are_sorted_by_what_they_gain(inside) -> None:
+def test_everybody_begins_at_the_own_coefficient(inside: Experiment) -> None:
     fit = inside.fit()
+    begun: list[Any] = []
+    (level,) = levels(fit)
+    from_level(cast(Any, SimpleNamespace(fit=lambda *start: begun.append(start))), fit, level, 40)
+    model, u, population, rounds = begun[0]
+    column = model.columns(0)[0]
+    size = candidate().effect.coefficients[0].scale(model.scales)
+    own = u[np.searchsorted(fit.owner, range(18)), column] * size
+    assert inside.coefficients is not None
+    assert np.corrcoef(np.log(own), np.log(inside.coefficients))[0, 1] > 0.7
+    assert population.mu[-1] == pytest.approx(u[:, column].mean())
+    assert rounds == 40
+
+
+def test_the_places_that_are_likelier_than_nothing_come_best_first(inside: Experiment) -> None:
     everywhere = [candidate(), Candidate(entry("body.diffusion"), "r1", {"level": 1.0})]
-    found = best_levels(fit, [*everywhere, Candidate(entry("body.mass"), "port", {})])
-    assert found[0][0] == candidate()
-    assert len(found) <= MOST
-    assert all(c.effect.operation == "free_line" and size > 0 for c, size in found)
+    found = levels(inside.fit(), *everywhere, Candidate(entry("body.mass"), "port", {}))
+    assert found[0].candidate == candidate()
+    assert all(level.candidate.effect.operation == "free_line" and level.log_e > 0 for level in found)
+    assert [level.log_e for level in found] == sorted((level.log_e for level in found), reverse=True)
 
 
-def test_where_there_are_no_waves_hardly_anything_is_gained() -> None:
-    """People's best of so many coefficients gain by chance, a tenth of what waves gain in as many."""
-    fit = toy("m1|r1", {"m1": MASS, "r1": 5.0}, seed=5, n=18).fit()
-    assert level_start(fit, candidate())[1] < 10
+def test_where_there_are_no_waves_the_evidence_is_on_average_at_most_one() -> None:
+    """Of twenty populations; with the elements where the fit has left them, not where they are."""
+    evidence = []
+    for seed in range(20):
+        fit = toy("m1|r1", {"m1": MASS, "r1": 5.0}, seed=50 + seed, n=6).fit()
+        row = np.searchsorted(fit.owner, range(6))
+        evidence.append(level_starts.level_evidence(fit.model, fit.u[row], fit.data, candidate()).log_e)
+    assert np.mean(np.exp(evidence)) < 1.0
+    assert max(evidence) < np.log(20 / 0.01)
 
 
 def test_waves_far_below_the_upper_end_of_the_band_are_found() -> None:
@@ -67,17 +99,26 @@ def test_waves_far_below_the_upper_end_of_the_band_are_found() -> None:
     deep = 6**2 * COMPLIANCE
     own = toy("m1|r1", {"m1": MASS, "r1": 5.0}, seed=6, n=12, hidden=waves(deep))
     fit = own.refitter.fit(own.model, own.u, own.population, 0)  # elements are near where they belong
-    size, gain = level_start(fit, candidate())
-    assert 0.5 < size / deep < 2.0
-    assert gain > 100
+    (level,) = levels(fit)
+    assert 0.7 < level.size / deep < 1.4
+    assert level.log_e > 100
 
 
-def test_two_places_of_every_effect_come_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    """However little the others gain: elements are as the network without the effect has left them."""
-    gains = {"a": 300.0, "b": 200.0, "c": 100.0, "d": 90.0, "m1": 40.0, "m2": 5.0, "m3": -1.0}
-    monkeypatch.setattr(level_starts, "level_start", lambda _, c: (1.0, gains[c.place]))
-    lines = [Candidate(entry("body.line"), place, {"level": 1.0}) for place in "abcd"]
-    others = [Candidate(entry("body.free_line"), place, {"level": 1.0}) for place in ("m1", "m2", "m3")]
-    found = [c for c, _ in best_levels(None, [*others, *lines])]  # type: ignore[arg-type]
-    assert found == [lines[0], lines[1], others[0], others[1], lines[2]]
-    assert [c for c, _ in best_levels(None, others)] == others[:2]  # type: ignore[arg-type]
+def test_poles_that_are_elsewhere_in_everybody_are_significant_though_no_score_is() -> None:
+    """The first standing wave of a spring's mass is at 1.6 kHz, and between 0.9 and 2.7 kHz in most people."""
+    spring, mass = 1e-3, 1e-4
+
+    def hidden(s: np.ndarray, z: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        own = mass * np.exp(0.5 * rng.normal(size=len(z)))
+        x = s * np.sqrt(own * spring)[:, None, None]
+        return z - 1 / (s * spring) + x / np.tanh(x) / (s * spring), own
+
+    elements = {"m1": MASS, "r1": 50.0, "n1": spring}
+    fit = toy("m1|r1|n1", elements, 8, n=14, repetitions=1, noise=0.03, tau=1e-3, rho=1e-3, hidden=hidden).fit()
+    residuals = tuple(person_residuals(fit, [str(i) for i in range(14)]))
+    screening = screen(fit, residuals, [entry("body.line")], 1, Serial())
+    assert screening.levels[0].candidate.place == "n1"
+    assert 0.7 < screening.levels[0].size / mass < 1.4
+    step = Step(before=fit, residuals=residuals, screening=screening)
+    assert step.log_p == screening.log_p_levels < np.log(1e-20)
+    assert replace(step, screening=replace(screening, levels=())).log_p > np.log(0.05)
