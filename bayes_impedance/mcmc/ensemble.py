@@ -18,6 +18,7 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
 
@@ -172,11 +173,12 @@ def sample(
         for child, file in zip(children, files, strict=True)
     ]
     total = settings.ensembles * sum(settings.burn_in)
-    done = [0]
+    done, reporting = [0], Lock()  # ensembles run side by side, and report one after the other
 
     def count(n: int, stage: str = "burn-in") -> None:
-        done[0] += n
-        progress(stage, min(done[0], total), total)
+        with reporting:
+            done[0] += n
+            progress(stage, min(done[0], total), total)
 
     with ThreadPoolExecutor(settings.workers) as pool:
         list(pool.map(lambda e: e.prepare(settings.burn_in, count), ensembles))

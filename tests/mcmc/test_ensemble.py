@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import time
 from pathlib import Path
 
 import emcee
@@ -234,6 +235,21 @@ def test_progress_is_reported_to_the_end():
     for entries in stages.values():
         assert entries[-1][1] == entries[-1][2]
         assert all(0 <= done <= total for _, done, total in entries)
+
+
+def test_ensembles_that_run_side_by_side_report_one_after_the_other():
+    together, most = [0], [0]
+
+    def progress(*_):
+        together[0] += 1
+        most[0] = max(most[0], together[0])
+        time.sleep(2e-3)
+        together[0] -= 1
+
+    target = Gaussian(3)
+    side_by_side = changed(SHORT, ensembles=4, workers=4)
+    sample(target, target.mean, target.sd, side_by_side, np.random.SeedSequence(1), progress)
+    assert most == [1]
 
 
 @pytest.mark.parametrize("calls", [5, 60])  # in the burn-in, and in the chains
