@@ -31,9 +31,9 @@ from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import log_evidence
 from bayes_impedance.diagnosis.selection.cross_validation import held_out
 
-STANDARD_ERRORS = 3.0
+_STANDARD_ERRORS = 3.0
 """By how many a further effect must stand out, where there is no scatter between people that would show how much of a
-gain is a whim of the recordings."""
+gain is a whim of the recordings. By choice: one more than over people (:data:`~.compare.SCATTERS`)."""
 
 
 def holds_beside(refitter: Refitter, fit: Refit, grown: Refit, seed: int, chosen_from: int) -> bool:
@@ -50,7 +50,7 @@ def holds_beside(refitter: Refitter, fit: Refit, grown: Refit, seed: int, chosen
         Number of effects, n.
     """
     gain = (log_evidence(grown) - log_evidence(fit)) / residuals_that_say_one_thing(grown)
-    if gain <= 0.5 * STANDARD_ERRORS**2 + np.log(chosen_from):
+    if gain <= 0.5 * _STANDARD_ERRORS**2 + np.log(chosen_from):
         return False
     foretold = held_out(refitter, fit, grown, seed).blocks
     return foretold is not None and foretold > 0

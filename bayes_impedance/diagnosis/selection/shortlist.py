@@ -18,7 +18,7 @@ from bayes_impedance.diagnosis.fit.outliers_alone import BADLY
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection import far_starts
 from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, FEWEST_TO_VARY
-from bayes_impedance.diagnosis.selection.level_starts import MOST, from_level
+from bayes_impedance.diagnosis.selection.level_starts import from_level
 from bayes_impedance.diagnosis.selection.lookalikes import from_the_leader, lookalikes
 from bayes_impedance.diagnosis.selection.score_scan import Screening
 from bayes_impedance.diagnosis.selection.trial import Trial, from_cold, hoped_for, own_shapes, trial_of, try_candidate
@@ -177,7 +177,7 @@ def _possible(trials: Sequence[Trial]) -> list[Trial]:
 def _from_levels(refitter: Refitter, fit: Refit, screening: Screening) -> list[Trial]:
     """Effects with poles of their own, from the coefficients on a grid that are most probable."""
     rounds, found = _FIRST_ROUNDS + _MORE_ROUNDS, []
-    for level in screening.levels[:MOST]:
+    for level in screening.levels:
         grown = from_level(refitter, fit, level, rounds)
         found.append(from_cold(refitter, fit, trial_of(level.candidate, "varying", grown, fit), rounds))
     return found

@@ -175,7 +175,7 @@ def _forward(
     while number <= last:
         progress("looking for what is missing", number, most + 1)
         few = _only_of_the_chain([s.chosen.effect for s in steps if s.chosen], of_the_chain, len(refitter.data))
-        possible = of_the_chain if few else effects
+        possible, of_few = (of_the_chain, len(of_the_chain)) if few else (effects, 0)
         residuals = tuple(person_residuals(fit, names, executor))
         if begin is None:
             screening = screen(fit, residuals, possible, seed, executor)
@@ -200,7 +200,7 @@ def _forward(
                     break
                 better_than_without = compare(trial.weighed, fit)
                 decided = better_than_without.decided
-                if decided and (number == 0 or _earns_its_place(refitter, fit, trial.fit, seed, len(possible) * few)):
+                if decided and (number == 0 or _earns_its_place(refitter, fit, trial.fit, seed, of_few)):
                     chosen, is_measured = replace(trial, gain=better_than_without.difference), True
                     break
                 unpredictive |= decided and not few
