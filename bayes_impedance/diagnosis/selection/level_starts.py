@@ -44,8 +44,8 @@ from bayes_impedance.person.mode import ROUNDING
 _SMALLEST, _FIRST_WAVE, _STEP = 0.1, 2.5, 1.04
 """Least coefficient that is tried, that with which the first standing wave enters the band, and the factor between
 neighbours; relative to the coefficient that equals the place at the upper end of the band, where w is. By choice: with
-that factor a pole is moved by 2 %, and frequencies of sweeps are 1 to 10 % apart. A person's likelihood may be narrower:
-on another grid 68 people said 598 for 717. On any grid the mean is one under nothing."""
+that factor a pole is moved by 2 %, and frequencies of sweeps are 1 to 10 % apart. A person's likelihood may be narrower
+than that: on another grid 68 people said 598 for 717. On any grid the mean is one under nothing."""
 
 _BELOW = 4.0
 """Least ratio of the first standing wave to the lowest frequency: larger coefficients are not tried. By choice: of a
