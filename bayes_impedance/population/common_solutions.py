@@ -5,18 +5,29 @@ each person in the optimum it is in: expectation-maximisation does not leave suc
 everybody is in the same optimum may be far more probable. So common solutions are tried as populations of their own, on
 thinned data, and their evidences are compared: at first those that the searches of single persons have found
 (:func:`best_common`), later, if a search under the estimated population has brought some persons to another optimum,
-the solutions of these (:func:`from_one_person`).
+the solutions of these (:func:`from_another`).
+
+The best population may also be where no single person's recordings have led. What one person leaves open, an element
+that is nearly rigid or hardly felt in the band, the people together determine, and where each one's search ends is
+chance: of 30 virtual fingertips between 50 and 2000 Hz the spring of the skin came out a hundred times as large as it
+is and its damper twice as large, at a log evidence 31 below that of the truth. So the estimated population's centre is
+also tried with each such element changed to either side, as a search for one person's best optimum does
+(:func:`~bayes_impedance.population.starting_fits.search_modes`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from operator import methodcaller
 
 import numpy as np
 
 from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.person.likelihood import Likelihood
+from bayes_impedance.person.mode import mode_at
+from bayes_impedance.population.e_step import PersonFit
 from bayes_impedance.population.em_state import State
 from bayes_impedance.population.order import Order, arranged
 from bayes_impedance.population.starting_fits import FirstFits
@@ -34,12 +45,23 @@ _TRIAL_ROUNDS, _TRIAL_POINTS = 10, 100
 _MORE_PROBABLE = 1.0
 """Gain in log evidence from which a population counts as another one. By choice: a factor e says nothing yet, and after
 so few iterations two that began apart and go to one mode still differ by half of it."""
-_MOST_TRIED, _FIRST_ROUNDS = 6, 3
-"""Most persons whose solutions are tried for everybody, and iterations after which the best of them alone goes on. By
-choice: the first iteration leaves the common point, and two more order populations that differ by tens of nats."""
+_MOST_TRIED, _FIRST_ROUNDS, _FOLLOWED = 6, 3, 3
+"""Most persons whose solutions are tried for everybody; iterations after which the best few of all solutions alone go
+on, and how many do. By choice: the first iteration leaves the common point, and two more order populations that differ
+by tens of nats."""
+_KICKS = (2.0, 4.0)
+"""Changes of a log element, to either side. By choice: the first is that of a single person's search; by the second a
+population came back from a hundred times an element's value, and by the first it did not."""
+_OPEN = 0.3
+"""Standard deviation by the median person's recordings from which these leave a log element open: a smaller or larger
+value than that of the search's end is then less than three of them away. Of populations that every person determines
+better, none of eight went elsewhere."""
+_FEW, _MANY = 24, 200
+"""Persons, spread evenly, with whom all other solutions than the estimated one are tried, and the best few. By choice:
+what is more probable by tens of nats for all shows in a few; what decides must not be a whim of theirs."""
 
-StateFrom = Callable[[np.ndarray, Kept], State]
-"""Makes the state of an estimation from everybody's log elements (N, P) and data."""
+StateFrom = Callable[[np.ndarray, Kept, np.ndarray], State]
+"""Makes the state of an estimation from the log elements (n, P) of some persons, their data and their numbers (n,)."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +102,9 @@ def best_common(
     thinned = _thinned(data)
     found, ends, ordered = [], [], []
     for c, theta in enumerate(first.common):
-        trial = _Trial.made(kernel, order, state_from(theta, thinned), range(1, _TRIAL_ROUNDS + 1))
+        trial = _Trial.made(
+            kernel, order, state_from(theta, thinned, np.arange(len(theta))), range(1, _TRIAL_ROUNDS + 1)
+        )
         found.append(trial.state.log_evidence())
         ends.append(trial.state.theta)
         ordered.append(trial.ordered)
@@ -91,16 +115,16 @@ def best_common(
     return ends[ranked[0]], tuple(float(found[ranked[0]] - found[k]) for k in others)
 
 
-def from_one_person(
+def from_another(
     kernel: Kernel,
     order: Order,
     state_from: StateFrom,
     data: Kept,
-    theta: np.ndarray,
+    state: State,
     jumped: np.ndarray,
     progress: Progress,
-) -> tuple[np.ndarray | None, float]:
-    """Everybody's log elements (N, P) in a population that began from one person's solution, if that is more probable.
+) -> tuple[State | None, float]:
+    """A population that is more probable than the estimated one, if one is found.
 
     Parameters
     ----------
@@ -108,33 +132,75 @@ def from_one_person(
     order : Order
     state_from : callable
     data : Kept of Likelihood
-    theta : ndarray, shape (N, P)
-        Everybody's log elements now.
+    state : State
+        Of the estimated population.
     jumped : ndarray of bool, shape (N,)
-        Persons whose solutions are tried: as many as differ, of which those that differ most.
+        Persons whom a search has brought to another optimum. Their solutions are tried: as many as differ, of which
+        those that differ most.
     progress : callable
 
     Returns
     -------
-    theta : ndarray or None
-        None if the population is more probable as it is.
+    state : State or None
+        With everybody in it; None if the population is more probable as it is, or the other one is the same with
+        nobody elsewhere.
     gain : float
-        In log evidence.
+        In log evidence, of at most :data:`_MANY` people.
     """
-    thinned, tried = _thinned(data), _farthest(theta[jumped])
-    begun = []
-    for c, own in enumerate(tried):
-        state = state_from(np.tile(own, (len(theta), 1)), thinned)
-        begun.append(_Trial.made(kernel, order, state, range(1, _FIRST_ROUNDS + 1)))
-        progress("solutions of single persons", c + 1, len(tried) + 1)
-    best = max(begun, key=lambda trial: trial.state.log_evidence())
-    rest = range(_FIRST_ROUNDS + 1, _TRIAL_ROUNDS + 1)
-    best = _Trial.made(kernel, order, best.state, rest)
-    now = _Trial.made(kernel, order, state_from(theta, thinned), range(1, _TRIAL_ROUNDS + 1))
-    progress("solutions of single persons", len(tried) + 1, len(tried) + 1)
+    theta, centre = state.theta, state.pooling.whole(state.mu, state.phi)
+
+    def begun_at(own: np.ndarray, among: tuple[np.ndarray, Kept]) -> State:
+        people, recordings = among
+        return state_from(np.broadcast_to(own, theta.shape)[people], recordings, people)
+
+    persons = _farthest(theta[jumped]) if np.any(jumped) else theta[:0]
+    changes = [sign * size * own for own in _left_open(state) for size in _KICKS for sign in (1, -1)]
+    solutions = [*persons, *(centre + change for change in changes)]
+    if not solutions:
+        return None, 0.0
+    few, many = (_some(_thinned(data), len(theta), most) for most in (_FEW, _MANY))
+    found = []
+    for c, own in enumerate(solutions):
+        trial = _Trial.made(kernel, order, begun_at(own, few), range(1, _FIRST_ROUNDS + 1))
+        found.append(trial.state.log_evidence())
+        progress("other common solutions", c + 1, len(solutions) + 1)
+    rounds = range(1, _TRIAL_ROUNDS + 1)
+    best_few = np.argsort(-np.nan_to_num(found, nan=-np.inf), kind="stable")[:_FOLLOWED]
+    followed = [_Trial.made(kernel, order, begun_at(solutions[k], many), rounds) for k in best_few]
+    best = max(followed, key=lambda trial: float(np.nan_to_num(trial.state.log_evidence(), nan=-np.inf)))
+    as_it_is = begun_at(theta, many)
+    as_it_is.take_population(state)
+    now = _Trial.made(kernel, order, as_it_is, rounds)
+    progress("other common solutions", len(solutions) + 1, len(solutions) + 1)
     gain = float(best.state.log_evidence() - now.state.log_evidence())
-    better = gain > _MORE_PROBABLE and (best.ordered or not now.ordered)
-    return (best.state.theta, gain) if better else (None, gain)
+    middle, here = (np.median(trial.state.theta, axis=0) for trial in (best, now))
+    elsewhere = bool(np.any(jumped)) or float(np.abs(middle - here).max()) > APART
+    better = gain > _MORE_PROBABLE and elsewhere and (best.ordered or not now.ordered)
+    if not better:
+        return None, gain
+    everybody = best.state.n_persons == len(theta)
+    begun = state_from(best.state.theta if everybody else np.tile(middle, (len(theta), 1)), data, np.arange(len(theta)))
+    begun.take_population(best.state)
+    return begun, gain
+
+
+def _some(data: Kept, n: int, most: int) -> tuple[np.ndarray, Kept]:
+    """Numbers of at most so many of n persons, spread evenly, and their data."""
+    people = np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(int))
+    return people, data.of_some(people)
+
+
+def _left_open(state: State) -> np.ndarray:
+    """Unit vectors (n, P) of the elements that the median person's recordings leave open."""
+    own = partial(_standard_deviations, state.pooling.at(state.phi), np.diag(state.prior.local_sds(state.mu) ** -2.0))
+    sd = np.median(state.data.each(own, state.fits).gathered(), axis=0)
+    return np.asarray(np.eye(state.pooling.whole(state.mu, state.phi).size)[state.pooling.varying[sd > _OPEN]])
+
+
+def _standard_deviations(kernel: Kernel, precision: np.ndarray, likelihood: Likelihood, fit: PersonFit) -> np.ndarray:
+    """Of a person's log elements (P,), by the own recordings and a prior of that precision."""
+    mode = mode_at(kernel, likelihood.moved(fit.deviations), fit.theta, fit.theta, precision, 0.0)
+    return np.asarray(np.sqrt(np.diag(np.linalg.inv(mode.precision))))
 
 
 def _farthest(theta: np.ndarray) -> np.ndarray:

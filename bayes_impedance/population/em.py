@@ -40,7 +40,7 @@ from bayes_impedance.network.parameters import LOG
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.mode import Mode
 from bayes_impedance.population.calibrated import inseparable_given
-from bayes_impedance.population.common_solutions import ALIGNED, APART, best_common, from_one_person
+from bayes_impedance.population.common_solutions import ALIGNED, APART, best_common, from_another
 from bayes_impedance.population.contrasts import Contrasts
 from bayes_impedance.population.e_step import PersonFit, contrasts_of
 from bayes_impedance.population.em_state import State, equations_of, refitted
@@ -65,7 +65,7 @@ _AT_REST = -1.0
 _TOLERANCE = 0.02
 """Iterations end when the population moves by less than this, in its standard errors. By choice: see `_MAX_ROUNDS`."""
 _MOST_TOGETHER = 2
-"""Most times that everybody begins anew from one person's solution. By choice: each time the evidence is higher."""
+"""Most times that everybody begins anew from one solution. By choice: each time the evidence is higher."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -214,24 +214,25 @@ def estimate(
         Whether the population is a Student t.
     """
     n, p = len(first.theta), pooling.varying.size
+    everybody = np.arange(n)
     repeated = max(data.ask(_most_repetitions)) > 1
 
-    def state_from(theta: np.ndarray, data: Kept) -> State:
-        return State(pooling, data, prior, covariates, correlated, theta, repeated, one_person, tails)
+    def state_from(theta: np.ndarray, data: Kept, people: np.ndarray) -> State:
+        return State(pooling, data, prior, covariates[people], correlated, theta, repeated, one_person, tails)
 
     rounds, moved, rivals = 0, np.inf, tuple[float, ...]()
     together, jumped = 0, np.zeros(n, dtype=bool)
     kept = None if checkpoint is None else load_arrays(checkpoint)
     if kept is not None:
-        state = state_from(first.theta, data)
+        state = state_from(first.theta, data, everybody)
         state.restore(kept)
         rounds, moved, rivals = int(kept["rounds"]), float(kept["moved"]), tuple(kept["rivals"].tolist())
         together, jumped = int(kept["together"]), kept["jumped"]
     elif len(first.common) > 1 and not one_person:
         begun, rivals = best_common(pooling.kernel, prior.order, state_from, data, first, progress)
-        state = state_from(begun, data)
+        state = state_from(begun, data, everybody)
     else:
-        state = state_from(first.theta, data)
+        state = state_from(first.theta, data, everybody)
 
     def keep() -> None:
         if checkpoint is not None:
@@ -259,12 +260,15 @@ def estimate(
             searched(state.means[:, None, :] + np.swapaxes(spread, 1, 2))
             moved = _AT_REST
             keep()
-        if one_person or together == _MOST_TOGETHER or not np.any(jumped):
+        if one_person or together == _MOST_TOGETHER:
             break
-        found, gain = from_one_person(pooling.kernel, prior.order, state_from, data, state.theta, jumped, progress)
+        found, gain = from_another(pooling.kernel, prior.order, state_from, data, state, jumped, progress)
         if found is None:
             break
-        state, rivals = state_from(found, data), (gain, *(rival + gain for rival in rivals))
+        rivals = tuple(rival + gain for rival in rivals)
+        if np.abs(np.median(found.theta, axis=0) - np.median(state.theta, axis=0)).max() > APART:
+            rivals = (gain, *rivals)  # else only some persons were elsewhere
+        state = found
         rounds, moved, together, jumped = 0, np.inf, together + 1, np.zeros(n, dtype=bool)
     if prior.order:
         state.iterate(None)  # standard errors need everybody's fit under the population as it now is

@@ -165,6 +165,11 @@ class State:
             self.weights, self.tail = snapshot["weights"], float(snapshot["tail"])
         self.begun = True  # snapshots are taken after an iteration
 
+    def take_population(self, other: State) -> None:
+        """Take over another state's population, not its persons (before the first iteration)."""
+        self.mu, self.slopes = other.mu.copy(), other.slopes.copy()  # an iteration writes into them
+        self.covariance, self.rho, self.phi, self.tail = other.covariance, other.rho, other.phi, other.tail
+
     def exchange(self, arrangement: np.ndarray) -> None:
         """Give equal parts of the network each other's values, in everybody and in the population (after an iteration).
 

@@ -83,6 +83,13 @@ class Kept:
         parts = self.ask(unchanged) if function is None else self.ask(partial(over_rows, function))
         return [entry for part in parts for entry in part]
 
+    def of_some(self, persons: np.ndarray) -> Kept:
+        """The same data of a few persons, by their ascending numbers (n,); they pass through this process."""
+        wanted = np.zeros(sum(self.ask(len)), dtype=bool)
+        wanted[persons] = True
+        parts = self.ask(_chosen, columns=[wanted])
+        return Kept.of(self.executor, [own for part in parts for own in part])
+
     def forget(self) -> None:
         """Release the data to free memory; a cluster can recompute them if other data depend on them."""
         self.parts = []
@@ -91,6 +98,10 @@ class Kept:
         """For each part: the part itself, and the same persons' parts of the columns."""
         split = [c.parts if isinstance(c, Kept) else [c[rows] for rows in parts_of(len(c))] for c in (self, *columns)]
         return list(zip(*split, strict=True))
+
+
+def _chosen(part: Sequence[Any], wanted: np.ndarray) -> list[Any]:
+    return [own for own, one_of_them in zip(part, wanted, strict=True) if one_of_them]
 
 
 def parts_of(n: int) -> list[slice]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -10,12 +11,16 @@ import pytest
 from conftest import SMALL
 from drawn_posteriors import posterior_of
 
+from bayes_impedance.diagnosis.fit.baseline import point_estimate
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
 from bayes_impedance.person.likelihood import Likelihood
-from bayes_impedance.population import em
-from bayes_impedance.population.common_solutions import best_common, from_one_person
+from bayes_impedance.population import common_solutions, em
+from bayes_impedance.population.common_solutions import best_common, from_another
+from bayes_impedance.population.fingertip import FINGERTIP
+from bayes_impedance.population.natural_scales import default_prior
 from bayes_impedance.population.order import Order
+from bayes_impedance.population.shared import Pooling
 from bayes_impedance.population.simulate import simulate_recordings
 from bayes_impedance.population.starting_fits import FirstFits
 from bayes_impedance.runtime.sharded import Kept
@@ -31,14 +36,20 @@ def people(n: int) -> Kept:
 class Trial:
     """Stands for the state of a population that stays where it was put."""
 
+    mu, phi = np.array([1.0, 1.0]), np.empty(0)
+    pooling = Pooling(Kernel(parse("r1|r2")))
+
     def __init__(self, theta: np.ndarray, evidence: float) -> None:
-        self.theta, self._evidence = theta, evidence
+        self.theta, self._evidence, self.n_persons = theta, evidence, len(theta)
 
     def iterate(self, extra_starts: None) -> float:
         assert extra_starts is None
         return 0.0
 
     def align(self) -> None:
+        pass
+
+    def take_population(self, other: Trial) -> None:
         pass
 
     def log_evidence(self) -> float:
@@ -53,8 +64,8 @@ def test_the_common_solution_of_highest_evidence_is_taken_and_an_exchange_is_no_
     first = FirstFits(common[0], np.empty((3, 0, 2)), common, None)
     data = people(3)
 
-    def state_from(theta: np.ndarray, thinned: Kept) -> Trial:
-        assert len(thinned.gathered()) == 3
+    def state_from(theta: np.ndarray, thinned: Kept, persons: np.ndarray) -> Trial:
+        assert len(thinned.gathered()) == persons.size == 3
         return Trial(theta, evidences[tuple(theta[0])])
 
     def best(network: str, order: Order) -> tuple[np.ndarray, tuple[float, ...]]:
@@ -71,32 +82,85 @@ def test_the_common_solution_of_highest_evidence_is_taken_and_an_exchange_is_no_
 
 
 @pytest.mark.parametrize("gain", [5.0, 0.5, -5.0])
-def test_everybody_begins_from_one_persons_solution_if_that_is_more_probable(gain: float) -> None:
+def test_everybody_begins_from_another_solution_if_that_is_more_probable(
+    gain: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Of those who have gone to another one only, and of equal ones only one is tried; half a unit is no difference."""
     now = np.array([[0.0, 1.0], [0.1, 1.0], [4.0, 1.0], [4.1, 1.0], [0.0, 9.0]])
-    began: list[tuple[float, ...]] = []
+    jumped = np.array([True, True, True, True, False])
+    monkeypatch.setattr(common_solutions, "_left_open", lambda _: np.empty((0, 2)))
 
-    def state_from(theta: np.ndarray, thinned: Kept) -> Trial:
-        if np.ptp(theta, axis=0).any():
-            return Trial(theta, -20.0)
-        began.append(tuple(theta[0]))
-        return Trial(theta, -20.0 + (gain if theta[0, 0] > 2 else -50.0))
+    def found(order: Order) -> tuple[Trial | None, float, set[tuple[float, ...]]]:
+        return tried_from(now, jumped, lambda theta: -20.0 + (gain if theta[0] > 2 else -50.0), order)
 
-    kernel, jumped = Kernel(parse("r1-(r2|m1=1.0)")), np.array([True, True, True, True, False])
-
-    def found(order: Order) -> tuple[np.ndarray | None, float]:
-        began.clear()
-        return from_one_person(kernel, order, state_from, people(5), now, jumped, lambda *_: None)  # type: ignore[arg-type]
-
-    begun, more = found(Order())
-    assert sorted(began) == [(0.1, 1.0), (4.1, 1.0)]
+    begun, more, tried = found(Order())
+    assert tried == {(0.1, 1.0), (4.1, 1.0)}
     assert more == gain
     if gain > 1:
-        np.testing.assert_array_equal(begun, np.tile([4.1, 1.0], (5, 1)))
+        assert begun is not None
+        np.testing.assert_array_equal(begun.theta, np.tile([4.1, 1.0], (5, 1)))
     else:
         assert begun is None
     # r1 is to be below r2, as it is in the middle now, and is not there.
     assert found(Order(chains=((0, 1),), names=(("r1", "r2"),)))[0] is None
+
+
+@pytest.mark.parametrize("nearest", [True, False])
+def test_elements_that_recordings_leave_open_are_changed_to_either_side(
+    nearest: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only these, from the centre of the population, if nobody has gone elsewhere; what ends nearby is no other one."""
+    now, jumped = np.tile([1.0, 1.0], (5, 1)), np.zeros(5, dtype=bool)
+    monkeypatch.setattr(common_solutions, "_left_open", lambda _: np.array([[0.0, 1.0]]))
+    if nearest:
+        monkeypatch.setattr(common_solutions, "APART", 5.0)
+    begun, more, tried = tried_from(now, jumped, lambda theta: -20.0 + 7.0 * (theta[1] == -3.0), Order())
+    assert tried == {(1.0, 3.0), (1.0, -1.0), (1.0, 5.0), (1.0, -3.0)}
+    assert more == 7.0
+    if nearest:
+        assert begun is None
+    else:
+        assert begun is not None
+        np.testing.assert_array_equal(begun.theta, np.tile([1.0, -3.0], (5, 1)))
+    monkeypatch.setattr(common_solutions, "_left_open", lambda _: np.empty((0, 2)))
+    assert tried_from(now, jumped, lambda _: 0.0, Order()) == (None, 0.0, set())
+
+
+def tried_from(
+    now: np.ndarray, jumped: np.ndarray, evidence: Callable[[np.ndarray], float], order: Order
+) -> tuple[Trial | None, float, set[tuple[float, ...]]]:
+    """What is found beside a population of evidence -20, its gain, and what was tried for everybody."""
+    began: set[tuple[float, ...]] = set()
+
+    def state_from(theta: np.ndarray, data: Kept, persons: np.ndarray) -> Trial:
+        if np.array_equal(theta, now):
+            return Trial(theta, -20.0)
+        began.add(tuple(theta[0]))
+        return Trial(theta, evidence(theta[0]))
+
+    kernel, state = Kernel(parse("r1-(r2|m1=1.0)")), Trial(now, -20.0)
+    begun, gain = from_another(kernel, order, state_from, people(len(now)), state, jumped, lambda *_: None)  # type: ignore[arg-type]
+    return begun, gain, began  # type: ignore[return-value]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("changed", [True, False])
+def test_what_no_person_determines_is_searched_for_everybody(changed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Above 50 Hz a fingertip leaves its skin's spring open; one a hundred times as large is less likely."""
+    band = np.geomspace(50, 2000, 60)
+    recordings = simulate_recordings(replace(FINGERTIP, noise=0.03), 30, 2, band, seed=4).recordings
+    if not changed:
+        monkeypatch.setattr(common_solutions, "_KICKS", ())
+    kernel = Kernel(parse(FINGERTIP.network))
+    point = point_estimate(recordings, kernel, default_prior(kernel, recordings), 1, ONE_THREAD, lambda *_: None)
+    spring, damper = point.mu[:2] - np.log([FINGERTIP.central["n3"], FINGERTIP.central["r3"]])
+    if changed:
+        assert spring < 2
+        assert damper < 0.4
+        assert max(point.rivals) > 10
+    else:
+        assert spring > 4
+        assert damper > 0.5
 
 
 @pytest.mark.parametrize("together", [True, False])

@@ -12,6 +12,7 @@ from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.population import em
+from bayes_impedance.population.common_solutions import StateFrom
 from bayes_impedance.population.em import DETERMINED_BOUNDED, DETERMINED_SD, Estimate, estimate, moved_to
 from bayes_impedance.population.em_state import SMALLEST_DISPERSION, State
 from bayes_impedance.population.prior import Prior
@@ -20,6 +21,7 @@ from bayes_impedance.population.starting_fits import FirstFits
 from bayes_impedance.runtime.progress import Progress
 from bayes_impedance.runtime.sharded import Kept
 
+Found = tuple[State, float]
 FREQUENCY = np.geomspace(5, 500, 12)
 OMEGA = 2 * np.pi * FREQUENCY
 ONE_THREAD = ThreadPoolExecutor(1)
@@ -239,7 +241,11 @@ def test_an_interrupted_estimation_that_began_again_goes_on_to_the_same_numbers(
     theta = np.random.default_rng(2).normal(size=(8, 2)) * 0.2 + np.log([2e-3, 2.0])
     likelihoods, file = people("m1|r1", theta, 0.05, repetitions=2, moved=0.05), tmp_path / "point.npz"
     monkeypatch.setattr(em, "APART", -1.0)  # so that everybody counts as gone elsewhere
-    monkeypatch.setattr(em, "from_one_person", lambda _, __, ___, ____, now, *_____: (now + 0.5, 3.0))
+
+    def another(_: object, __: object, state_from: StateFrom, data: Kept, state: State, *___: object) -> Found:
+        return state_from(state.theta + 0.5, data, np.arange(8)), 3.0
+
+    monkeypatch.setattr(em, "from_another", another)
     rounds: list[int] = []
     whole = estimated("m1|r1", likelihoods, theta, progress=lambda _, done, __: rounds.append(done))
     assert rounds.count(1) == 3
