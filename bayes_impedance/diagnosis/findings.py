@@ -11,7 +11,8 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
 from bayes_impedance.diagnosis.catalogue.effect import Candidate, Effect
-from bayes_impedance.diagnosis.fit.baseline import Fitted
+from bayes_impedance.diagnosis.fit.baseline import LAST_ROUNDS, Fitted
+from bayes_impedance.diagnosis.fit.evidence_surface import GAIN
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
@@ -152,7 +153,20 @@ def find(
         if remains:
             found, unknown = _one_network(fitted.refitter, found, unknown, names, seed, executor)
         progress("unknown physics", 1, 1)
-    return Findings(found=found, unknown=unknown, first=first, one_ports=one_ports, gain_of=gains, remains=remains)
+    look = Findings(found=found, unknown=unknown, first=first, one_ports=one_ports, gain_of=gains, remains=remains)
+    return look if look.final is found.base else look.with_final(at_rest(fitted.refitter, look.final))
+
+
+def at_rest(refitter: Refitter, fit: Refit) -> Refit:
+    """The fit, or where it comes to rest if that is no worse.
+
+    Fits of the search end after some dozens of rounds. That decides between explanations, but one that was six rounds
+    from its rest was said not to have converged, and its verdict not to be relied on.
+    """
+    if fit.settled:
+        return fit
+    rest = refitter.fit(fit.model, fit.u, fit.population, LAST_ROUNDS)
+    return rest if rest.settled and rest.evidence.sum() > fit.evidence.sum() - GAIN else fit
 
 
 def _one_network(

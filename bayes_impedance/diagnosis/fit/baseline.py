@@ -49,7 +49,7 @@ _LEAST_GAIN = 3.0
 ROUNDS = 80
 """Largest number of rounds of the first fit. By choice: one not at rest then is continued after restarts."""
 
-_LAST_ROUNDS = 200
+LAST_ROUNDS = 200
 """Largest number of rounds of a fit that has not come to rest after all restarts. By choice: five times as many as
 before."""
 
@@ -108,7 +108,7 @@ def fit_network(
     fit = _gathered(refitter, refitter.settle(fit, seed))
     fit = recordings_alone(refitter, refitter.settle(fit, seed))
     if not fit.settled:  # along an element that the recordings hardly determine, rounds are many and small
-        fit = refitter.fit(model, fit.u, fit.population, _LAST_ROUNDS)
+        fit = refitter.fit(model, fit.u, fit.population, LAST_ROUNDS)
     return Fitted(
         recordings=recordings,
         fit=fit,
