@@ -26,6 +26,7 @@ from bayes_impedance.diagnosis.selection.identifiability import felt
 from bayes_impedance.diagnosis.selection.stepwise import Found
 from bayes_impedance.diagnosis.selection.unnamed import Realised
 from bayes_impedance.diagnosis.types import Snapshot
+from bayes_impedance.diagnosis.verdict.absorbed import without_absorbed
 from bayes_impedance.diagnosis.verdict.electrical_words import electrical
 from bayes_impedance.diagnosis.verdict.entries import effect_entry, joint_of, unknown_entry, unpredicted_entry
 from bayes_impedance.diagnosis.verdict.ranking import detection_limits
@@ -210,6 +211,10 @@ def make_verdict(
     found, before, after = evidence.found, evidence.before, evidence.after
     gross, partial = _shortcomings(recordings, evidence.final, evidence.unknown is not None)
     network, physics = found.base.model.network, _physics(recordings, evidence)
+    absorbed: tuple[str, ...] = ()
+    if evidence.posterior is not None and extended is not None:
+        known = len(found.base.model.additions)
+        physics, absorbed = without_absorbed(physics, found.final, known, evidence.posterior, extended)
     withdrawn = found.steps[0].chosen is not None and not evidence.changed
     if not physics and not gross and not partial and withdrawn and _same_in_all(evidence.location):
         physics = (unpredicted_entry(),)
@@ -239,6 +244,7 @@ def make_verdict(
             *fitted.remarks,
             *about_direction(recordings, [entry.id for entry in effects]),
             *evidence.remarks,
+            *absorbed,
             *_left_out(evidence),
             *_limits_of_few(recordings),
         ),
