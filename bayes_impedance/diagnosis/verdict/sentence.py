@@ -57,7 +57,7 @@ def sentence(verdict: Verdict, people: int) -> str:
     band = f", seen mostly {_span(bands)}" if bands else ""
     clauses = [_clause(entry, verdict.unit) for entry in verdict.physics[:_FINDINGS]]
     more = len(verdict.physics) - len(clauses)
-    text = f"The network leaves out {_listed([*clauses, *([f'{more} more'] if more else [])])}{band}"
+    text = f"The network leaves out {listed([*clauses, *([f'{more} more'] if more else [])])}{band}"
     better = verdict.improvement
     gain, error = (None, None) if better is None else (better.elpd_gain, better.elpd_gain_se)
     if gain is not None and gain > 0:
@@ -67,8 +67,8 @@ def sentence(verdict: Verdict, people: int) -> str:
     if undecided:
         rivals = [alias for entry in undecided for alias in entry.aliases if not alias.separated]
         names = list(dict.fromkeys(f"{_with_article(alias.name)} at {_place(alias.place)}" for alias in rivals))
-        one = "it" if len(verdict.physics) == 1 else _listed([entry.name for entry in undecided], "or")
-        text += f". These recordings cannot distinguish {one} from {_listed(names[:_FINDINGS], 'or')}"
+        one = "it" if len(verdict.physics) == 1 else listed([entry.name for entry in undecided], "or")
+        text += f". These recordings cannot distinguish {one} from {listed(names[:_FINDINGS], 'or')}"
     if verdict.shortcomings:
         text += f"{'; even' if undecided else '. Even'} so, {_clause_of(verdict.shortcomings[0])[:-1]}"
     return text + "."
@@ -137,7 +137,7 @@ def _span(bands: Sequence[Sequence[float]]) -> str:
     return "from " + " and from ".join(spans)
 
 
-def _listed(parts: Sequence[str], word: str = "and") -> str:
+def listed(parts: Sequence[str], word: str = "and") -> str:
     return parts[0] if len(parts) == 1 else ", ".join(parts[:-1]) + f" {word} " + parts[-1]
 
 
