@@ -138,6 +138,7 @@ def _span(bands: Sequence[Sequence[float]]) -> str:
 
 
 def listed(parts: Sequence[str], word: str = "and") -> str:
+    """Parts of a sentence with commas between them, and a word before the last."""
     return parts[0] if len(parts) == 1 else ", ".join(parts[:-1]) + f" {word} " + parts[-1]
 
 
