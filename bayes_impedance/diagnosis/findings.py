@@ -160,7 +160,7 @@ def find(
 def at_rest(refitter: Refitter, fit: Refit) -> Refit:
     """The fit, or where it comes to rest if that is no worse.
 
-    Fits of the search end after some dozens of rounds. That decides between explanations, but one that was six rounds
+    Fits of the search end after some dozens of rounds. That decides between explanations, but one that was a few rounds
     from its rest was said not to have converged, and its verdict not to be relied on.
     """
     if fit.settled:
