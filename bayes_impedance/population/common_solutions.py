@@ -158,7 +158,8 @@ def from_another(
     solutions = [*persons, *(centre + change for change in changes)]
     if not solutions:
         return None, 0.0
-    few, many = (_some(_thinned(data), len(theta), most) for most in (_FEW, _MANY))
+    thinned = _thinned(data)
+    few, many = (_some(thinned, len(theta), most) for most in (_FEW, _MANY))
     found = []
     for c, own in enumerate(solutions):
         trial = _Trial.made(kernel, order, begun_at(own, few), range(1, _FIRST_ROUNDS + 1))

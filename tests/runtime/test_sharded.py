@@ -180,6 +180,8 @@ def test_parts_that_are_with_one_worker_are_asked_together() -> None:
         kept, expected = Kept(executor, parts), [3 * sum(range(k + 1)) for k in range(12)]
         workers = {w for who in client.who_has(parts).values() for w in who}
         assert kept.ask(doubled, 3) == expected
+        some = [0, 2, 140, 299]
+        assert Kept.of(executor, range(300)).of_some(np.array(some)).gathered() == some
         assert len(executor._together([(part,) for part in parts])) == len(workers)
         unborn = executor.keep(list, range(5))
         assert executor.ask(doubled, [([1, 2],), (unborn,), (parts[1],)], 3) == [9, 30, 3]

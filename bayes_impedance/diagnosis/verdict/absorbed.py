@@ -26,7 +26,7 @@ from bayes_impedance.diagnosis.extended_network import ExtendedNetwork, no_netwo
 from bayes_impedance.diagnosis.fit.coefficient_posterior import CoefficientPosterior, Reported, reported
 from bayes_impedance.diagnosis.fit.model import Model
 from bayes_impedance.diagnosis.fit.refit import Refit
-from bayes_impedance.diagnosis.verdict.sentence import listed
+from bayes_impedance.diagnosis.verdict.sentence import listed, place_in_words
 from bayes_impedance.diagnosis.verdict_types import Physics
 from bayes_impedance.network.redundancy import inseparable
 
@@ -75,8 +75,8 @@ def without_absorbed(
             entries[i - first] = replace(entry, parameters=kept)
             shown = listed([name.replace("_", " ") for name in lost])
             remarks.append(
-                f"Of {entry.name} at {'the port' if entry.place == 'port' else repr(entry.place)}, {shown} cannot be "
-                "told from the recordings: elements of the network can take up any change of it. No value is given."
+                f"Of {entry.id} at {place_in_words(entry.place)} the recordings do not determine "
+                f"{shown}: elements of the network can take up any change of it. No value is given."
             )
     return tuple(entries), tuple(remarks)
 

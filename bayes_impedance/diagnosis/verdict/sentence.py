@@ -66,7 +66,7 @@ def sentence(verdict: Verdict, people: int) -> str:
     undecided = [entry for entry in verdict.physics if any(not alias.separated for alias in entry.aliases)]
     if undecided:
         rivals = [alias for entry in undecided for alias in entry.aliases if not alias.separated]
-        names = list(dict.fromkeys(f"{_with_article(alias.name)} at {_place(alias.place)}" for alias in rivals))
+        names = list(dict.fromkeys(f"{_with_article(alias.name)} at {place_in_words(alias.place)}" for alias in rivals))
         one = "it" if len(verdict.physics) == 1 else listed([entry.name for entry in undecided], "or")
         text += f". These recordings cannot distinguish {one} from {listed(names[:_FINDINGS], 'or')}"
     if verdict.shortcomings:
@@ -99,7 +99,7 @@ def _clause(entry: Physics, unit: str) -> str:
     if entry.kind == "unknown" and not entry.formula:
         return "something that no effect of the catalogue and no small network predicts"
     if entry.kind == "unknown":
-        return f"an unknown effect at {_place(entry.place)}, represented by {entry.formula}"
+        return f"an unknown effect at {place_in_words(entry.place)}, represented by {entry.formula}"
     size = ""
     for name, row in list(entry.parameters.items())[:1]:
         size = f" ({name.replace('_', ' ')} {number(row.median, row.unit)}, 90 % interval "
@@ -111,7 +111,7 @@ def _clause(entry: Physics, unit: str) -> str:
     if entry.covariate or entry.kind == "correlation":
         return f"that {entry.name}{size}"
     word = "in" if entry.kind == "subgroup" else "at"
-    at = "" if entry.place == "port" and entry.side == "rig" else f" {word} {_place(entry.place)}"
+    at = "" if entry.place == "port" and entry.side == "rig" else f" {word} {place_in_words(entry.place)}"
     return f"{_with_article(entry.name)}{at}{size}{side}"
 
 
@@ -128,7 +128,8 @@ def _with_article(name: str) -> str:
     return f"{'an' if name[0].lower() in 'aeio' else 'a'} {name}"
 
 
-def _place(name: str) -> str:
+def place_in_words(name: str) -> str:
+    """A place of the network in a sentence."""
     return "the port" if name == "port" else f"'{name}'"
 
 
