@@ -54,3 +54,23 @@ def test_what_is_held_is_not_moved() -> None:
     assert len(other_gaps(kernel, data, TRUE[None], np.zeros(4, dtype=bool))) == 0
     starts = other_gaps(kernel, data, TRUE[None], np.array([False, False, True, False]))
     np.testing.assert_array_equal(starts[:, [0, 1, 3]], np.tile(TRUE[[0, 1, 3]], (len(starts), 1)))
+
+
+@pytest.mark.parametrize("person", [22, 35, 36])
+def test_the_gap_beside_is_found_in_a_network_of_two_resonances(person: int) -> None:
+    kernel = Kernel(parse("(m1-n1)|((n2|r1|m2)-n3-m3)"))
+    centre = np.log([0.0325, 6.18e-5, 4.84e-6, 60.8, 0.759, 5.97e-5, 0.0363])
+    spread = [0.49, 0.126, 0.339, 0.116, 0.4375, 0.124, 0.1367]
+    true = centre + spread * np.random.default_rng(person).normal(size=7)
+    frequency_hz = np.geomspace(15.03, 1268.26, 379)
+    data = recorded(kernel, true, frequency_hz)
+    wrong = true.copy()
+    wrong[0] += 2 * np.log(frequency_hz[1] / frequency_hz[0])
+    precision = np.eye(7) / 0.1**2
+    stuck, worse = best_mode(kernel, data, wrong[None], true, precision)
+    starts = other_gaps(kernel, data, stuck[None], np.ones(7, dtype=bool))
+    found = best_end(kernel, data, np.concatenate([stuck[None], starts]), true, precision)
+    _, better = best_mode(kernel, data, found[None], true, precision)
+    _, best = best_mode(kernel, data, true[None], true, precision)
+    assert worse > best + 1000
+    assert better == pytest.approx(best, abs=0.1)
