@@ -3,7 +3,7 @@ r"""Effects that bring poles of their own, such as lines, on a grid of coefficie
 A line whose standing waves lie inside the band cannot be reached from a coefficient of zero: on the way its poles cross
 the band, and every crossing is another optimum. Nor does the score at zero see it, where the poles are narrow and at
 other frequencies in everybody. So a grid of coefficients is tried in each person. With the coefficient at x, the
-elements after one Gauss-Newton step and the person's noise scale integrated out
+elements after one Gauss-Newton step, or two where x may be the person's, and the noise scale integrated out
 (:mod:`bayes_impedance.diagnosis.fit.fitter`), the person's log likelihood is
 
 .. math:: \ell_i(x) = -(\alpha + N_i)\,\ln\bigl(\beta + \tfrac12\,|(1 - QQ^T)\,r_i(x)|^2\bigr)
@@ -71,8 +71,9 @@ _PEOPLE = 16
 choice: of 68 people with a line that all of them say is there by 717 units, sixteen said so by 21."""
 
 _DOUBT, _LONGEST = 20.0, 0.5
-"""Behind a person's largest log likelihood: what is closer after one step of the elements takes another. And the
-longest step of an element. By choice."""
+"""Behind a person's largest log likelihood: where one step of the elements leaves no more, another is made. And the
+longest step of an element. By choice. A line of 0.3 of the mass in front of it, which a refit finds 106 better, is 83
+better after one step and 105 after two."""
 
 MOST = 5
 """Largest number of places at which all people are asked, and of refits. By choice."""

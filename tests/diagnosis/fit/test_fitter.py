@@ -17,12 +17,15 @@ from experiments import (
     with_mass,
 )
 
+from bayes_impedance.diagnosis.catalogue.effect import Candidate
+from bayes_impedance.diagnosis.fit.extend import extended, extended_start
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.model import Addition
 from bayes_impedance.diagnosis.fit.normal_equations import (
     Population,
 )
 from bayes_impedance.diagnosis.fit.refit import Refit
+from bayes_impedance.diagnosis.selection.compare import log_evidence
 from bayes_impedance.person.likelihood import SCALE_SHAPE
 
 # Evidence
@@ -108,6 +111,23 @@ def test_the_dispersion_between_repetitions_is_where_the_evidence_is_largest(rho
         np.testing.assert_allclose(fit.population.rho, rho, rtol=0.3)
     else:
         assert np.all(fit.population.rho < 2e-3)  # a recording determines an element to 2e-3
+
+
+def test_what_a_mass_absorbs_gains_nothing_where_elements_are_the_same_in_all_repetitions() -> None:
+    """It has no dispersion between repetitions, and beside an element that has to have one it would gain 8."""
+    still = toy("m1|r1|n1", {"m1": 2e-3, "r1": 5.0, "n1": 1e-4}, 3, 12, 3, noise=1e-3, rho=1e-6)
+    fit = still.refitter.fit(still.model, still.u, still.population, 200)
+    effect = entry("body.mass")
+    model = extended(fit.model, Candidate(effect, "port", {}), "varying", 1e-3)
+    u, population = extended_start(fit, model)
+    mu = population.mu.copy()
+    (column,) = model.columns(0)
+    u[:, column] = 0.8 * np.exp(u[:, 0]) / effect.coefficients[0].scale(model.scales)
+    u[:, 0] += np.log(0.2)
+    mu[0], mu[-1] = mu[0] + np.log(0.2), u[:, column].mean()
+    grown = still.refitter.fit(model, u, replace(population, mu=mu), 200)
+    assert grown.equations.chi.sum() == pytest.approx(fit.equations.chi.sum(), rel=0.01)
+    assert log_evidence(grown) < log_evidence(fit)
 
 
 # Optima

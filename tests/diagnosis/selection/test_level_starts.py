@@ -121,3 +121,20 @@ def test_poles_that_are_elsewhere_in_everybody_are_significant_though_no_score_i
     step = Step(before=fit, residuals=residuals, screening=screening)
     assert step.log_p == screening.log_p_levels < np.log(1e-20)
     assert replace(step, screening=replace(screening, levels=())).log_p > np.log(0.05)
+
+
+def test_with_a_second_step_of_the_elements_the_evidence_is_nearly_the_refits() -> None:
+    """Its mass is 0.3 of that in front of it; one step of the elements says 0.8 of the refit's gain."""
+
+    def line(s: np.ndarray, z: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        own = 0.07 * np.exp(0.1 * rng.normal(size=len(z)))
+        x = np.sqrt(s * own[:, None, None] / z)
+        return z * x / np.tanh(x), own
+
+    elements, grid = {"m1": 0.2353, "r1": 24.0, "n1": 1.3e-5}, np.geomspace(12, 3000, 150)
+    heavy = toy("m1|r1|n1", elements, 3, 14, 1, noise=0.03, tau=0.4, hidden=line, frequency_hz=grid)
+    fit = heavy.fit()
+    (level,) = levels(fit, Candidate(entry("body.line"), "port", {}))
+    gain = log_evidence(from_level(heavy.refitter, fit, level, 60)) - log_evidence(fit)
+    assert gain > 100
+    assert 0.93 * gain < level.log_e < gain
