@@ -32,8 +32,8 @@ _REACH, _MOST_STEPS = 0.3, 30
 between repetitions with which a fit begins; a step costs a hundredth of a millisecond."""
 
 _NEAR, _PARTS = 2, 4
-"""The first so many steps to either side, each to the gap half a gap further, are made in so many parts. By choice: in
-halves an optimum in the next gap was not found, 170 units better, and in quarters it was."""
+"""The first steps to either side, so many, are made in so many parts; each moves the resonance by half a gap. By
+choice: in halves an optimum in the next gap was not found, 170 units better, and in quarters it was."""
 
 _MOST = 8
 """Places that are returned, of the smallest error. By choice: from each a search of a few milliseconds begins."""

@@ -38,7 +38,6 @@ DAMPING, _LEAST, _MOST = 1e-3, 1e-9, 1e6
 """Of a person's first step and after one that did not descend, at least; the smallest and the largest one. Relative to
 the curvature, by choice."""
 
-
 _LEAST_RHO = 1e-4
 """Least dispersion of an element between repetitions. By choice: well below the standard error of one recording, beyond
 which a smaller one makes no difference. A mass that is the same in all repetitions, and known to 4e-4 from one, cost 41

@@ -225,7 +225,7 @@ def _gains(
         trial = np.repeat(own[None], len(x) + 1, axis=0)
         trial[:, column] = np.append(0.0, x) / scale
         chi, likely, step = _at_elements(larger, trial, d)
-        near = np.flatnonzero(likely > likely.max() - _DOUBT)
+        near = np.flatnonzero(likely > np.nanmax(likely) - _DOUBT)  # with no coefficient it is a number
         trial[:, e] -= np.clip(step, -_LONGEST, _LONGEST)
         again, better, _ = _at_elements(larger, trial[near], d)
         likely[near] = np.where(again < chi[near], better, likely[near])
