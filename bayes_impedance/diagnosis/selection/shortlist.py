@@ -199,16 +199,20 @@ def lookalike_trials(refitter: Refitter, fit: Refit, screening: Screening, leade
     return found
 
 
-def from_afar(refitter: Refitter, fit: Refit, effects: Sequence[Effect], seed: int) -> list[Trial]:
+def from_afar(
+    refitter: Refitter, fit: Refit, effects: Sequence[Effect], seed: int, screening: Screening | None = None
+) -> list[Trial]:
     """Trials of effects of the rig that do not begin at the network (:mod:`.far_starts`).
 
-    They are made if it does not describe the recordings at all, or has lost elements: driven away from everybody's
-    values, or to where most people's recordings do not feel them.
+    All of them are made if it does not describe the recordings at all, or has lost elements: driven away from
+    everybody's values, or to where most people's recordings do not feel them. Otherwise those of delays and filters
+    that the elements hide from the scan.
     """
+    candidates = far_starts.of_the_chain(fit, effects)
     if not far_starts.wholly_off(fit) and (refitter.one_person or not lost_elements(fit).any()):
-        return []
+        candidates = [] if screening is None else far_starts.absorbed(candidates, screening)
     found = []
-    for candidate in far_starts.of_the_chain(fit, effects):
+    for candidate in candidates:
         begun = far_starts.refits_from_afar(refitter, fit, candidate, seed, _FIRST_ROUNDS)
         best = max(begun, key=lambda g: float(g.evidence.sum()))
         if not best.settled:

@@ -263,7 +263,7 @@ def _explanations(
     tried = {(t.effect, t.candidate.place) for t in known}
     fresh = try_shortlist(refitter, fit, screening, begin, tried)
     if not known:
-        fresh += from_afar(refitter, fit, effects, seed)
+        fresh += from_afar(refitter, fit, effects, seed, screening)
         fresh += in_some_people(refitter, fit, effects, fresh, seed)
         ranked = finalists(refitter, fit, fresh, effects, seed)
         ranked = with_lookalikes(refitter, fit, screening, ranked, effects, seed)

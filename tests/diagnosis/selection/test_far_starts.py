@@ -6,16 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from experiments import Experiment, entry, toy
+from experiments import Experiment, Serial, entry, toy
 
 from bayes_impedance.diagnosis.catalogue.effect import Candidate, registered
 from bayes_impedance.diagnosis.fit.cold_start import driven_away
 from bayes_impedance.diagnosis.fit.extend import extended, extended_start
 from bayes_impedance.diagnosis.fit.lost_elements import lost_elements
+from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection import far_starts
 from bayes_impedance.diagnosis.selection.far_starts import network_from_afar, of_the_chain, refits_from_afar
+from bayes_impedance.diagnosis.selection.score_scan import screen
 from bayes_impedance.diagnosis.selection.shortlist import from_afar
+from bayes_impedance.diagnosis.selection.trial import try_candidate
 
 NETWORK = "((r1|n1)-n2-r2)|((m1|r3)-r4)"
 CENTRES = {"r1": 27.7, "n1": 3.7e-4, "n2": 1.1e-4, "r2": 36.7, "m1": 0.045, "r3": 45.4, "r4": 13.5}
@@ -121,3 +124,28 @@ def test_where_the_network_took_the_place_of_the_rigs_damper_it_is_found_from_af
     assert best.gain > 100
     size = entry("rig.damping").coefficients[0].scale(hidden.model.scales)
     assert best.fit.u[0, -1] * size == pytest.approx(damping, rel=0.02)
+
+
+def test_a_low_pass_that_the_elements_have_absorbed_is_found_from_afar() -> None:
+    """A mass behind it has a negative resistance, which a damper of the branch takes back: the scan is blind to it."""
+    constant = 7e-6
+    centres = {"r1": 0.0225, "m1": 5.2e-4, "m2": 3.4e-4, "r2": 0.536}
+    behind = toy(
+        "(r1-m1)|m2|r2", centres, seed=2, n=12, noise=0.003, frequency_hz=np.geomspace(11, 4500, 81),
+        hidden=lambda s, z, _: (z / (1 + constant * s), np.zeros(12)),
+    )  # fmt: skip
+    u, mu = behind.u.copy(), behind.population.mu.copy()
+    u[:] = mu[:] = [3.7, -8.1, -10.7, -0.57]
+    fit = behind.refitter.fit(behind.model, u, replace(behind.population, mu=mu), 80)
+    assert not lost_elements(fit).any()
+    assert fit.evidence.sum() > behind.fit().evidence.sum()
+    (lowpass,) = [e for e in registered() if e.id == "rig.lowpass"]
+    residuals = person_residuals(fit, [f"p{i}" for i in range(12)], Serial())
+    screening = screen(fit, residuals, registered(), 1, Serial())
+    (k,) = [k for k, c in enumerate(screening.candidates) if c.effect == lowpass]
+    (near,) = try_candidate(behind.refitter, fit, screening.candidates[k], float(screening.size[k]), ("shared",), 30)
+    assert near.gain < 5
+    assert from_afar(behind.refitter, fit, [lowpass], 1) == []
+    (trial,) = from_afar(behind.refitter, fit, [lowpass], 1, screening)
+    assert trial.gain > 1000
+    assert shape_values_of(trial.fit)[0] == pytest.approx(constant, rel=0.02)
