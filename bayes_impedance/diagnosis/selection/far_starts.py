@@ -16,11 +16,11 @@ of the scan, and a semi-inductance only after a resonator had been found in its 
 was right. A branch of a damper and a spring became the rig's damper, the spring rigid in everybody, and a relaxation
 took the branch's place: a damper of the rig was no candidate where the network had one.
 
-A network may also have absorbed a delay or a filter with its elements in place. Behind a low-pass a mass has a negative
-resistance that grows with the square of the frequency; a damper of a branch that became 1700 times as large gave as
-much of a positive one. There the low-pass's derivative is nearly one of the elements', the scan says nothing or
-something random of it, and a resonator was named, 137 nats behind it. So delays and filters that the elements hide
-(:func:`absorbed`) are begun from afar wherever something is missing.
+A network may also have absorbed a delay or a filter with its elements in place. Behind a low-pass a mass has a
+resistance that grows with the square of the frequency; so has a mass in series with a large damper, and the damper of
+such a branch became 1700 times as large. There the low-pass's derivative is nearly one of the elements', the scan
+says nothing or something random of it, and a resonator was named, 137 nats behind it. So delays and filters that the
+elements hide (:func:`absorbed`) are begun from afar wherever something is missing.
 
 Elements that were driven away do not return when the right effect is there. So beside an explanation that is about to
 be compared, and where one of several is left out, the network is searched in the same way, with the effects near their

@@ -127,7 +127,7 @@ def test_where_the_network_took_the_place_of_the_rigs_damper_it_is_found_from_af
 
 
 def test_a_low_pass_that_the_elements_have_absorbed_is_found_from_afar() -> None:
-    """A mass behind it has a negative resistance, which a damper of the branch takes back: the scan is blind to it."""
+    """A mass behind it has a resistance, as one in series with a large damper has: the scan is blind to it."""
     constant = 7e-6
     centres = {"r1": 0.0225, "m1": 5.2e-4, "m2": 3.4e-4, "r2": 0.536}
     behind = toy(
