@@ -31,9 +31,11 @@ LATER_NAMES = {
     "outside.squeeze_film": ("film", "squeeze"),
     "outside.stiffening": ("amplitude", "stiffening"),
     "outside.semi_inductance": ("inductance",),
+    "outside.diffusion": ("diffusion",),
+    "outside.fractional_zener": ("broad_relaxation",),
 }
-"""Words of an id that name physics which is outside of the catalogue today: right at the right place, if the catalogue
-comes to have such an entry."""
+"""Words of an id that name physics which was outside of the catalogue when the kinds were chosen: right at the right
+place, if the catalogue comes to have such an entry."""
 
 Row = dict[str, Any]
 

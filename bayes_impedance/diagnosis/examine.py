@@ -47,6 +47,7 @@ from bayes_impedance.diagnosis.multiple_testing import STRUCTURE_ALPHA
 from bayes_impedance.diagnosis.residuals.absolute_fit import badly_described, copies, far_off
 from bayes_impedance.diagnosis.residuals.locate import locate
 from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN
+from bayes_impedance.diagnosis.selection.richer_law import simple_and_richer
 from bayes_impedance.diagnosis.selection.score_scan import screen
 from bayes_impedance.diagnosis.selection.shortlist import ALPHA, best_shapes, poolings_for
 from bayes_impedance.diagnosis.selection.step import Step
@@ -97,7 +98,7 @@ def examine(
     """
     from threadpoolctl import threadpool_limits
 
-    candidates = tuple(registered() if effects is None else effects)
+    candidates, _ = simple_and_richer(registered() if effects is None else effects)
     own = executor_of(workers) if executor is None else nullcontext(executor)
     with threadpool_limits(1), own as running:
         return _examine(fit, candidates, running)

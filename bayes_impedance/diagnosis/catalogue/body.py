@@ -8,6 +8,9 @@ from bayes_impedance.diagnosis.catalogue.coefficient import Coefficient
 from bayes_impedance.diagnosis.catalogue.effect import Effect, register
 from bayes_impedance.diagnosis.catalogue.rig import RESONATOR
 
+_SIMPLER = ("body.springpot", "body.relaxation", "body.squeeze_film", "body.diffusion")
+"""What relaxes with one parameter less: where none of these leaves structure, the recordings ask for no richer law."""
+
 _FRACTIONAL = "Fractional Kelvin-Voigt and Zener models of soft tissue; constant phase elements in electrochemistry"
 
 BODY_MASS = register(
@@ -193,6 +196,51 @@ BODY_DIFFUSION = register(
         source="Warburg 1899; poroelastic layers",
         operation="free_line",
         coefficients=(Coefficient("compliance", "n"),),
+    )
+)
+
+# A layer beside the place has an impedance of its own. The law of a damper of the network that diffuses has only one
+# parameter more, and is tried first.
+BODY_DIFFUSION_BESIDE = register(
+    replace(
+        BODY_DIFFUSION,
+        places=("port", "groups", "springs", "dampers"),
+        formula="z + r tanh(x)/x, x^2 = s r n",
+        story="Beside the place is a layer through which something diffuses, such as fluid in tissue. "
+        "Fast motion reaches only its near side, so that its resistance falls and stores energy as it does.",
+        operation="",
+        coefficients=(),
+        branch="line_fixed[r1](n1)",
+        refines=_SIMPLER,
+    )
+)
+
+BODY_BROAD_RELAXATION = register(
+    Effect(
+        id="body.broad_relaxation",
+        name="tissue that relaxes over a range of times",
+        side="body",
+        pooling="varying",
+        places=("port", "groups", "springs", "dampers"),
+        formula="z + 1/(s^(1-a)/c + s n)",
+        story="A power-law material (springpot) in series with a spring relaxes with many time constants around one. "
+        "It is a power law below the middle one, and a spring above it.",
+        look_for="a step of stiffness with a peak of loss, wider than a decade",
+        separates="a wider band, by a decade to both sides of the step",
+        source="Cole and Cole 1941; Koeller 1984: fractional Maxwell and Zener models",
+        branch="p1^a1-n1",
+        refines=_SIMPLER,
+    )
+)
+
+BODY_BROAD_RELAXATION_OF_A_DAMPER = register(
+    replace(
+        BODY_BROAD_RELAXATION,
+        formula="z + 1/(1/r + s^(1-a)/c)",
+        story="A damper in series with a power-law material (springpot) relaxes with many time constants around one. "
+        "It is a damper below the middle one, and a power law above it.",
+        look_for="a depressed arc in the complex plane",
+        branch="r1-p1^a1",
     )
 )
 

@@ -87,6 +87,10 @@ class Effect(Brief):
         Whether the coefficient may be negative.
     needs_repetitions : bool
         Whether only people who were recorded again can show it (:mod:`bayes_impedance.diagnosis.catalogue.offered`).
+    refines : tuple of str
+        Ids of simpler effects of which this is a richer law: it is tried in the place of one of them that leaves
+        structure (:mod:`bayes_impedance.diagnosis.selection.richer_law`), and not otherwise. Empty for an effect that
+        is always tried.
     """
 
     id: str
@@ -105,6 +109,7 @@ class Effect(Brief):
     connection: str = "beside"
     signed: bool = False
     needs_repetitions: bool = False
+    refines: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         what = f"effect '{text_in(self.id, 'the id of an effect')}'"
@@ -122,6 +127,12 @@ class Effect(Brief):
             raise InputError(f'{what}: places is {shown(self.places)}, but must be a tuple such as ("port",)')
         for place in self.places:
             choice_in(place, f"{what}: a place", PLACES)
+        if not isinstance(self.refines, tuple):
+            raise InputError(
+                f'{what}: refines is {shown(self.refines)}, but must be a tuple of ids such as ("body.relaxation",)'
+            )
+        for simpler in self.refines:
+            text_in(simpler, f"{what}: refines")
         if not self.branch and not self.operation:
             raise InputError(f"{what}: give an operation or a branch")
         if not isinstance(self.coefficients, tuple) or not all(isinstance(c, Coefficient) for c in self.coefficients):

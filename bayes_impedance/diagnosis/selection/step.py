@@ -34,6 +34,8 @@ class Step:
         The addition of this step.
     unpredictive : bool
         Whether nothing was added because what describes these people better does not predict others.
+    richer : Screening, optional
+        Of richer laws, where one of them was chosen (:mod:`.richer_law`).
     """
 
     before: Refit
@@ -42,6 +44,7 @@ class Step:
     trials: tuple[Trial, ...] = ()
     chosen: Trial | None = None
     unpredictive: bool = False
+    richer: Screening | None = None
 
     @property
     def after(self) -> Refit:

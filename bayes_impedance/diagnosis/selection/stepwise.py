@@ -3,9 +3,9 @@
 Each step screens all candidates with the previous additions in the model, refits the most promising ones with the whole
 population and keeps the best. The search stops when no candidate is significant after correction for all that were
 tried, when none improves the evidence, or when there are too few people for more additions. Where a choice leaves
-structure and another explanation that it does not exclude leaves none, that one is chosen (:mod:`.what_remains`). What
-later additions have made superfluous is removed, and earlier choices are made anew beside what is left
-(:mod:`.exchange`), until nothing changes.
+structure and another explanation that it does not exclude leaves none, that one is chosen (:mod:`.what_remains`), and
+where a second one is not better than a richer law alone, that law (:mod:`.richer_law`). What later additions have made
+superfluous is removed, and earlier choices are made anew beside what is left (:mod:`.exchange`), until nothing changes.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ from bayes_impedance.diagnosis.selection.few_people import holds_beside
 from bayes_impedance.diagnosis.selection.finalists import MOST, SHARE, finalists, in_order, with_lookalikes
 from bayes_impedance.diagnosis.selection.in_some_people import in_some_people
 from bayes_impedance.diagnosis.selection.misfit import dependence
+from bayes_impedance.diagnosis.selection.richer_law import simple_and_richer, with_richer_law
 from bayes_impedance.diagnosis.selection.score_scan import Screening, screen
 from bayes_impedance.diagnosis.selection.shortlist import ALPHA, from_afar, try_shortlist
 from bayes_impedance.diagnosis.selection.step import Step
@@ -112,11 +113,13 @@ def search(
     way : Way, optional
         The first step of this search, if it is made already (:func:`first_step`).
     """
-    forward = partial(_forward, refitter, names=names, effects=effects, seed=seed, executor=executor, progress=progress)
+    simple, richer = simple_and_richer(effects)
+    forward = partial(_forward, refitter, names=names, effects=simple, seed=seed, executor=executor, progress=progress)
     if way is None:
-        way = forward(Way(base, base, ()), begin=begin)
-    elif way.steps[-1].chosen is not None:
-        way = forward(way)
+        way = forward(Way(base, base, ()), begin=begin, steps_left=1)
+    while way.steps[-1].chosen is not None:
+        longer = forward(way, steps_left=1)
+        way = with_richer_law(refitter, way, longer, names, simple, richer, seed, executor) or longer
     for _ in range(_EXCHANGES):
         way = pruned(way, _backward(refitter, way.base, way.fit, seed))
         if is_no_list(way):
@@ -145,7 +148,8 @@ def first_step(
     begin: Refit | None = None,
 ) -> Way:
     """The first step of a search, with the parameters of :func:`search`, which may go on from it."""
-    return _forward(refitter, Way(base, base, ()), names, effects, seed, executor, progress, begin, steps_left=1)
+    simple, _ = simple_and_richer(effects)
+    return _forward(refitter, Way(base, base, ()), names, simple, seed, executor, progress, begin, steps_left=1)
 
 
 def is_no_list(way: Way) -> bool:
@@ -184,9 +188,11 @@ def _forward(
         step = Step(before=fit, residuals=residuals, screening=screening)
         structured = step.log_p < np.log(ALPHA)
         just_made = bool(steps) and steps[-1].after is fit  # where a choice is made anew, steps are of other fits
-        if structured and just_made and (other := that_leaves_nothing(steps[-1], names, possible, seed, executor)):
-            steps[-1], fit = replace(steps[-1], chosen=other), other.fit
-            continue
+        if structured and just_made:
+            other = that_leaves_nothing(steps[-1], names, possible, seed, executor)
+            if other is not None:
+                steps[-1], fit = other, other.after
+                continue
         if number < most and structured:
             trials, ranked = _explanations(refitter, fit, screening, possible, seed, begin, known)
             contest = _Contest(refitter, fit, ranked, possible, seed)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,13 +24,14 @@ from bayes_impedance.diagnosis.selection.compare import compare
 from bayes_impedance.diagnosis.selection.score_scan import screen
 from bayes_impedance.diagnosis.selection.shortlist import ALPHA
 from bayes_impedance.diagnosis.selection.step import Step
-from bayes_impedance.diagnosis.selection.trial import Trial
 
 
 def that_leaves_nothing(
     step: Step, names: Sequence[str], effects: Sequence[Effect], seed: int, executor: Executor
-) -> Trial | None:
-    """The best explanation of a step that its choice does not exclude and that leaves no structure; None if none does.
+) -> Step | None:
+    """The step with another choice: the best explanation that its own does not exclude and that leaves no structure.
+
+    None if there is none.
 
     Parameters
     ----------
@@ -50,7 +52,7 @@ def that_leaves_nothing(
         if compare(chosen.weighed, trial.weighed).separated or not compare(trial.weighed, step.before).decided:
             continue
         if not leaves_structure(trial.fit, names, effects, seed, executor):
-            return trial
+            return replace(step, chosen=trial)
     return None
 
 

@@ -125,6 +125,12 @@ _WORDS = {
         "reach only its near side, so that the resistance falls and stores charge as it does.",
         "a wider band",
     ),
+    "body.broad_relaxation": Words(
+        "relaxation over a range of times",
+        "A depressed arc (a ZARC element, or a constant phase element that ends in a capacitance) acts at the place. "
+        "Many processes of one kind have time constants around a middle one.",
+        "a wider band, by a decade to both sides of the arc",
+    ),
     "body.bypass": Words(
         "second path for the current",
         "Something besides the cell connects the terminals. Its impedance adds to that of the cell.",

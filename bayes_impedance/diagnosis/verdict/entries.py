@@ -85,7 +85,7 @@ def effect_entry(
     elif who is None and item.pooling != "shared" and verdict_on_side(dispersion) == "body":
         side = "body"
     step = found.step_of(item)
-    z = _score_of(step, item.key) if step else float("nan")
+    z, p_value = _significance_of(step, item.key) if step else (float("nan"), None)
     parameters = parameters_of(rows)
     people: Subjects = "all"
     if who is not None:
@@ -103,7 +103,7 @@ def effect_entry(
         parameters=parameters,
         evidence=EvidenceOfEffect(
             score=float(z**2) if np.isfinite(z) else None,
-            p_value=float(np.exp(step.screening.log_p(z))) if step and np.isfinite(z) else None,
+            p_value=p_value,
             elpd_gain=None if gain is None else gain[0],
             elpd_gain_se=None if gain is None else gain[1],
         ),
@@ -126,10 +126,14 @@ def names_of(probability: np.ndarray, names: Sequence[str]) -> tuple[str, ...]:
     return tuple(names[i] for i in np.flatnonzero(probability > 0.5).tolist())
 
 
-def _score_of(step: Step, key: tuple[str, str, str]) -> float:
-    same = [k for k, c in enumerate(step.screening.candidates) if (c.effect.id, c.effect.form, c.place) == key]
-    z = np.abs(np.nan_to_num(step.screening.z[same]))
-    return float(z.max(initial=0.0))
+def _significance_of(step: Step, key: tuple[str, str, str]) -> tuple[float, float | None]:
+    """Largest score of an effect at its place, and its p-value corrected for everything that was scanned."""
+    scans = [scan for scan in (step.screening, step.richer) if scan is not None]
+    z = 0.0
+    for scan in scans:
+        same = [k for k, c in enumerate(scan.candidates) if (c.effect.id, c.effect.form, c.place) == key]
+        z = max(z, float(np.abs(np.nan_to_num(scan.z[same])).max(initial=0.0)))
+    return z, min(1.0, sum(float(np.exp(scan.log_p(z))) for scan in scans))
 
 
 def aliases_of(step: Step, quick: bool, remaining: Sequence[PersonResiduals] = ()) -> tuple[Alias, ...]:

@@ -55,6 +55,7 @@ IDS = (
     "body.squeeze_film",
     "body.free_line",
     "body.diffusion",
+    "body.broad_relaxation",
     "body.reflex_velocity",
     "body.amplitude",
     "rig.semi_inductance",
@@ -85,7 +86,7 @@ def entries() -> list[object]:
 
 def test_every_row_of_the_table_has_an_entry() -> None:
     assert {effect.id for effect in registered()} | set(STRUCTURES) == set(IDS)
-    assert len(IDS) == 27
+    assert len(IDS) == 28
     assert all(key == entry.id for key, entry in STRUCTURES.items())
 
 

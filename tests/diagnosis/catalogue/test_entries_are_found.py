@@ -49,6 +49,16 @@ def film(s: np.ndarray, z: np.ndarray, own: float) -> np.ndarray:
     return z + 4.0 * own * np.sum(96 / (np.pi * k) ** 4 / (1 + 4 * s * 0.02 / (np.pi * k) ** 2), axis=0)
 
 
+def broad_relaxation(s: np.ndarray, z: np.ndarray, own: float) -> np.ndarray:
+    """A springpot of 3 N s/m at 300 rad/s that ends in a spring around 50 Hz."""
+    return z + 1 / ((s / 300) ** 0.5 / (3.0 * own) + s * 8e-4 / own)
+
+
+def layer_beside(s: np.ndarray, z: np.ndarray, own: float) -> np.ndarray:
+    x = np.sqrt(s * 0.03)
+    return z + 4.0 * own * np.tanh(x) / x
+
+
 def velocity_reflex(s: np.ndarray, z: np.ndarray, own: float) -> np.ndarray:
     p = 2 * np.pi * 8.0
     return z + 1.5 * own * np.exp(-0.04 * s) * p**2 / (s**2 + 2 * p * s + p**2)
@@ -77,6 +87,19 @@ HIDDEN = {
         id="body.diffusion",
         truth={"compliance": 3.2e-4},
         rivals=("body.relaxation", "body.squeeze_film"),
+    ),
+    "broad relaxation": Hidden(
+        change=broad_relaxation,
+        place="port",
+        id="body.broad_relaxation",
+        truth={"exponent": 0.5, "compliance": 8e-4},
+    ),
+    "layer beside": Hidden(
+        change=layer_beside,
+        place="port",
+        id="body.diffusion",
+        truth={"damper": 4.0, "compliance": 0.03 / 4.0},
+        rivals=("body.broad_relaxation",),
     ),
     "film": Hidden(
         change=film,
