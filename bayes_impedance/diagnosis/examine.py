@@ -49,9 +49,9 @@ from bayes_impedance.diagnosis.residuals.locate import locate
 from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN
 from bayes_impedance.diagnosis.selection.richer_law import simple_and_richer
 from bayes_impedance.diagnosis.selection.score_scan import screen
-from bayes_impedance.diagnosis.selection.shortlist import ALPHA, best_shapes, poolings_for
+from bayes_impedance.diagnosis.selection.shortlist import ALPHA, best_shapes
 from bayes_impedance.diagnosis.selection.step import Step
-from bayes_impedance.diagnosis.selection.trial import try_candidate
+from bayes_impedance.diagnosis.selection.trial import poolings_for, try_candidate
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.population.fit import PopulationFit
 from bayes_impedance.population.map_error import without_map_noise

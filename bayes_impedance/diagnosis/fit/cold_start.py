@@ -4,7 +4,16 @@ A network that lacks something describes people by elements that nobody has: som
 where the impedance no longer depends on their logarithm. A refit with the missing effect that begins there stays there,
 and a right explanation loses against a wrong one. So refits also begin *cold*: all people at the median person's
 elements, with a typical dispersion, and elements that were driven away at the value at which their impedance has the
-recordings' magnitude in the middle of the band. They also begin at the elements of the best explanation found so far.
+recordings' magnitude in the middle of the band.
+
+Where everybody has a sharp resonance of their own, nobody is described by the median person's. So they also begin with
+**the lost elements alone** at that value, and all others where they are in each recording: beside a resonance of the
+rig, from the median person 390 thousand units of log evidence were missing in 57 people, whose undamped branch
+resonates elsewhere in each, and from there the refit is 670 ahead of the one that keeps all elements. In fourteen
+populations of ``analyses/other_worlds`` with elements driven away, at the missing effect's true shape, this start ended
+highest in three, that of the median person in three, and neither was better than the elements' own in eight.
+
+They also begin at the elements of the best explanation found so far.
 """
 
 from __future__ import annotations
@@ -55,6 +64,18 @@ def cold_start(without: Refit, grown: Refit) -> tuple[np.ndarray, Population]:
     u = grown.u.copy()
     u[:, :n] = centre
     return u, population_around(grown.population, centre)
+
+
+def lost_alone(without: Refit, grown: Refit) -> tuple[np.ndarray, Population]:
+    """The same with only those elements at another value that were driven away."""
+    lost = np.flatnonzero(driven_away(without))
+    scales, names = grown.model.scales, grown.model.network.elements
+    u, population = beside_the_leader(grown, without)
+    for k in lost.tolist():
+        u[:, k] = population.mu[k] = band_scale(names[k], scales.z_middle, scales.middle / (2 * np.pi))
+    population.covariance[lost], population.covariance[:, lost] = 0.0, 0.0
+    population.covariance[lost, lost], population.rho[lost] = TYPICAL**2, TYPICAL_REPETITIONS
+    return u, population
 
 
 def beside_the_leader(fit: Refit, leader: Refit) -> tuple[np.ndarray, Population]:

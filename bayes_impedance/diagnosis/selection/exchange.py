@@ -37,6 +37,9 @@ from bayes_impedance.diagnosis.selection.far_starts import network_from_afar
 from bayes_impedance.diagnosis.selection.step import Step
 from bayes_impedance.diagnosis.selection.trial import Trial
 
+EXCHANGES = 3
+"""Largest number of additions that are chosen anew. By choice: each costs as much as a further step or two."""
+
 _FAR = 10.0
 """Ratio of a choice's lead to what later additions have brought, from which it is not made anew. By choice: it is not
 one, for beside the later ones a rival gains more than they did (a power law that stood for a delay and a relaxation was

@@ -8,6 +8,11 @@ leader's shapes that have the same name, and with coefficients that change the i
 :math:`\Delta` the leader's change and J the derivative by the lookalike's coefficient at zero,
 
 .. math:: x = \frac{\sum \operatorname{Re}(\bar J \Delta)/|z|^2}{\sum |J|^2/|z|^2} .
+
+The same law on the other side, such as a resonance of the rig for a further joint of the body, is the same curve in
+each person; only whether people differ tells the two apart. It is always compared: the one score of a resonance of the
+rig was small where the network had lost elements, so that it was not tried, and a joint that is the same in everybody
+was named.
 """
 
 from __future__ import annotations
@@ -23,6 +28,7 @@ from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.model import Addition, Model, build
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.score_scan import Screening
+from bayes_impedance.diagnosis.selection.trial import poolings_for
 
 _ALIKE = 0.8
 """Cosine of two signatures from which effects look alike: what one leaves of the other is then 0.6 of it. By choice."""
@@ -36,18 +42,26 @@ MOST = 2
 
 
 def lookalikes(screening: Screening, leader: Candidate) -> list[Candidate]:
-    """Other effects at the leader's place whose signatures are like its own, each with its most similar shape."""
+    """Other effects at the leader's place whose signatures are like its own, each with its most similar shape.
+
+    Those of the leader's side, and its counterpart on the other one, last.
+    """
     at_place = [k for k, c in enumerate(screening.candidates) if c.place == leader.place]
     own = [k for k in at_place if screening.candidates[k].effect == leader.effect]
     if not own:
         return []
     likeness = np.abs(np.nan_to_num(screening.cosine[:, own])).max(axis=1)
     best: dict[tuple[str, str], int] = {}
+    counterpart: list[int] = []
     for k in sorted(at_place, key=lambda k: -likeness[k]):
         effect = screening.candidates[k].effect
-        if effect != leader.effect and effect.operation and effect.side == leader.effect.side and likeness[k] > _ALIKE:
+        if effect == leader.effect or not effect.operation or not likeness[k] > _ALIKE:
+            continue
+        if effect.side == leader.effect.side:
             best.setdefault((effect.id, effect.form), k)
-    return [screening.candidates[k] for k in list(best.values())[:MOST]]
+        elif effect.form == leader.effect.form and not counterpart:
+            counterpart.append(k)
+    return [screening.candidates[k] for k in (*list(best.values())[:MOST], *counterpart)]
 
 
 def from_the_leader(refitter: Refitter, leader: Refit, candidate: Candidate, rounds: int) -> Refit:
@@ -64,6 +78,8 @@ def from_the_leader(refitter: Refitter, leader: Refit, candidate: Candidate, rou
     old = leader.model
     last = len(old.additions) - 1
     pooling = old.additions[last].pooling
+    if candidate.effect.side != old.additions[last].effect.side:
+        pooling = poolings_for(candidate.effect, len(refitter.data))[0]
     if pooling == "free" and not has_shapes(candidate.effect):
         pooling = "varying"
     addition = Addition.of(candidate, pooling)

@@ -17,11 +17,18 @@ from bayes_impedance.diagnosis.fit.lost_elements import lost_elements
 from bayes_impedance.diagnosis.fit.outliers_alone import BADLY
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection import far_starts
-from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, FEWEST_TO_VARY
 from bayes_impedance.diagnosis.selection.level_starts import from_level
 from bayes_impedance.diagnosis.selection.lookalikes import from_the_leader, lookalikes
 from bayes_impedance.diagnosis.selection.score_scan import Screening
-from bayes_impedance.diagnosis.selection.trial import Trial, from_cold, hoped_for, own_shapes, trial_of, try_candidate
+from bayes_impedance.diagnosis.selection.trial import (
+    Trial,
+    from_cold,
+    hoped_for,
+    own_shapes,
+    poolings_for,
+    trial_of,
+    try_candidate,
+)
 
 ALPHA = 0.01
 """Family-wise error rate of one screening. By choice."""
@@ -243,13 +250,3 @@ def _continued(refitter: Refitter, fit: Refit, trials: list[Trial], best_gain: f
                 trial = trial_of(trial.candidate, trial.pooling, grown, fit)
         result.append(trial)
     return result
-
-
-def poolings_for(effect: Effect, n_people: int, differs: bool = False) -> tuple[str, ...]:
-    """Pooling of a coefficient: that of the rig is shared, that of the body varies.
-
-    Where a coefficient of the rig clearly differs between people, some of them may have been recorded otherwise.
-    """
-    if effect.side == "rig" and differs and effect.operation and n_people >= FEWEST_PEOPLE:
-        return ("shared", "varying")
-    return ("shared",) if effect.side == "rig" or n_people < FEWEST_TO_VARY else ("varying",)

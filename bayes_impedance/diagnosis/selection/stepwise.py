@@ -28,12 +28,12 @@ from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, LEAST_GAIN, compare, log_evidence
 from bayes_impedance.diagnosis.selection.cross_validation import clearly_gains, people_gain
 from bayes_impedance.diagnosis.selection.deciding_people import where_few_decide
-from bayes_impedance.diagnosis.selection.exchange import Way, exchanged, pruned, without
+from bayes_impedance.diagnosis.selection.exchange import EXCHANGES, Way, exchanged, pruned, without
 from bayes_impedance.diagnosis.selection.few_people import holds_beside
 from bayes_impedance.diagnosis.selection.finalists import MOST, SHARE, finalists, in_order, with_lookalikes
 from bayes_impedance.diagnosis.selection.in_some_people import in_some_people
 from bayes_impedance.diagnosis.selection.misfit import dependence
-from bayes_impedance.diagnosis.selection.richer_law import simple_and_richer, with_richer_law
+from bayes_impedance.diagnosis.selection.richer_law import longer_or_richer, simple_and_richer
 from bayes_impedance.diagnosis.selection.score_scan import Screening, screen
 from bayes_impedance.diagnosis.selection.shortlist import ALPHA, from_afar, try_shortlist
 from bayes_impedance.diagnosis.selection.step import Step
@@ -53,9 +53,6 @@ effects of the rig was tried in the resonator's place, and it stood for a mass."
 _REPEATS = 3
 """Largest number of times that a step is repeated because the model without the addition had not converged. By
 choice."""
-
-_EXCHANGES = 3
-"""Largest number of additions that are chosen anew. By choice: each costs as much as a further step or two."""
 
 _SECOND_CHANCES = 3
 """Explanations of a step that are compared with the model without them, best first, until one is decided. By choice."""
@@ -115,16 +112,16 @@ def search(
     """
     simple, richer = simple_and_richer(effects)
     forward = partial(_forward, refitter, names=names, effects=simple, seed=seed, executor=executor, progress=progress)
+    step_from = partial(forward, steps_left=1)
     if way is None:
-        way = forward(Way(base, base, ()), begin=begin, steps_left=1)
+        way = step_from(Way(base, base, ()), begin=begin)
     while way.steps[-1].chosen is not None:
-        longer = forward(way, steps_left=1)
-        way = with_richer_law(refitter, way, longer, names, simple, richer, seed, executor) or longer
-    for _ in range(_EXCHANGES):
+        way = longer_or_richer(refitter, way, step_from, names, simple, richer, seed, executor)
+    for _ in range(EXCHANGES):
         way = pruned(way, _backward(refitter, way.base, way.fit, seed))
         if is_no_list(way):
             break
-        way, better = exchanged(refitter, way, partial(forward, steps_left=1), seed)
+        way, better = exchanged(refitter, way, step_from, seed)
         if not better:
             break
         way = forward(way)

@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayes_impedance.diagnosis.catalogue.effect import Candidate, Effect
-from bayes_impedance.diagnosis.fit.cold_start import cold_start, driven_away
+from bayes_impedance.diagnosis.fit.cold_start import cold_start, driven_away, lost_alone
 from bayes_impedance.diagnosis.fit.extend import extended, extended_start, is_physical
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.refit import Refit
-from bayes_impedance.diagnosis.selection.compare import log_evidence
+from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, FEWEST_TO_VARY, log_evidence
 from bayes_impedance.diagnosis.selection.score_scan import Screening
 from bayes_impedance.person.likelihood import SCALE_SHAPE
 
@@ -97,15 +97,18 @@ def try_candidate(
 
 
 def from_cold(refitter: Refitter, fit: Refit, trial: Trial, rounds: int) -> Trial:
-    """The better of a trial and one from a cold start, if the model without the addition has driven elements away."""
+    """The best of a trial and of cold starts, if the model without the addition has driven elements away."""
     if not driven_away(fit).any():
         return trial
-    u, population = cold_start(fit, trial.fit)
-    if refitter.one_person:  # no population: mean and covariance are those of the prior, and stay so
-        population = trial.fit.population
-    cold = refitter.fit(trial.fit.model, u, population, rounds)
-    other = trial_of(trial.candidate, trial.pooling, cold, fit)
-    return other if (other.physical, other.gain) > (trial.physical, trial.gain) else trial
+    best = trial
+    for start in (cold_start, lost_alone):
+        u, population = start(fit, trial.fit)
+        if refitter.one_person:  # no population: mean and covariance are those of the prior, and stay so
+            population = trial.fit.population
+        cold = refitter.fit(trial.fit.model, u, population, rounds)
+        other = trial_of(trial.candidate, trial.pooling, cold, fit)
+        best = other if (other.physical, other.gain) > (best.physical, best.gain) else best
+    return best
 
 
 def own_shapes(
@@ -164,3 +167,13 @@ def hoped_for(trial: Trial, at_least: float = 1.0) -> float:
     relative = scale / np.median(scale)
     exponent = SCALE_SHAPE + np.array([data.count for data in trial.fit.data])
     return trial.gain + float(np.sum(2 * exponent * np.log(np.where(relative > at_least, relative, 1.0))))
+
+
+def poolings_for(effect: Effect, n_people: int, differs: bool = False) -> tuple[str, ...]:
+    """Pooling of a coefficient: that of the rig is shared, that of the body varies.
+
+    Where a coefficient of the rig clearly differs between people, some of them may have been recorded otherwise.
+    """
+    if effect.side == "rig" and differs and effect.operation and n_people >= FEWEST_PEOPLE:
+        return ("shared", "varying")
+    return ("shared",) if effect.side == "rig" or n_people < FEWEST_TO_VARY else ("varying",)

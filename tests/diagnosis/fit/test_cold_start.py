@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 from experiments import TOY, Experiment, entry, toy
 
-from bayes_impedance.diagnosis.fit.cold_start import beside_the_leader, cold_start, driven_away
+from bayes_impedance.diagnosis.catalogue.effect import Candidate
+from bayes_impedance.diagnosis.fit.cold_start import beside_the_leader, cold_start, driven_away, lost_alone
 from bayes_impedance.diagnosis.fit.extend import extended_start
 from bayes_impedance.diagnosis.fit.majority import joined
 from bayes_impedance.diagnosis.fit.model import Addition
 from bayes_impedance.diagnosis.fit.refit import Refit
+from bayes_impedance.diagnosis.selection.trial import from_cold, trial_of
 from bayes_impedance.network.elements import band_scale
 
 # Another optimum: the two branches change places. A dispersion of 0.1 tells them apart where everybody agrees.
@@ -54,6 +56,53 @@ def test_a_cold_start_is_the_median_person_and_the_middle_of_the_band() -> None:
     assert np.all(np.diag(population.covariance) > 0)
     again = experiment.refitter.fit(model, u, population, 80)
     assert again.evidence.sum() == pytest.approx(grown.evidence.sum(), abs=3)
+
+
+def test_the_lost_alone_begin_anew_and_everybody_keeps_the_others() -> None:
+    experiment = toys()
+    fit = with_sd(experiment.fit(), (1.2, 0.3))
+    model = experiment.grown(Addition(effect=entry("rig.delay"), place="port", pooling="shared"))
+    grown = experiment.refitter.fit(model, *extended_start(fit, model), 5)
+    u, population = lost_alone(fit, grown)
+    lost = band_scale("n1", model.scales.z_middle, model.scales.middle / (2 * np.pi))
+    np.testing.assert_allclose(u[:, 0], lost)
+    np.testing.assert_array_equal(u[:, 1], fit.u[:, 1])
+    np.testing.assert_array_equal(u[:, 2], grown.u[:, 2])
+    np.testing.assert_allclose(population.mu, [lost, fit.population.mu[1]])
+    np.testing.assert_allclose(population.covariance, np.diag([0.3**2, 0.3**2]))
+    assert fit.population.covariance[0, 0] == pytest.approx(1.2**2)  # nothing else was changed
+
+
+def test_where_everybody_has_a_resonance_of_their_own_only_the_lost_elements_begin_anew() -> None:
+    """An undamped branch resonates elsewhere in each person; another one has been driven away."""
+    delay = 2e-3
+    experiment = toy(
+        "(m1-n1)|(m2-r2)|n2",
+        {"m1": 4.0, "n1": 1e-4, "m2": 0.5, "r2": 20.0, "n2": 1e-3},
+        seed=4,
+        n=12,
+        noise=0.003,
+        rho=0.001,
+        frequency_hz=np.geomspace(0.7, 30, 61),
+        hidden=lambda s, z, _: (z * np.exp(-s * delay), np.full(12, delay)),
+    )
+    fit, refitter = experiment.fit(), experiment.refitter
+    model = experiment.grown(Addition(effect=entry("rig.delay"), place="port", pooling="shared"))
+    right = refitter.fit(model, *extended_start(fit, model), 60).evidence.sum()
+    names = list(fit.model.network.elements)
+    away = [names.index("m2"), names.index("r2")]
+    u, sd = fit.u.copy(), np.sqrt(np.diag(fit.population.covariance))
+    u[:, away], sd[away] = u[:, away] + 12.0, 1.5
+    lost = replace(with_sd(fit, tuple(sd)), u=u)
+    candidate = Candidate(entry("rig.delay"), "port", {})
+    warm = trial_of(candidate, "shared", refitter.fit(model, *extended_start(lost, model), 30), fit)
+    everything, alone = (
+        refitter.fit(model, *start(lost, warm.fit), 30).evidence.sum() for start in (cold_start, lost_alone)
+    )
+    assert warm.fit.evidence.sum() < right - 1000
+    assert everything < right - 1000
+    assert alone == pytest.approx(right, abs=3)
+    assert from_cold(refitter, lost, warm, 30).fit.evidence.sum() == alone
 
 
 def test_beside_the_leader_are_its_elements_and_the_own_addition() -> None:

@@ -24,8 +24,7 @@ from bayes_impedance.diagnosis.selection.compare import (
     typical_gain,
 )
 from bayes_impedance.diagnosis.selection.finalists import in_order
-from bayes_impedance.diagnosis.selection.shortlist import poolings_for
-from bayes_impedance.diagnosis.selection.trial import Trial, try_candidate
+from bayes_impedance.diagnosis.selection.trial import Trial, poolings_for, try_candidate
 
 
 def masses(experiment: Experiment, fit: Refit) -> tuple[Trial, Trial]:

@@ -29,7 +29,7 @@ def experiment():
     return toy("m1|r1", {"m1": 2e-3, "r1": 2.0}, seed=3, n=16, hidden=relaxing)
 
 
-def test_lookalikes_are_other_effects_of_the_same_side_and_place(experiment) -> None:
+def test_lookalikes_are_other_effects_of_the_same_place(experiment) -> None:
     screening = screened(experiment.fit())
     (leader,) = [
         c
@@ -39,9 +39,29 @@ def test_lookalikes_are_other_effects_of_the_same_side_and_place(experiment) -> 
     found = lookalikes(screening, leader)
     assert 1 <= len(found) <= MOST
     assert "body.squeeze_film" in [c.effect.id for c in found]
-    assert all(c.place == "port" and c.effect.side == "body" and c.effect != leader.effect for c in found)
+    assert all(
+        c.place == "port" and c.effect.side == "body" and c.effect != leader.effect for c in found
+    )  # no rig has it
     elsewhere = Candidate(leader.effect, "nowhere", leader.shape)
     assert lookalikes(screening, elsewhere) == []
+
+
+@pytest.mark.parametrize(
+    ("leading", "other", "pooling"),
+    [("body.resonator", "rig.resonance", "shared"), ("rig.resonance", "body.resonator", "varying")],
+)
+def test_the_same_law_on_the_other_side_is_compared(experiment, leading: str, other: str, pooling: str) -> None:
+    """Only whether people differ tells them apart: it is fitted from the leader, with the pooling of its side."""
+    fit = experiment.fit()
+    screening = screened(fit)
+    at_port = [c for c in screening.candidates if c.place == "port"]
+    leader = next(c for c in at_port if c.effect.id == leading)
+    candidate = lookalikes(screening, leader)[-1]
+    assert candidate.effect.id == other
+    model = extended(fit.model, leader, "shared" if leading == "rig.resonance" else "varying", 1e-4)
+    begun = experiment.refitter.fit(model, *extended_start(fit, model), 3)
+    grown = from_the_leader(experiment.refitter, begun, candidate, 3)
+    assert [(a.effect.id, a.pooling) for a in grown.model.additions] == [(other, pooling)]
 
 
 @pytest.mark.parametrize("pooling", ["shared", "varying", "free"])
