@@ -9,9 +9,10 @@ recordings' magnitude in the middle of the band.
 Where everybody has a sharp resonance of their own, nobody is described by the median person's. So they also begin with
 **the lost elements alone** at that value, and all others where they are in each recording: beside a resonance of the
 rig, from the median person 390 thousand units of log evidence were missing in 57 people, whose undamped branch
-resonates elsewhere in each, and from there the refit is 670 ahead of the one that keeps all elements. In fourteen
+resonates elsewhere in each, and from there the refit is 670 ahead of the one that keeps all elements. In eighteen
 populations of ``analyses/other_worlds`` with elements driven away, at the missing effect's true shape, this start ended
-highest in three, that of the median person in three, and neither was better than the elements' own in eight.
+highest in three, that of the median person in five, both in one, and neither was better than the fit's own elements in
+nine.
 
 They also begin at the elements of the best explanation found so far.
 """
