@@ -170,6 +170,37 @@ def exchanged(refitter: Refitter, way: Way, step_from: StepFrom, seed: int) -> t
     return way, False
 
 
+def without_senseless(refitter: Refitter, way: Way, longer: Way, step_from: StepFrom, seed: int) -> Way:
+    """A longer way, or one without additions that have the wrong sign beside what describes most in its last step.
+
+    A wrong first name may leave the truth only together with a sign which that name cannot have. The truth was no
+    choice then: a delay with which a relaxation of the tissue would have been negative was 19 ahead of a compliance of
+    the rig, which was taken, and a residual mass after it.
+
+    Parameters
+    ----------
+    refitter : Refitter
+    way : Way
+        Before the last step.
+    longer : Way
+        With it.
+    step_from : callable
+        Makes one more step from a way.
+    seed : int
+    """
+    of_the_way = {_key(step) for step in way.steps if step.chosen is not None}
+    senseless = _senseless_beside(longer.steps[-1]) & of_the_way
+    if not senseless:
+        return longer
+    smaller = begin = way.fit
+    for key in sorted(senseless):
+        smaller = without(refitter, smaller, _index(smaller, key), seed)
+        begin = _elements_kept(refitter, begin, _index(begin, key))
+    others = tuple(step for step in way.steps if _key(step) not in senseless)
+    anew = step_from(Way(way.base, smaller, others), begin=begin)
+    return anew if log_evidence(anew.fit) > log_evidence(longer.fit) + LEAST_GAIN else longer
+
+
 def _as_found(refitter: Refitter, fit: Refit, trial: Trial, before: Refit) -> Trial:
     """A trial of an addition beside the others, or the fit that the search has come to if that describes more.
 

@@ -28,7 +28,7 @@ from bayes_impedance.diagnosis.catalogue.effect import Effect
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.measured import measured
 from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN, compare, log_evidence
-from bayes_impedance.diagnosis.selection.exchange import EXCHANGES, StepFrom, Way, exchanged
+from bayes_impedance.diagnosis.selection.exchange import EXCHANGES, StepFrom, Way, exchanged, without_senseless
 from bayes_impedance.diagnosis.selection.finalists import SHARE, again, finalists
 from bayes_impedance.diagnosis.selection.score_scan import screen
 from bayes_impedance.diagnosis.selection.shortlist import ALPHA, try_shortlist
@@ -75,7 +75,9 @@ def longer_or_richer(
     seed : int
     executor : Executor
     """
-    longer = step_from(way)
+    longer = without_senseless(refitter, way, step_from(way), step_from, seed)
+    if len(longer.steps) <= len(way.steps):
+        return longer
     step = longer.steps[len(way.steps) - 1]  # whose choice may have become another one
     if not longer.steps[-1].log_p < np.log(ALPHA):
         return longer
