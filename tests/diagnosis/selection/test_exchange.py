@@ -11,7 +11,8 @@ import pytest
 
 from bayes_impedance.diagnosis.catalogue.effect import Effect, registered
 from bayes_impedance.diagnosis.selection import exchange
-from bayes_impedance.diagnosis.selection.exchange import Way, exchanged, pruned
+from bayes_impedance.diagnosis.selection.exchange import Way, exchanged, pruned, without_senseless
+from bayes_impedance.diagnosis.selection.richer_law import longer_or_richer
 from bayes_impedance.diagnosis.selection.step import Step
 from bayes_impedance.diagnosis.selection.trial import Trial
 
@@ -188,6 +189,33 @@ def test_a_choice_of_the_wrong_sign_itself_removes_nothing(monkeypatch: pytest.M
     step_from = OneStep(RESONANCE)
     exchanged(NOTHING, WAY, step_from, 1)
     assert [names_of(way.fit) for way in step_from.asked] == [(HIGHPASS.id,)]
+
+
+@pytest.mark.usefixtures("without")
+@pytest.mark.parametrize(("alone", "left_out"), [(20.0, True), (2.0, False)])
+def test_a_step_leaves_out_what_has_the_wrong_sign_beside_what_describes_most(
+    monkeypatch: pytest.MonkeyPatch, alone: float, left_out: bool
+) -> None:
+    """Beside a high-pass the resonator has no sense: the high-pass alone, if that is better than what may be beside."""
+    senseless = fit_of(RESONATOR.id, HIGHPASS.id, evidence=90.0)
+    own = {HIGHPASS.id: alone, f"{RESONATOR.id}+{DELAY.id}": 0.0, RESONATOR.id: -80.0}
+    monkeypatch.setattr(exchange, "log_evidence", lambda fit: own[fit.name])
+    monkeypatch.setattr(exchange, "unphysical", lambda fit: [0] if fit is senseless else [])
+    way: Any = Way(fit_of(), fit_of(RESONATOR.id), (FIRST,))
+    best = replace(trial_of(HIGHPASS, 90.0, RESONATOR.id), fit=senseless, physical=False)
+    beside = Way(way.base, fit_of(RESONATOR.id, DELAY.id), (FIRST, step_of(trial_of(DELAY, 20.0, RESONATOR.id), best)))
+    other = Way(way.base, fit_of(HIGHPASS.id), (step_of(trial_of(HIGHPASS, 90.0)),))
+    asked = []
+
+    def step_from(way: Any, begin: Any = None) -> Way:
+        asked.append((names_of(way.fit), None if begin is None else begin.kept))
+        return beside if way.steps else other
+
+    found = without_senseless(NOTHING, way, step_from(way), step_from, 1)
+    assert found is (other if left_out else beside)
+    assert asked == [((RESONATOR.id,), None), ((), True)]
+    if left_out:
+        assert longer_or_richer(NOTHING, way, step_from, (), (), (), 1, NOTHING) is other
 
 
 def test_a_choice_that_was_made_beside_the_others_stays() -> None:
