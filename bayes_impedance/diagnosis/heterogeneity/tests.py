@@ -190,6 +190,14 @@ class ElementTrends:
     within: bool = False
     others: tuple[OtherVariable, ...] = ()
 
+    @property
+    def predicts(self) -> bool:
+        """Whether held-out people are described better with them: what describes only those who are there is no effect.
+
+        Of sixteen people without a drift one element of a grown network had one with p = 0.001 and a gain of -0.2.
+        """
+        return not self.gain <= 0.0
+
 
 Structure = ElementTrends | Subgroup | CorrelationTest
 """A significant structure of the population."""
@@ -223,14 +231,16 @@ def find_structures(
             regressor = regressors_of({name: values[name]}, [])[name][0]
             gain = gain_of_covariate(with_added, regressor, [t.element for t in rows], seed)
             place = places.get(rows[0].element, rows[0].element)
-            found.append(ElementTrends(covariate=name, trends=rows, gain=gain[0], gain_se=gain[1], place=place))
+            trends = ElementTrends(covariate=name, trends=rows, gain=gain[0], gain_se=gain[1], place=place)
+            found += [trends] if trends.predicts else []
     if any(len(s.repetitions) > 1 for s in recordings.subjects):
         repetitions = repetition_likelihoods(fit, recordings)
         within = find_within_persons(repetitions)
         remarks += [f"Repetitions: {text}" for text in within.remarks] if repetitions.circumstances else []
         for name in dict.fromkeys(t.covariate for t in within.trends if t.p_corrected < ALPHA):
             rows = tuple(t for t in within.trends if t.covariate == name and t.p_corrected < ALPHA)
-            found.append(_within(repetitions, name, rows, within.beside, seed))
+            trends = _within(repetitions, name, rows, within.beside, seed)
+            found += [trends] if trends.predicts else []
     e = fit.model.n_elements
     group = find_subgroup(people, fit.population.mu[:e], fit.population.covariance[:e, :e], seed)
     if group.p_corrected < ALPHA:

@@ -6,9 +6,11 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from experiments import TOY, Experiment, entry, recovered, toy
 
 from bayes_impedance.diagnosis.fit.refit import Refit
+from bayes_impedance.diagnosis.heterogeneity import tests
 from bayes_impedance.diagnosis.heterogeneity.correlations import CorrelationTest
 from bayes_impedance.diagnosis.heterogeneity.subgroups import Subgroup
 from bayes_impedance.diagnosis.heterogeneity.tests import (
@@ -114,6 +116,19 @@ def test_a_drift_over_the_repetitions_is_an_entry() -> None:
     trend = structure.trends[0]
     assert trend.element == "r1"
     assert trend.q05 < 0.1 < trend.q95
+
+
+@pytest.mark.parametrize("gain", [-0.2, 0.0])
+def test_what_predicts_nobody_else_is_no_entry(monkeypatch: pytest.MonkeyPatch, gain: float) -> None:
+    monkeypatch.setattr(tests, "gain_within_persons", lambda *_: (gain, 1.0))
+    monkeypatch.setattr(tests, "gain_of_covariate", lambda *_: (gain, 1.0))
+    drifting = damper_times(lambda i: FORCE[i] ** 0.5 * np.exp(0.1 * np.arange(3)))
+    found, _ = entries(toy(*TOY, seed=5, n=N, repetitions=3, hidden=drifting), FORCE)
+    assert found == ()
+    monkeypatch.setattr(tests, "gain_of_covariate", lambda *_: (0.1, 1.0))
+    (structure,), _ = entries(toy(*TOY, seed=5, n=N, repetitions=3, hidden=drifting), FORCE)
+    assert isinstance(structure, ElementTrends)
+    assert structure.covariate == "contact_force_n"
 
 
 def test_an_element_that_follows_what_was_noted_of_each_repetition_is_an_entry() -> None:
