@@ -149,11 +149,17 @@ def catalogue(folder: Path) -> str:
         blocks.append(
             f"## `{effect.id}`: {effect.name}\n\n{effect.story}\n\n"
             f"![change of magnitude and phase by {effect.name} at {place}]({file})\n\n"
-            + _facts(effect, f"Places\n: {', '.join(effect.places)} (in the picture: {place})\n")
+            + _facts(effect, f"Places\n: {', '.join(effect.places)} (in the picture: {place})\n{_tried(effect)}")
         )
     for entry in STRUCTURES.values():
         blocks.append(f"## `{entry.id}`: {entry.name}\n\n{entry.story}\n\n" + _facts(entry, ""))
     return "\n\n".join(blocks) + "\n"
+
+
+def _tried(effect: Effect) -> str:
+    """When an effect is tried that is not always tried."""
+    simpler = ", ".join(f"`{name}`" for name in effect.refines)
+    return f"\nTried\n: in the place of {simpler}, where that leaves structure\n" if simpler else ""
 
 
 def _facts(entry: Any, more: str) -> str:
