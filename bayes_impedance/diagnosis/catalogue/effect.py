@@ -90,7 +90,7 @@ class Effect(Brief):
     refines : tuple of str
         Ids of simpler effects of which this is a richer law: it is tried in the place of one of them that leaves
         structure (:mod:`bayes_impedance.diagnosis.selection.richer_law`), and not otherwise. Empty for an effect that
-        is always tried.
+        is always tried, as is one of which no simpler one is among the candidates.
     """
 
     id: str

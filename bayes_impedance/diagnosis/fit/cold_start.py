@@ -68,7 +68,10 @@ def cold_start(without: Refit, grown: Refit) -> tuple[np.ndarray, Population]:
 
 
 def lost_alone(without: Refit, grown: Refit) -> tuple[np.ndarray, Population]:
-    """The same with only those elements at another value that were driven away."""
+    """Start like :func:`cold_start`, with its parameters, that changes only the elements that were driven away.
+
+    All others, and their population, are those of `without` in each recording.
+    """
     lost = np.flatnonzero(driven_away(without))
     scales, names = grown.model.scales, grown.model.network.elements
     u, population = beside_the_leader(grown, without)

@@ -196,7 +196,7 @@ class ElementTrends:
 
         Of sixteen people without a drift one element of a grown network had one with p = 0.001 and a gain of -0.2.
         """
-        return not self.gain <= 0.0
+        return self.gain > 0.0
 
 
 Structure = ElementTrends | Subgroup | CorrelationTest

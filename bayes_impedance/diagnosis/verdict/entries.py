@@ -126,7 +126,7 @@ def names_of(probability: np.ndarray, names: Sequence[str]) -> tuple[str, ...]:
     return tuple(names[i] for i in np.flatnonzero(probability > 0.5).tolist())
 
 
-def _significance_of(step: Step, key: tuple[str, str, str]) -> tuple[float, float | None]:
+def _significance_of(step: Step, key: tuple[str, str, str]) -> tuple[float, float]:
     """Largest score of an effect at its place, and its p-value corrected for everything that was scanned."""
     scans = [scan for scan in (step.screening, step.richer) if scan is not None]
     z = 0.0

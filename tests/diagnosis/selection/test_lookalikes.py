@@ -39,9 +39,8 @@ def test_lookalikes_are_other_effects_of_the_same_place(experiment) -> None:
     found = lookalikes(screening, leader)
     assert 1 <= len(found) <= MOST
     assert "body.squeeze_film" in [c.effect.id for c in found]
-    assert all(
-        c.place == "port" and c.effect.side == "body" and c.effect != leader.effect for c in found
-    )  # no rig has it
+    # The rig has no relaxation, which would be the leader's counterpart.
+    assert all(c.place == "port" and c.effect.side == "body" and c.effect != leader.effect for c in found)
     elsewhere = Candidate(leader.effect, "nowhere", leader.shape)
     assert lookalikes(screening, elsewhere) == []
 

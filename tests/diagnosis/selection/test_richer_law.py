@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +13,8 @@ from experiments import TOY, Serial, entry, toy
 
 from bayes_impedance.diagnosis.catalogue.effect import Effect, registered
 from bayes_impedance.diagnosis.selection import richer_law
-from bayes_impedance.diagnosis.selection.richer_law import simple_and_richer
+from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN
+from bayes_impedance.diagnosis.selection.richer_law import longer_or_richer, simple_and_richer
 from bayes_impedance.diagnosis.selection.shortlist import ALPHA
 from bayes_impedance.diagnosis.selection.stepwise import Found, search
 from bayes_impedance.errors import InputError
@@ -76,6 +79,28 @@ def test_where_a_simple_law_leaves_nothing_no_richer_one_is_tried(monkeypatch: p
 @pytest.mark.long
 def test_what_is_missing_besides_is_found_beside_the_simple_law() -> None:
     assert sorted(named(found(power_law, delay=4e-5))) == [("body.springpot", "port"), ("rig.delay", "port")]
+
+
+@pytest.mark.parametrize(("beyond", "two"), [(0.1, True), (-0.1, False)])
+def test_two_effects_stand_if_they_are_ahead_by_more_than_the_choice_of_the_second(
+    monkeypatch: pytest.MonkeyPatch, beyond: float, two: bool
+) -> None:
+    """With twenty effects at their places, ln 20 and the least gain."""
+    tried = [SimpleNamespace(effect=SimpleNamespace(id=str(k), form=""), place="port") for k in range(20)]
+    screening = SimpleNamespace(candidates=[*tried, *tried])  # each with two shapes
+    steps = tuple(SimpleNamespace(chosen=object(), log_p=-100.0, screening=screening) for _ in range(2))
+    way: Any = SimpleNamespace(base="base", fit="simple", steps=steps[:1])
+    longer: Any = SimpleNamespace(base="base", fit="two", steps=steps)
+    evidence = {"two": np.log(20) + LEAST_GAIN + beyond, "law": 0.0}
+    monkeypatch.setattr(richer_law, "without_senseless", lambda _refitter, _way, longer, *_: longer)
+    monkeypatch.setattr(richer_law, "_richer", lambda *_: SimpleNamespace(after="law"))
+    monkeypatch.setattr(richer_law, "leaves_structure", lambda *_: False)
+    monkeypatch.setattr(richer_law, "exchanged", lambda _refitter, longer, *_: (longer, False))
+    monkeypatch.setattr(richer_law, "log_evidence", lambda fit: evidence[fit])
+    nothing: Any = None
+    found = longer_or_richer(nothing, way, lambda *_: longer, (), (), (), 1, nothing)
+    assert found.fit == ("two" if two else "law")
+    assert len(found.steps) == (2 if two else 1)
 
 
 def test_an_effect_waits_only_for_a_simpler_one_that_is_there() -> None:
