@@ -209,13 +209,13 @@ def lookalike_trials(refitter: Refitter, fit: Refit, screening: Screening, leade
 def from_afar(
     refitter: Refitter, fit: Refit, effects: Sequence[Effect], seed: int, screening: Screening | None = None
 ) -> list[Trial]:
-    """Trials of effects of the rig that do not begin at the network (:mod:`.far_starts`).
+    """Trials of effects at the port that do not begin at the network (:mod:`.far_starts`).
 
     All of them are made if it does not describe the recordings at all, or has lost elements: driven away from
     everybody's values, or to where most people's recordings do not feel them. Otherwise those of delays and filters
     that the elements hide from the scan.
     """
-    candidates = far_starts.of_the_chain(fit, effects)
+    candidates = far_starts.at_the_port(fit, effects)
     if not far_starts.wholly_off(fit) and (refitter.one_person or not lost_elements(fit).any()):
         candidates = [] if screening is None else far_starts.absorbed(candidates, screening)
     found = []
@@ -224,7 +224,7 @@ def from_afar(
         best = max(begun, key=lambda g: float(g.evidence.sum()))
         if not best.settled:
             best = refitter.fit(best.model, best.u, best.population, _MORE_ROUNDS)
-        found.append(trial_of(candidate, "shared", best, fit))
+        found.append(trial_of(candidate, best.model.additions[-1].pooling, best, fit))
     return found
 
 

@@ -15,7 +15,7 @@ from bayes_impedance.diagnosis.fit.lost_elements import lost_elements
 from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection import far_starts
-from bayes_impedance.diagnosis.selection.far_starts import network_from_afar, of_the_chain, refits_from_afar
+from bayes_impedance.diagnosis.selection.far_starts import at_the_port, network_from_afar, refits_from_afar
 from bayes_impedance.diagnosis.selection.score_scan import screen
 from bayes_impedance.diagnosis.selection.shortlist import from_afar
 from bayes_impedance.diagnosis.selection.trial import try_candidate
@@ -78,9 +78,10 @@ def test_masses_are_searched_from_afar_unless_the_network_describes_nothing(
     world: Experiment, off: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(far_starts, "wholly_off", lambda _: off)
-    names = {candidate.effect.id for candidate in of_the_chain(world.fit(), registered())}
+    names = {candidate.effect.id for candidate in at_the_port(world.fit(), registered())}
     assert {"rig.delay", "rig.highpass", "rig.lowpass"} <= names
     added = {"rig.mass", "rig.stiffness", "rig.damping", "rig.resonance", "rig.semi_inductance"}
+    added |= {"body.mass", "body.bypass", "body.resonator"}
     assert (added <= names) is not off
     assert not (off and added & names)
 
@@ -93,7 +94,7 @@ def test_a_semi_inductance_is_found_from_elements_that_it_has_driven_away() -> N
         hidden=lambda s, z, _: (z + size * s**exponent, np.zeros(10)),
     )  # fmt: skip
     fit = coil.fit()
-    (candidate,) = [c for c in of_the_chain(fit, registered()) if c.effect.id == "rig.semi_inductance"]
+    (candidate,) = [c for c in at_the_port(fit, registered()) if c.effect.id == "rig.semi_inductance"]
     best = max(refits_from_afar(coil.refitter, fit, candidate, 1, 40), key=lambda g: float(g.evidence.sum()))
     assert best.evidence.sum() > fit.evidence.sum() + 100
     found = dict(zip(("coefficient", "exponent"), shape_values_of(best), strict=True))
@@ -149,3 +150,30 @@ def test_a_low_pass_that_the_elements_have_absorbed_is_found_from_afar() -> None
     (trial,) = from_afar(behind.refitter, fit, [lowpass], 1, screening)
     assert trial.gain > 1000
     assert shape_values_of(trial.fit)[0] == pytest.approx(constant, rel=0.02)
+
+
+def test_a_mass_that_differs_between_people_is_found_where_the_network_has_taken_its_place() -> None:
+    """Its own mass has become the one at the port, and others of its elements nobody has."""
+    mass = 6.2e-6
+    centres = {"n2": 0.018, "r2": 0.27, "m1": 5.7e-3, "r1": 0.69, "n1": 0.019}
+
+    def at_the_port(s: np.ndarray, z: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        own = mass * np.exp(0.37 * rng.normal(size=14))
+        return z + own[:, None, None] * s, own
+
+    padded = toy(
+        "(n2|r2)-(m1|r1|n1)", centres, seed=3, n=14, noise=0.006, frequency_hz=np.geomspace(2.3, 835, 90),
+        hidden=at_the_port,
+    )  # fmt: skip
+    u, mu = padded.u.copy(), padded.population.mu.copy()
+    u[:] = mu[:] = [-4.75, -0.18, -11.17, -0.88, -3.67]
+    fit = padded.refitter.fit(padded.model, u, replace(padded.population, mu=mu), 100)
+    assert lost_elements(fit).any()
+    at_the_port_only = [e for e in registered() if e.id in ("rig.mass", "body.mass")]
+    by_side = {t.effect.side: t for t in from_afar(padded.refitter, fit, at_the_port_only, 1)}
+    assert by_side["body"].candidate.place == "port"
+    assert by_side["body"].physical
+    assert by_side["body"].gain > by_side["rig"].gain + 100
+    column = by_side["body"].fit.model.columns(0)[0]
+    size = entry("body.mass").coefficients[0].scale(padded.model.scales)
+    assert by_side["body"].fit.u[:, column].mean() * size == pytest.approx(mass, rel=0.2)
