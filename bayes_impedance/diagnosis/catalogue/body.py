@@ -13,6 +13,9 @@ _SIMPLER = ("body.springpot", "body.relaxation", "body.squeeze_film", "body.diff
 
 _FRACTIONAL = "Fractional Kelvin-Voigt and Zener models of soft tissue; constant phase elements in electrochemistry"
 
+_ANYWHERE = ("port", "groups", "springs", "dampers", "masses")
+"""Beside a mass is between it and the ground: a limb's mass is also held by what is behind it."""
+
 BODY_MASS = register(
     Effect(
         id="body.mass",
@@ -56,7 +59,7 @@ BODY_SPRINGPOT = register(
         name="power-law tissue",
         side="body",
         pooling="varying",
-        places=("port", "groups", "springs", "dampers"),
+        places=_ANYWHERE,
         formula="z + c s^(a-1)",
         story="A power-law material (springpot) acts in parallel with the place: it creeps and relaxes without a time "
         "constant. Its phase is constant over decades of frequency.",
@@ -95,7 +98,7 @@ BODY_RELAXATION = register(
         name="relaxing tissue",
         side="body",
         pooling="varying",
-        places=("port", "groups", "springs", "dampers"),
+        places=_ANYWHERE,
         formula="z + 1/(1/r + s n)",
         story="A spring in series with a damper (Maxwell branch) resists fast loads and relaxes under slow ones. "
         "The stiffness rises by a step around one frequency, where the loss has its maximum.",
@@ -114,7 +117,7 @@ BODY_SQUEEZE_FILM = register(
         name="film of fluid",
         side="body",
         pooling="varying",
-        places=("port", "groups", "springs", "dampers"),
+        places=_ANYWHERE,
         formula="z + r S(s t), S the sum over odd k of (96/(pi k)^4)/(1 + 4 s t/(pi k)^2)",
         story="Fluid between two surfaces is pressed out and drawn in again. "
         "Slow motion meets a damper, and in fast motion the fluid has no time to leave and acts as a spring.",
@@ -132,7 +135,7 @@ BODY_RESONATOR = register(
         name="further joint or bone",
         side="body",
         pooling="varying",
-        places=("port", "groups", "springs", "dampers"),
+        places=_ANYWHERE,
         formula="z + 1/(1/(s m) + 1/(r + k/s))",
         story="A further joint or bone vibrates on the tissue around it. "
         "It causes a resonance whose frequency differs between people.",
@@ -204,7 +207,7 @@ BODY_DIFFUSION = register(
 BODY_DIFFUSION_BESIDE = register(
     replace(
         BODY_DIFFUSION,
-        places=("port", "groups", "springs", "dampers"),
+        places=_ANYWHERE,
         formula="z + r tanh(x)/x, x^2 = s r n",
         story="Beside the place is a layer through which something diffuses, such as fluid in tissue. "
         "Fast motion reaches only its near side, so that its resistance falls and stores energy as it does.",
@@ -221,7 +224,7 @@ BODY_BROAD_RELAXATION = register(
         name="tissue that relaxes over a range of times",
         side="body",
         pooling="varying",
-        places=("port", "groups", "springs", "dampers"),
+        places=_ANYWHERE,
         formula="z + 1/(s^(1-a)/c + s n)",
         story="A power-law material (springpot) in series with a spring relaxes with many time constants around one. "
         "It is a power law below the middle one, and a spring above it.",

@@ -63,7 +63,7 @@ def test_sites_of_the_fingertip(effect: Effect) -> None:
     assert len({place.name for place in sites}) == len(sites)
     assert set(sites) <= set(kinds_of_place(effect, NETWORK))
     expected = {
-        "body.relaxation": ["port", "skin", "tissue", "n2|r2"],  # beside the limb is beside the tissue
+        "body.relaxation": ["port", "skin", "tissue", "m1", "n2|r2"],  # beside the limb is beside the tissue
         "body.hysteresis": ["n3", "n1", "n2"],
         "body.line": ["skin", "n3", "tissue", "n1", "limb", "n2|r2", "n2"],
         "rig.delay": ["port"],
