@@ -50,6 +50,38 @@ def exchanges(network: Network) -> tuple[dict[str, str], ...]:
     return tuple(found)
 
 
+def branch_exchanges(network: Network) -> tuple[dict[str, str], ...]:
+    """Pairs of branches that are written alike, and stand at places that are not.
+
+    Exchanging their values is another network, with the same resonances in other places.
+
+    >>> from bayes_impedance.network.notation import parse
+    >>> branch_exchanges(parse("(m1-((n1-m2)|(n2-r1)))|(m3-n3)"))
+    ({'m2': 'm3', 'n1': 'n3', 'm3': 'm2', 'n3': 'n1'},)
+    >>> branch_exchanges(parse("(n1-m1)|(n2-m2)"))
+    ()
+
+    Parameters
+    ----------
+    network : Network
+
+    Returns
+    -------
+    tuple of dict of str to str
+        For each pair, as in :func:`exchanges`, which holds the pairs within one group.
+    """
+    branches = [(path, node) for path, node in network.walk() if path and isinstance(node, Parallel | Series)]
+    found = []
+    for i, (path, one) in enumerate(branches):
+        for where, other in branches[i + 1 :]:
+            if where[: len(path)] == path or where[:-1] == path[:-1]:
+                continue
+            there = corresponding(one, other)
+            if there:
+                found.append(there | {b: a for a, b in there.items()})
+    return tuple(found)
+
+
 def corresponding(one: Network, other: Network) -> dict[str, str] | None:
     """Names of the parameters of one network by those of another that is the same but for names, labels and order.
 

@@ -7,7 +7,7 @@ import pytest
 
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
-from bayes_impedance.network.symmetry import exchanges
+from bayes_impedance.network.symmetry import branch_exchanges, exchanges
 
 FREQUENCY = np.geomspace(1, 1000, 7)
 
@@ -52,3 +52,22 @@ def test_the_impedance_stays_as_it_is(notation: str, pairs: int) -> None:
 )
 def test_what_differs_in_more_than_names_is_not_exchanged(notation: str) -> None:
     assert exchanges(parse(notation)) == ()
+
+
+def test_branches_at_different_places_are_exchanged_whole() -> None:
+    (exchange,) = branch_exchanges(parse("(n3|r3)-(m2|r1|n1|(m1-(n2|r2)))"))
+    assert exchange == {"n3": "n2", "r3": "r2", "n2": "n3", "r2": "r3"}
+
+
+@pytest.mark.parametrize(
+    "notation",
+    [
+        "(n1-r1)|(r2-n2)",  # of one group: that is no other network
+        "m1|(n1-r1)|(n2-m2)",  # of other kinds
+        "(n1-r1)|(m1-(n2-(r2|m2)))",
+        "(n1-r1*)|(m1-((n2-r2)|m2))",  # one of them the same for all
+        "m1|r1|n1",
+    ],
+)
+def test_others_are_not(notation: str) -> None:
+    assert branch_exchanges(parse(notation)) == ()

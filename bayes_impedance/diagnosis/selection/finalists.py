@@ -16,6 +16,7 @@ import numpy as np
 
 from bayes_impedance.diagnosis.catalogue.effect import Effect
 from bayes_impedance.diagnosis.fit.cold_start import beside_the_leader
+from bayes_impedance.diagnosis.fit.exchanged_branches import with_branches_exchanged
 from bayes_impedance.diagnosis.fit.extend import extended_start, has_shapes, is_physical, with_pooling
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.majority import gathered
@@ -200,7 +201,7 @@ def _settled(refitter: Refitter, fit: Refit, trial: Trial, seed: int, tries: int
 
 def _searched(refitter: Refitter, fit: Refit, seed: int, tries: int = 6, rounds: int = 3) -> Refit:
     """The fit after a search for better optima of the network, of people, of their shapes and of recordings."""
-    fit = network_from_afar(refitter, fit, seed, ROUNDS)
+    fit = with_branches_exchanged(refitter, network_from_afar(refitter, fit, seed, ROUNDS), ROUNDS)
     fit = searched_shapes(refitter, refitter.settle(fit, seed, tries=tries, rounds=rounds))
     return gathered(refitter, recordings_alone(refitter, fit))
 
