@@ -30,22 +30,6 @@ from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.runtime.checkpoint import claim
 from bayes_impedance.runtime.progress import Progress
 
-_MINIMUM_PERSONS = 5
-"""With fewer people a wide population does not indicate two solutions."""
-
-_WIDE = 0.8
-"""Standard deviation of log elements along one direction beyond which people may be in different optima: typically it
-is 0.3."""
-
-_TIGHT = 0.3
-"""Standard deviation of the population when all people are started at one person's elements: a typical one."""
-
-_BEGINNINGS = 5
-"""Number of people, evenly spread along that direction, whose elements are tried as starts. By choice."""
-
-_LEAST_GAIN = 3.0
-"""Log evidence by which another start must be better: smaller differences are convergence error."""
-
 ROUNDS = 80
 """Largest number of rounds of the first fit. By choice: one not at rest then is continued after restarts."""
 
@@ -105,7 +89,6 @@ def fit_network(
     model = build(tree.holding(held), (), scales_of(recordings), ())
     u = np.concatenate([m.theta + d.deviations for m, d in zip(point.modes, point.likelihoods, strict=True)])
     fit = refitter.fit(model, u, Population(point.mu, point.covariance, point.between_repetitions), ROUNDS)
-    fit = _gathered(refitter, refitter.settle(fit, seed))
     fit = recordings_alone(refitter, refitter.settle(fit, seed))
     if not fit.settled:  # along an element that the recordings hardly determine, rounds are many and small
         fit = refitter.fit(model, fit.u, fit.population, LAST_ROUNDS)
@@ -157,28 +140,6 @@ def shared_values(point: Estimate) -> dict[str, float]:
     u = pooling.whole(point.mu, point.shared) * whole.unit
     by_name = dict(zip(whole.kernel.parameters, u.tolist(), strict=True))
     return {p.name: float(p.value(np.array(value))) for p, value in by_name.items() if p.name in pooling.names}
-
-
-def _gathered(refitter: Refitter, fit: Refit) -> Refit:
-    """Refit with all people started at one person's elements, if that describes the population better.
-
-    Two solutions that fit a person equally well split the people into two groups, and inflate the dispersion, which
-    keeps the groups apart. Elements of people along the widest direction of the population are tried as common starts.
-    """
-    n, size = fit.persons.shape
-    if n < _MINIMUM_PERSONS:
-        return fit
-    values, vectors = np.linalg.eigh(fit.population.covariance)
-    if values[-1] < _WIDE**2:
-        return fit
-    order = np.argsort((fit.persons - fit.population.mu) @ vectors[:, -1])
-    for k in order[np.unique(np.linspace(0.1 * n, 0.9 * n, _BEGINNINGS).astype(int))]:
-        centre = fit.persons[k]
-        population = Population(centre, np.eye(size) * _TIGHT**2, np.minimum(fit.population.rho, 0.1))
-        trial = refitter.fit(fit.model, np.tile(centre, (len(fit.u), 1)), population, 60)
-        if trial.evidence.sum() > fit.evidence.sum() + _LEAST_GAIN:
-            fit = trial
-    return fit
 
 
 def _trust(fit: Refit, point: Estimate) -> tuple[str, ...]:
