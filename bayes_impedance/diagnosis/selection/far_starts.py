@@ -167,8 +167,10 @@ def refits_from_afar(refitter: Refitter, fit: Refit, candidate: Candidate, seed:
         # The prior of shapes is around those found, within their grids.
         model = extended(fit.model, replace(candidate, shape=found), pooling, size)
         _, population = extended_start(fit, model)
-        around = population if refitter.one_person else population_around(population, end[: model.n_elements])
-        refits.append(refitter.fit(model, np.tile(end, (len(u), 1)), around, rounds))
+        if not refitter.one_person:
+            population = population_around(population, end[: model.n_elements])
+            population = replace(population, mu=end[~model.shared])
+        refits.append(refitter.fit(model, np.tile(end, (len(u), 1)), population, rounds))
     return refits
 
 
