@@ -13,7 +13,7 @@ _SIMPLER = ("body.springpot", "body.relaxation", "body.squeeze_film", "body.diff
 
 _FRACTIONAL = "Fractional Kelvin-Voigt and Zener models of soft tissue; constant phase elements in electrochemistry"
 
-_ANYWHERE = ("port", "groups", "springs", "dampers", "masses")
+_ANYWHERE = ("port", "groups", "elements")
 """Beside a mass is between it and the ground: a limb's mass is also held by what is behind it."""
 
 BODY_MASS = register(

@@ -35,9 +35,7 @@ def with_branches_exchanged(refitter: Refitter, fit: Refit, rounds: int) -> Refi
         columns = np.arange(shared.size)
         for name, other in taken.items():
             columns[names.index(name)] = names.index(other)
-        if not np.array_equal(shared[columns], shared):
-            continue
-        population, order = fit.population, place[columns[~shared]]
+        population, order = fit.population, place[columns[~shared]]  # branches that are alike are shared alike
         exchanged = replace(
             population,
             mu=population.mu[order],

@@ -16,8 +16,8 @@ of the scan, and a semi-inductance only after a resonator had been found in its 
 was right. A branch of a damper and a spring became the rig's damper, the spring rigid in everybody, and a relaxation
 took the branch's place: a damper of the rig was no candidate where the network had one. Whether such a thing is the
 rig's or the body's is not known before it is found, and one that differs between people is not found as the same for
-all: a mass of 6 mg at the port, 2 to 15 in single people, was missed where the network's own mass of 6 g had taken its
-place, and a resonator beside it was called something unknown.
+all: a mass of 6 mg at the port, different in each person, was missed where the network's own mass of 6 g had taken its
+place, and something unknown was named.
 
 A network may also have absorbed a delay or a filter with its elements in place. Behind a low-pass a mass has a
 resistance that grows with the square of the frequency; so has a mass in series with a large damper, and the damper of
@@ -157,20 +157,19 @@ def refits_from_afar(refitter: Refitter, fit: Refit, candidate: Candidate, seed:
     """
     effect, pooling = candidate.effect, poolings_for(candidate.effect, len(refitter.data))[0]
     model = extended(fit.model, candidate, pooling, 1.0)
-    u, _ = extended_start(fit, model)
-    columns = model.columns(len(model.additions) - 1)
+    u, population = extended_start(fit, model)
+    typical = _typical_person(fit, u.shape[1])
+    shapes = dict(zip(model.columns(len(model.additions) - 1)[1:], effect.coefficients[1:], strict=True))
     refits = []
-    for end in _search(model, u, _typical_person(fit, u.shape[1]), effect, seed):
-        of_effect = zip(columns, effect.coefficients, strict=True)
-        found = {c.name: float(c.value(end[column], model.scales)) for column, c in of_effect}
-        size = found.pop(effect.coefficients[0].name)
+    for end in _search(model, u, typical, effect, seed):
+        found = {c.name: float(c.value(end[column], model.scales)) for column, c in shapes.items()}
         # The prior of shapes is around those found, within their grids.
-        model = extended(fit.model, replace(candidate, shape=found), pooling, size)
-        _, population = extended_start(fit, model)
+        model = extended(fit.model, replace(candidate, shape=found), pooling, 1.0)
+        around = population
         if not refitter.one_person:
-            population = population_around(population, end[: model.n_elements])
-            population = replace(population, mu=end[~model.shared])
-        refits.append(refitter.fit(model, np.tile(end, (len(u), 1)), population, rounds))
+            around = population_around(population, end[: model.n_elements])
+            around = replace(around, mu=end[~model.shared])
+        refits.append(refitter.fit(model, np.tile(end, (len(u), 1)), around, rounds))
     return refits
 
 

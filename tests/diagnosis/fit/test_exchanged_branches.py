@@ -10,6 +10,7 @@ from experiments import Experiment, toy
 
 from bayes_impedance.diagnosis.fit.exchanged_branches import with_branches_exchanged
 from bayes_impedance.diagnosis.fit.refit import Refit
+from bayes_impedance.diagnosis.selection import finalists
 
 CENTRES = {"m1": 9.6, "n1": 9.5e-5, "m2": 0.048, "n2": 1.2e-4, "r1": 43.0, "m3": 1.3e-3, "n3": 7.3e-5}
 PAIRS = {"m2": "m3", "m3": "m2", "n1": "n3", "n3": "n1"}
@@ -38,6 +39,11 @@ def test_branches_that_have_changed_places_change_back(world: Experiment, change
     assert found.evidence.sum() > right.evidence.sum() - 20  # single people are searched afterwards
     truth = np.log([CENTRES[name] for name in world.model.network.elements])
     np.testing.assert_allclose(np.median(found.persons, axis=0), truth, atol=0.4)
+
+
+def test_a_finalist_has_them_back_at_their_places(world: Experiment, changed: Refit) -> None:
+    found = finalists._searched(world.refitter, changed, 1)
+    assert found.evidence.sum() > world.fit().evidence.sum() - 1
 
 
 def test_branches_at_their_places_stay(world: Experiment) -> None:

@@ -157,20 +157,20 @@ def test_a_mass_that_differs_between_people_is_found_where_the_network_has_taken
     mass = 6.2e-6
     centres = {"n2": 0.018, "r2": 0.27, "m1": 5.7e-3, "r1": 0.69, "n1": 0.019}
 
-    def at_the_port(s: np.ndarray, z: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    def with_own_mass(s: np.ndarray, z: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         own = mass * np.exp(0.37 * rng.normal(size=14))
         return z + own[:, None, None] * s, own
 
     padded = toy(
         "(n2|r2)-(m1|r1|n1)", centres, seed=3, n=14, noise=0.006, frequency_hz=np.geomspace(2.3, 835, 90),
-        hidden=at_the_port,
+        hidden=with_own_mass,
     )  # fmt: skip
     u, mu = padded.u.copy(), padded.population.mu.copy()
     u[:] = mu[:] = [-4.75, -0.18, -11.17, -0.88, -3.67]
     fit = padded.refitter.fit(padded.model, u, replace(padded.population, mu=mu), 100)
     assert lost_elements(fit).any()
-    at_the_port_only = [e for e in registered() if e.id in ("rig.mass", "body.mass")]
-    by_side = {t.effect.side: t for t in from_afar(padded.refitter, fit, at_the_port_only, 1)}
+    masses = [e for e in registered() if e.id in ("rig.mass", "body.mass")]
+    by_side = {t.effect.side: t for t in from_afar(padded.refitter, fit, masses, 1)}
     assert by_side["body"].candidate.place == "port"
     assert by_side["body"].physical
     assert by_side["body"].gain > by_side["rig"].gain + 100
