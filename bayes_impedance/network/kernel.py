@@ -18,7 +18,8 @@ The derivative is computed in reverse mode by the same program. With :math:`w = 
 and a leaf's derivative with respect to its logarithm is :math:`\pm\bar v\, c\,(j\omega)^p`: no division is repeated.
 
 An :mod:`operation <bayes_impedance.network.operations>` at a place is a node of its own: its sum is the impedance z of
-the place, its output T(z), and backwards :math:`\bar z = T'(z)\,\bar T`.
+the place, its output T(z), and backwards :math:`\bar z = T'(z)\,\bar T`. One that follows the motion of its place is
+not holomorphic, and is in :mod:`bayes_impedance.network.own_motion`.
 
 The program is data (:mod:`bayes_impedance.network.program`), so one compiled function serves every network; it is
 compiled once per machine and cached. Real and imaginary parts are in separate contiguous arrays over frequency, a
@@ -38,8 +39,22 @@ from numba.core import types as numba_types
 from bayes_impedance.display import joined, lines, short, table
 from bayes_impedance.errors import InputError
 from bayes_impedance.network.operations import N_PARAMETERS, Operation
+from bayes_impedance.network.own_motion import (
+    OWN_MOTION,
+    backward_motion_apart,
+    own_motion_row_apart,
+    own_motion_slopes_apart,
+)
 from bayes_impedance.network.parameters import Parameter
-from bayes_impedance.network.program import Program, compile_network, parameter_names
+from bayes_impedance.network.program import (
+    DETACHED,
+    PROGRAM,
+    Program,
+    compile_network,
+    parameter_names,
+    parameter_of,
+    parameters_of,
+)
 from bayes_impedance.network.rows import slopes_row_apart, transform_row_apart
 from bayes_impedance.network.tree import Network
 from bayes_impedance.runtime.compiled_functions import by_address, kept_njit
@@ -63,14 +78,6 @@ def workspace(program: Program, omega: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 @compiled
-def _parameter(program: Program, position: int, theta: np.ndarray) -> float:
-    """A parameter by its number; zero for -1."""
-    if position < 0:
-        return 0.0
-    return theta[position] if position < theta.size else program.held[position - theta.size]  # type: ignore[no-any-return]
-
-
-@compiled
 def forward(program: Program, theta: np.ndarray, omega: np.ndarray, sums: np.ndarray, outputs: np.ndarray) -> None:
     """One parameter set: fill the nodes' sums and outputs, arrays of :func:`workspace`; the last node's output is z.
 
@@ -82,7 +89,7 @@ def forward(program: Program, theta: np.ndarray, omega: np.ndarray, sums: np.nda
         inertial, resistive, elastic = 0.0, 0.0, 0.0
         for t in range(program.term_node.size):
             if program.term_node[t] == node:
-                c = np.exp(program.term_exponent[t] * _parameter(program, program.term_element[t], theta))
+                c = np.exp(program.term_exponent[t] * parameter_of(program, program.term_element[t], theta))
                 if program.term_power[t] == 1:
                     inertial += c
                 elif program.term_power[t] == 0:
@@ -111,8 +118,11 @@ def forward(program: Program, theta: np.ndarray, omega: np.ndarray, sums: np.nda
                     sums[node, 0, f] += outputs[child, 0, f]
                     sums[node, 1, f] += outputs[child, 1, f]
         if program.node_code[node] > 0:
-            u, c = _parameters(program, node, theta), program.node_constant[node]
-            transform_row_apart(program.node_code[node], u, c, omega, sums, outputs, node)
+            u, c = parameters_of(program, node, theta), program.node_constant[node]
+            if program.node_code[node] == OWN_MOTION:
+                own_motion_row_apart(u, c, omega, program.motion, sums, outputs, node)
+            else:
+                transform_row_apart(program.node_code[node], u, c, omega, sums, outputs, node)
             if program.node_invert[node] == 1:
                 for f in range(n_frequencies):
                     x, y = outputs[node, 0, f], outputs[node, 1, f]
@@ -129,16 +139,6 @@ def forward(program: Program, theta: np.ndarray, omega: np.ndarray, sums: np.nda
             for f in range(n_frequencies):
                 outputs[node, 0, f] = sums[node, 0, f]
                 outputs[node, 1, f] = sums[node, 1, f]
-
-
-@compiled
-def _parameters(program: Program, node: int, theta: np.ndarray) -> tuple[float, float, float]:
-    row = program.node_parameter
-    return (
-        _parameter(program, row[node, 0], theta),
-        _parameter(program, row[node, 1], theta),
-        _parameter(program, row[node, 2], theta),
-    )
 
 
 @compiled
@@ -168,7 +168,13 @@ def backward(
     """
     n_nodes, n_frequencies = program.node_parent.size, omega.size
     slopes = np.empty((N_PARAMETERS, 2, n_frequencies if program.node_code.any() else 0))
-    for node in range(n_nodes - 1, -1, -1):
+    copied = 0  # copies of the network, whose motion an element follows, come first
+    if program.motion.shape[0] > 0:
+        for node in range(n_nodes):
+            if program.node_parent[node] == DETACHED:
+                copied = node + 1
+    pulls = np.empty((n_nodes if copied > 0 else 0, 2, n_frequencies))
+    for node in range(n_nodes - 1, copied - 1, -1):
         parent = program.node_parent[node]
         if parent < 0:
             parent = n_nodes
@@ -179,8 +185,13 @@ def backward(
                 adjoints[node, 0, f] = adjoints[parent, 0, f]
                 adjoints[node, 1, f] = adjoints[parent, 1, f]
         if program.node_code[node] > 0:
-            u, c = _parameters(program, node, theta), program.node_constant[node]
-            slopes_row_apart(program.node_code[node], u, c, omega, sums, adjoints, node, slopes)
+            u, c = parameters_of(program, node, theta), program.node_constant[node]
+            if program.node_code[node] == OWN_MOTION:
+                own_motion_slopes_apart(
+                    u, c, omega, program.motion, sums, outputs, adjoints, node, slopes, pulls
+                )
+            else:
+                slopes_row_apart(program.node_code[node], u, c, omega, sums, adjoints, node, slopes)
             for k in range(N_PARAMETERS):
                 p = program.node_parameter[node, k]
                 if 0 <= p < theta.size:
@@ -188,7 +199,7 @@ def backward(
                         derivative[p, 0, f], derivative[p, 1, f] = slopes[k, 0, f], slopes[k, 1, f]
     for t in range(program.term_node.size):
         node, element = program.term_node[t], program.term_element[t]
-        if element >= theta.size:
+        if element >= theta.size or node < copied:
             continue
         exponent, power = program.term_exponent[t], program.term_power[t]
         c = exponent * np.exp(exponent * theta[element])
@@ -204,14 +215,12 @@ def backward(
             for f in range(n_frequencies):
                 derivative[element, 0, f] = c * sums[n_nodes, 0, f] * adjoints[node, 1, f]
                 derivative[element, 1, f] = -c * sums[n_nodes, 0, f] * adjoints[node, 0, f]
+    if copied > 0:
+        backward_motion_apart(program, theta, omega, sums, outputs, adjoints, pulls, derivative)
 
 
 types: Any = numba_types  # without annotations
-_LINE, _ROWS, _BLOCK = (types.Array(types.float64, n, "C") for n in (1, 2, 3))
-_NUMBERS, _NUMBER_ROWS = (types.Array(types.int64, n, "C") for n in (1, 2))
-PROGRAM = types.NamedTuple((*[_NUMBERS] * 7, _NUMBER_ROWS, _ROWS, _LINE), Program)
-"""numba's type of a :class:`~bayes_impedance.network.program.Program`."""
-
+_LINE, _BLOCK = (types.Array(types.float64, n, "C") for n in (1, 3))
 forward_apart = by_address(forward, (PROGRAM, _LINE, _LINE, _BLOCK, _BLOCK))
 backward_apart = by_address(backward, (PROGRAM, _LINE, _LINE, _BLOCK, _BLOCK, _BLOCK, _BLOCK))
 """The same for functions that do not take the kernel's code into their own."""

@@ -86,6 +86,9 @@ class Traits:
         alike.
     of_the_element : bool
         Whether it changes the element itself that stands at the place, before anything else there.
+    follows_motion : bool
+        Whether its T also depends on how the place moves, and so on the whole network: its formula is in
+        :mod:`bayes_impedance.network.own_motion`, and not among the others.
     read : function
         The operation's parameters, each of shape (S,), from values of those in `written`, by letter.
     built_as : str
@@ -123,6 +126,7 @@ class Traits:
     written: str = ""
     written_shared: str = ""
     of_the_element: bool = False
+    follows_motion: bool = False
     read: Callable[[Mapping[str, np.ndarray]], list[np.ndarray]] = _as_written
     constants: Callable[[Setting], tuple[float, float]] | None = None
     allows: Callable[[np.ndarray], bool] = _coefficient_not_negative

@@ -25,6 +25,7 @@ free_line           z/(w^(1/2) coth w^(1/2)) with w = s x z
 squeeze_film        z + x S(s t), S(w) = 3 (w - w^(1/2) tanh w^(1/2))/w^2        t = exp(u1)
 semi_inductance     z + x (s/c1)^a                                               a = 1/(1 + exp(-u1))
 amplitude           z exp(x h), h = 1/(1 + (w/p)^(2 q))                          p = exp(u1), q = exp(u2)
+own_motion          z exp(x h), h = a^2/(1 + a^2), a = abs(H)/(w p)                p = exp(u1)
 power_law           z + x (s/c1)^(a - 1)                                         a = c0 + 1/(1 + exp(-u1))
 line_fixed          z w^(1/2) tanh w^(1/2) with w as in the line
 line_matched        z w^(1/2)
@@ -47,6 +48,9 @@ frequency at which the sweep begins, c2 > 1 the ratio of its ends, and q the par
 every frequency takes the same number of periods, and p -> 0 if every octave takes the same time. In the amplitude,
 :math:`h = a^2/(1 + a^2)` is the saturating part of a motion whose amplitude falls with frequency,
 :math:`a = (p/\omega)^q`: q = 1 where the velocity keeps its amplitude, q = 2 where a mass keeps the force's.
+
+In the own motion, H is the velocity at the place per unit of the port's force: see
+:mod:`bayes_impedance.network.own_motion`.
 
 The last four operations are computed for a network's own power laws and wrappers
 (:mod:`bayes_impedance.network.constructs`); no effect is added as one of them.
@@ -327,6 +331,14 @@ TRAITS: dict[str, Traits] = {
         parameters=("change", "corner", "steepness"),
         units=(("",), ("Hz",), ("",)),
         links=("linear", "log", "log"),
+    ),
+    "own_motion": Traits(
+        code=24,
+        parameters=("change", "knee"),
+        units=(("",), ("n",)),
+        links=("linear", "log"),
+        places=("springs", "dampers"),
+        follows_motion=True,
     ),
 }
 """Every operation by its name."""

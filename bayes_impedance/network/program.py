@@ -8,22 +8,30 @@ wrapper, and a power law, which adds to nothing. The program lists the nodes, pa
 
 Parameters that are held have no place in theta: their numbers begin where theta ends, and their values are in the
 program.
+
+For an element that follows :mod:`its own motion <bayes_impedance.network.own_motion>` the program has, before all else,
+a copy of the network without operations, apart from the rest, whose nodes tell how the element moves.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba.core import types as numba_types
 
 from bayes_impedance.network.elements import kind_of
 from bayes_impedance.network.extensions import RADIAN_PER_SECOND, PowerLaw, Wrapped
-from bayes_impedance.network.operations import LOGARITHMIC, N_PARAMETERS, Operation, code_of
+from bayes_impedance.network.operations import LOGARITHMIC, N_PARAMETERS, TRAITS, Operation, code_of
 from bayes_impedance.network.parameters import SIGNED, Parameter
 from bayes_impedance.network.transform import transform_many
 from bayes_impedance.network.tree import Element, Network, Series
+from bayes_impedance.runtime.compiled_functions import kept_njit
+
+PORT, DETACHED = -1, -2
+"""Instead of a parent: of the node whose output is the port's impedance, and of the last node of a copy."""
 
 
 class Program(NamedTuple):
@@ -34,7 +42,8 @@ class Program(NamedTuple):
     term_node, term_element, term_exponent, term_power : ndarray of int, shape (T,)
         For each leaf: the node it is summed in, the element it is, and c = exp(exponent * theta), p in that domain.
     node_parent, node_invert : ndarray of int, shape (N,)
-        For each node, parts before parents: where its sum goes (-1 for the port), and whether it is inverted first.
+        For each node, parts before parents: where its sum goes (:data:`PORT`, or :data:`DETACHED`), and whether it is
+        inverted first.
     node_code : ndarray of int, shape (N,)
         Operation on the node's sum; 0 for none.
     node_parameter : ndarray of int, shape (N, 3)
@@ -42,6 +51,8 @@ class Program(NamedTuple):
     node_constant : ndarray of float, shape (N, 3)
     held : ndarray, shape (H,)
         Values of the held parameters, on the scale of theta; parameter P + h is the h-th of them.
+    motion : ndarray of int, shape (M, 3)
+        Factors of the velocities that elements follow: node of the operation, node whose output is the factor, power.
     """
 
     term_node: np.ndarray
@@ -54,6 +65,7 @@ class Program(NamedTuple):
     node_parameter: np.ndarray
     node_constant: np.ndarray
     held: np.ndarray
+    motion: np.ndarray
 
 
 def compile_network(
@@ -94,12 +106,16 @@ def compile_network(
     terms: list[tuple[int, int, int, int]] = []
     nodes: list[_Node] = []
 
-    def visit(node: Network, path: tuple[int, ...], parent_is_mobility: bool) -> int:
-        """Append the child nodes, then this one; the caller fills in the parent's number."""
-        here = [operation for operation in operations if operation.path == path]
+    def visit(node: Network, path: tuple[int, ...], parent_is_mobility: bool, apart: tuple[int, ...] | None) -> int:
+        """Append the child nodes, then this one; the caller fills in the parent's number.
+
+        In a copy nothing acts, and the element at the path `apart` is a node of its own, as is every part on the way.
+        """
+        acting = operations if apart is None else ()
+        here = [operation for operation in acting if operation.path == path]
         mobility = isinstance(node, Series)
         if isinstance(node, PowerLaw | Wrapped):
-            child = visit(node.part, (*path, 0), False) if isinstance(node, Wrapped) else None
+            child = visit(node.part, (*path, 0), False, apart) if isinstance(node, Wrapped) else None
             if child is not None:
                 nodes[child].parent = len(nodes)
             positions = [own_position(parameter) for parameter in node.own_parameters]
@@ -107,13 +123,10 @@ def compile_network(
             nodes.append(_Node(invert, *_compiled(node, scales), parameters=positions))
         else:
             parts = list(enumerate(node.parts))
-            plain = {
-                i
-                for i, part in parts
-                if isinstance(part, Element) and not any(o.path == (*path, i) for o in operations)
-            }
+            own = {apart, *(operation.path for operation in acting)}
+            plain = {i for i, part in parts if isinstance(part, Element) and (*path, i) not in own}
             leaves = [node] if isinstance(node, Element) else [part for i, part in parts if i in plain]
-            children = [visit(part, (*path, i), mobility) for i, part in parts if i not in plain]
+            children = [visit(part, (*path, i), mobility, apart) for i, part in parts if i not in plain]
             number = len(nodes)
             nodes.append(_Node(invert=mobility != (parent_is_mobility and not here)))
             for child in children:
@@ -129,9 +142,21 @@ def compile_network(
             nodes.append(
                 _Node(parent_is_mobility and last, operation.code, list(operation.constants), parameters=positions)
             )
+            of_operation[id(operation)] = len(nodes) - 1
+        if apart is not None and path == apart[: len(path)]:
+            on_the_way.append(len(nodes) - 1)
         return len(nodes) - 1
 
-    visit(network, (), False)
+    of_operation, motions = dict[int, int](), list[tuple[Operation, dict[int, int]]]()
+    on_the_way: list[int] = []
+    for operation in operations:
+        if TRAITS[operation.name].follows_motion:
+            on_the_way = []
+            visit(network, (), False, operation.path)
+            nodes[-1].parent = DETACHED
+            motions.append((operation, _velocity(network, operation.path, on_the_way[::-1], nodes)))
+    visit(network, (), False, None)
+    motion = [(of_operation[id(o)], node, power) for o, powers in motions for node, power in powers.items() if power]
     columns = np.array(terms, dtype=np.int64).reshape(-1, 4).T
     padded = [(n.parameters + [-1] * N_PARAMETERS)[:N_PARAMETERS] for n in nodes]
     constants = [(n.constants + [0.0] * N_PARAMETERS)[:N_PARAMETERS] for n in nodes]
@@ -147,7 +172,24 @@ def compile_network(
         np.array(padded, dtype=np.int64),
         np.array(constants, dtype=float),
         np.array(values, dtype=float),
+        np.array(motion, dtype=np.int64).reshape(-1, 3),
     )
+
+
+def _velocity(network: Network, path: tuple[int, ...], way: Sequence[int], nodes: Sequence[_Node]) -> dict[int, int]:
+    """Powers of the nodes' outputs whose product is the velocity at a path per unit of the port's force.
+
+    `way` are the nodes from the port to the path.
+    """
+    powers = dict.fromkeys(way, 0)
+    powers[way[0]] -= 1
+    node = network
+    for i, group, part in zip(path, way[:-1], way[1:], strict=True):
+        if isinstance(node, Series):
+            powers[part] += 1
+            powers[group] += 1 if nodes[group].invert else -1
+        node = node.parts[i]
+    return powers
 
 
 def _compiled(node: PowerLaw | Wrapped, scales: Mapping[str, float]) -> tuple[int, list[float]]:
@@ -201,4 +243,32 @@ class _Node:
     code: int = 0
     constants: list[float] = field(default_factory=list)
     parameters: list[int] = field(default_factory=list)
-    parent: int = -1
+    parent: int = PORT
+
+
+types: Any = numba_types  # without annotations
+_LINE, _BLOCK = (types.Array(types.float64, n, "C") for n in (1, 2))
+_NUMBERS, _NUMBER_ROWS = (types.Array(types.int64, n, "C") for n in (1, 2))
+PROGRAM = types.NamedTuple((*[_NUMBERS] * 7, _NUMBER_ROWS, _BLOCK, _LINE, _NUMBER_ROWS), Program)
+"""numba's type of a :class:`Program`."""
+
+_compiled_function: Any = kept_njit(nogil=True, error_model="numpy")
+
+
+@_compiled_function
+def parameter_of(program: Program, position: int, theta: np.ndarray) -> float:
+    """A parameter by its number; zero for -1."""
+    if position < 0:
+        return 0.0
+    return theta[position] if position < theta.size else program.held[position - theta.size]  # type: ignore[no-any-return]
+
+
+@_compiled_function
+def parameters_of(program: Program, node: int, theta: np.ndarray) -> tuple[float, float, float]:
+    """Those of a node's operation."""
+    row = program.node_parameter
+    return (
+        parameter_of(program, row[node, 0], theta),
+        parameter_of(program, row[node, 1], theta),
+        parameter_of(program, row[node, 2], theta),
+    )

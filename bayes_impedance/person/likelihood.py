@@ -29,8 +29,8 @@ import numpy as np
 from numba.core import types
 
 from bayes_impedance.display import Brief
-from bayes_impedance.network.kernel import PROGRAM, Kernel, backward, compiled, forward, forward_apart, workspace
-from bayes_impedance.network.program import Program
+from bayes_impedance.network.kernel import Kernel, backward, compiled, forward, forward_apart, workspace
+from bayes_impedance.network.program import PROGRAM, Program
 from bayes_impedance.runtime.compiled_functions import by_address, kept_njit
 
 SCALE_SHAPE = 2.0

@@ -378,6 +378,20 @@ BODY_AMPLITUDE = register(
     )
 )
 
+BODY_AMPLITUDE_OF_THE_ELEMENT = register(
+    replace(
+        BODY_AMPLITUDE,
+        formula="z exp(x h), h = a^2/(1 + a^2), a the element's motion per unit of force over the knee",
+        story="The tissue is softer or stiffer the further it moves. Under a force of constant amplitude an element "
+        "moves most near the resonances, and has another value there.",
+        look_for="a resonance that is bent towards lower or higher frequencies",
+        separates="a recording at another drive level, at which the change is larger or smaller",
+        operation="own_motion",
+        coefficients=(Coefficient("change", ""), Coefficient("knee", "n", "log", 1.5, 0.7)),
+        needs_repetitions=False,
+    )
+)
+
 BODY_SUBGROUP = register(
     Effect(
         id="body.subgroup",

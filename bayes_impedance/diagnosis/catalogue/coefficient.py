@@ -130,5 +130,8 @@ class Coefficient(Brief):
         if isinstance(self.grid, tuple):
             return tuple(2 * np.pi * g for g in self.grid) if self.unit == "Hz" else self.grid
         n = max(4, round(self.grid * np.log10(scales.high / scales.low)) + 1)
+        if self.unit == "n":
+            ends = 1 / (scales.z_high * scales.high), 1 / (scales.z_low * scales.low)
+            return tuple(np.geomspace(*ends, n).tolist())
         omega = np.geomspace(scales.low, scales.high, n)
         return tuple((1 / omega if self.unit == "s" else omega).tolist())

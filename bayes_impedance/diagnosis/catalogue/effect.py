@@ -37,6 +37,7 @@ from bayes_impedance.network.extensions import RADIAN_PER_SECOND, PowerLaw
 from bayes_impedance.network.notation import Element, Network, Parallel, Place, Series, parse
 from bayes_impedance.network.operation_traits import PLACES, Setting, Traits
 from bayes_impedance.network.operations import N_PARAMETERS, NAMES, TRAITS
+from bayes_impedance.network.own_motion import saturating_share
 from bayes_impedance.network.parameters import LOGIT, Parameter
 from bayes_impedance.network.transform import transform_many
 from bayes_impedance.population.natural_scales import LOSS_FACTOR, with_references
@@ -322,7 +323,14 @@ def _typical(
     return {"d": 1 / omega, "t": 1 / omega, "f": omega / (2 * np.pi), "k": omega, "e": LOSS_FACTOR, "g": 1.0}[letter]
 
 
-def direction(effect: Effect, shape: dict[str, float], scales: Scales, omega: np.ndarray, z: np.ndarray) -> np.ndarray:
+def direction(
+    effect: Effect,
+    shape: dict[str, float],
+    scales: Scales,
+    omega: np.ndarray,
+    z: np.ndarray,
+    motion: np.ndarray | None = None,
+) -> np.ndarray:
     """First-order change of a place's impedance per unit of the coefficient.
 
     Parameters
@@ -335,6 +343,8 @@ def direction(effect: Effect, shape: dict[str, float], scales: Scales, omega: np
         In rad/s.
     z : ndarray, complex, shape (M, F)
         Impedance of the place.
+    motion : ndarray, shape (M, F), optional
+        How far it moves per unit of force, for effects that follow that.
 
     Returns
     -------
@@ -345,6 +355,9 @@ def direction(effect: Effect, shape: dict[str, float], scales: Scales, omega: np
         branch = effect.network(scales).impedance(1j * omega, shape)
         return np.broadcast_to(branch, z.shape) if effect.connection == "beside" else np.asarray(-(z**2) / branch)
     traits = effect.traits
+    if traits.follows_motion:
+        assert motion is not None  # whoever scans the catalogue knows it
+        return z * saturating_share(motion, shape[effect.coefficients[1].name])
     if traits.direction is not None:
         return np.broadcast_to(traits.direction(shape, omega), z.shape)
     u = np.zeros((z.shape[0], N_PARAMETERS))

@@ -5,6 +5,9 @@ Impedances are combined from the leaves up to the port. The derivative
 
 .. math:: \text{parallel: } a_\text{part} = a, \qquad \text{series: } a_\text{part} = a\,(z/z_\text{part})^2, \qquad
           \text{operation: } a_\text{inside} = a\,T'(z).
+
+A place moves with :math:`v_p/v = \sqrt{a_p}`, since the network is reciprocal, and so by
+:math:`\sqrt{|a_p|}/|\omega z_\text{port}|` per unit of force.
 """
 
 from __future__ import annotations
@@ -18,7 +21,8 @@ import numpy as np
 from bayes_impedance.diagnosis.catalogue.effect import Candidate
 from bayes_impedance.diagnosis.fit.model import Model, inner_places
 from bayes_impedance.network.notation import Element, Network, Parallel, PowerLaw, Wrapped
-from bayes_impedance.network.operations import N_PARAMETERS
+from bayes_impedance.network.operations import N_PARAMETERS, TRAITS, Operation
+from bayes_impedance.network.own_motion import motion_per_force, saturating_share
 from bayes_impedance.network.program import changed_by
 from bayes_impedance.network.transform import transform_many
 
@@ -45,10 +49,13 @@ class Local:
         Impedance at the place.
     adjoint : ndarray, complex, shape (M, F)
         Derivative of the port's impedance with respect to it.
+    motion : ndarray, shape (M, F)
+        How far the place moves per unit of the force at the port, in the unit of a compliance.
     """
 
     z: np.ndarray
     adjoint: np.ndarray
+    motion: np.ndarray
 
 
 def local_impedances(model: Model, u: np.ndarray, omega: np.ndarray) -> dict[str, Local]:
@@ -88,13 +95,9 @@ def local_impedances(model: Model, u: np.ndarray, omega: np.ndarray) -> dict[str
         slopes, stages = [], [np.asarray(z)]
         for operation in kernel.operations:
             if operation.path == path:
-                own = np.zeros((u.shape[0], N_PARAMETERS))
-                for k, name in enumerate(operation.parameters):
-                    own[:, k] = values[name][:, 0]
-                constants = np.array((*operation.constants, 0.0, 0.0))[:N_PARAMETERS]
-                t = transform_many(operation.code, own, constants, omega, np.ascontiguousarray(z))
-                slopes.append(t[1])
-                z = t[0]
+                changed, slope = _changed(model, operation, values, omega, np.asarray(z))
+                slopes.append(slope)
+                z = changed
                 stages.append(z)
         before[path], after[path] = slopes, np.asarray(z)
         if not path:
@@ -102,7 +105,8 @@ def local_impedances(model: Model, u: np.ndarray, omega: np.ndarray) -> dict[str
             channels = sum(effect.is_of_the_channel for effect in rig)
             for name, later in ((INSIDE, len(rig)), (BEFORE_CHANNELS, channels)):
                 first = len(slopes) - later
-                at_port[name] = Local(stages[first], reduce(np.multiply, slopes[first:], np.ones_like(stages[0])))
+                slope = reduce(np.multiply, slopes[first:], np.ones_like(stages[0]))
+                at_port[name] = Local(stages[first], slope, 1 / np.abs(omega * stages[first]))
         return after[path]
 
     up(kernel.network, ())
@@ -130,5 +134,30 @@ def local_impedances(model: Model, u: np.ndarray, omega: np.ndarray) -> dict[str
 
     down(kernel.network, (), np.ones_like(after[()]))
     found: Mapping[str, tuple[int, ...]] = inner_places(model)
-    places = {name: Local(after[path], adjoints[path]) for name, path in found.items()}
-    return {**places, **at_port}
+    inside = at_port[INSIDE]
+
+    def local(path: tuple[int, ...]) -> Local:
+        # The network is reciprocal: dZ/dz is the square of the place's velocity over that of the port.
+        ratio = np.sqrt(np.abs(adjoints[path] / inside.adjoint))
+        return Local(after[path], adjoints[path], ratio * inside.motion)
+
+    return {**{name: local(path) for name, path in found.items()}, **at_port}
+
+
+def _changed(
+    model: Model, operation: Operation, values: Mapping[str, np.ndarray], omega: np.ndarray, z: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """What an operation makes of the impedance z (M, F) of its place, and the derivative of that with respect to z."""
+    own = np.zeros((len(z), N_PARAMETERS))
+    for k, name in enumerate(operation.parameters):
+        own[:, k] = values[name][:, 0]
+    if TRAITS[operation.name].follows_motion:
+        network = model.kernel.network
+        known = {p.name: p.value(values[p.name]) for p in network.parameters if not p.held}
+        motion = motion_per_force(network, operation.path, 1j * omega, known)
+        share = saturating_share(motion, np.exp(own[:, 1, None]))
+        factor = np.exp(operation.constants[0] * own[:, :1] * share)
+        return z * factor, factor.astype(complex)
+    constants = np.array((*operation.constants, 0.0, 0.0))[:N_PARAMETERS]
+    t = transform_many(operation.code, own, constants, omega, np.ascontiguousarray(z))
+    return t[0], t[1]

@@ -316,7 +316,8 @@ def _signatures(
         spot = spot_of(candidate)
         d = constant[k]
         if d is None:
-            d = direction(candidate.effect, candidate.shape, model.scales, omega, local[spot].z)
+            place = local[spot]
+            d = direction(candidate.effect, candidate.shape, model.scales, omega, place.z, place.motion)
         dz = d * felt[spot]
         result[:, k, :n], result[:, k, n:] = dz.real, dz.imag
     if added.size:
