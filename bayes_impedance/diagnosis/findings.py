@@ -20,7 +20,7 @@ from bayes_impedance.diagnosis.grown_network import grown_network
 from bayes_impedance.diagnosis.residuals.locate import Location, locate
 from bayes_impedance.diagnosis.residuals.missing_impedance import missing_one_ports
 from bayes_impedance.diagnosis.selection.compare import SCATTERS, log_evidence
-from bayes_impedance.diagnosis.selection.cross_validation import people_gain
+from bayes_impedance.diagnosis.selection.cross_validation import clearly_gains, people_gain
 from bayes_impedance.diagnosis.selection.exchange import Way
 from bayes_impedance.diagnosis.selection.identifiability import names_that_hold
 from bayes_impedance.diagnosis.selection.names_of_a_size import names_of_a_size
@@ -145,16 +145,35 @@ def find(
     unknown = None
     with clock.measure("unknown"):
         remains = structure_remains(found, last.p_value)
-        if remains:
+        unshown = _unshown(fitted.refitter, found, seed) if remains else None
+        if unshown is not None:
+            unknown = unshown
+        elif remains:
             progress("unknown physics", 0, 1)
             ports = missing_one_ports(found.final, residuals)
             unknown = stand_in_network(fitted.refitter, found.final, residuals, ports, seed, executor)
-        found, unknown = names_that_hold(fitted.refitter, found, unknown, remains, residuals, one_ports, seed, executor)
-        if remains:
+        if unshown is None or found.final is not found.base:
+            found, unknown = names_that_hold(
+                fitted.refitter, found, unknown, remains, residuals, one_ports, seed, executor
+            )
+        if remains and unshown is None:
             found, unknown = _one_network(fitted.refitter, found, unknown, names, seed, executor)
         progress("unknown physics", 1, 1)
     look = Findings(found=found, unknown=unknown, first=first, one_ports=one_ports, gain_of=gains, remains=remains)
     return look if look.final is found.base else look.with_final(at_rest(fitted.refitter, look.final))
+
+
+def _unshown(refitter: Refitter, found: Found, seed: int) -> Realised | None:
+    """What stands for a change that only repeated sweeps can show, if the search ended at one and it predicts people.
+
+    It stands for the recordings better than a network that is made of more elements, and says where the change is.
+    """
+    trial = found.steps[-1].unshown
+    before = None if trial is None else found.steps[-1].before.model.additions
+    if trial is None or before != found.final.model.additions:  # names were withdrawn since
+        return None
+    total, se = people_gain(refitter, found.final, trial.fit, seed)
+    return Realised(trial, total, se) if clearly_gains(total, se) else None
 
 
 def at_rest(refitter: Refitter, fit: Refit) -> Refit:

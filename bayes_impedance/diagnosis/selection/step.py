@@ -36,6 +36,8 @@ class Step:
         Whether nothing was added because what describes these people better does not predict others.
     richer : Screening, optional
         Of richer laws, where one of them was chosen (:mod:`.richer_law`).
+    unshown : Trial, optional
+        Why nothing was added: an explanation that only repeated sweeps can show (:mod:`.one_sweep`).
     """
 
     before: Refit
@@ -45,6 +47,7 @@ class Step:
     chosen: Trial | None = None
     unpredictive: bool = False
     richer: Screening | None = None
+    unshown: Trial | None = None
 
     @property
     def after(self) -> Refit:
