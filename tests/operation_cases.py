@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bayes_impedance.network.notation import PAPER_NETWORK, parse
-from bayes_impedance.network.operations import LOGARITHMIC, N_PARAMETERS, NAMES, Operation
+from bayes_impedance.network.operations import LOGARITHMIC, N_PARAMETERS, NAMES, TRAITS, Operation, code_of
 from bayes_impedance.network.transform import transform_many
 
 NETWORK = parse(PAPER_NETWORK)
@@ -22,6 +22,10 @@ W0 = 600.0
 
 PATHS = ((), (0,), (0, 1), (1, 2), (1, 3), (1, 3, 1, 0))
 """The port, the skin, a damper in it, a spring, the limb, and a spring at its end."""
+
+
+OF_THE_PLACE = tuple(name for name in NAMES if not TRAITS[name].follows_motion)
+"""Operations whose T depends on the impedance of the place alone."""
 
 
 class Case(NamedTuple):
@@ -135,7 +139,7 @@ def five(case: Case, u: Sequence[float], z: np.ndarray) -> np.ndarray:
     """T and its derivatives at the impedances z, one for each of OMEGA, shape (5, F)."""
     own, constants = np.zeros((1, N_PARAMETERS)), np.zeros(N_PARAMETERS)
     own[0, : len(u)], constants[: len(case.constants)] = u, case.constants
-    code = NAMES.index(case.name) + 1
+    code = code_of(case.name)
     return transform_many(code, own, constants, OMEGA, np.ascontiguousarray(z[None]))[:, 0]
 
 

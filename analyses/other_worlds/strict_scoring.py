@@ -5,6 +5,7 @@
 - Physics outside of the catalogue: one entry, ``unknown`` or one that is the same curve in the band. Several names for
   one thing are wrong, however well they fit together. An element that changes during the sweep counts as outside where
   everybody was swept once: time and frequency then go together, such recordings cannot show it, and it is not offered.
+  Beside an effect of the catalogue it is right alone, or beside that effect's name.
 - Nothing is missing: nothing is claimed.
 
 An entry about the noise is right where the noise has such tails, and is not counted. A case is *visible* if every
@@ -48,10 +49,14 @@ def names_of(entry: Mapping[str, Any]) -> set[str]:
 def group_of(answer: Mapping[str, Any]) -> str:
     """``none``, ``one``, ``two`` or ``outside``."""
     effects = answer["effects"]
-    swept_once = answer["repetitions"] == 1
-    if any(e["id"].startswith("outside") or (swept_once and e["kind"] == "body.drift") for e in effects):
+    if any(_is_outside(answer, e) for e in effects):
         return "outside"
     return ("none", "one", "two")[len(effects)]
+
+
+def _is_outside(answer: Mapping[str, Any], effect: Mapping[str, Any]) -> bool:
+    swept_once = answer["repetitions"] == 1
+    return bool(effect["id"].startswith("outside") or (swept_once and effect["kind"] == "body.drift"))
 
 
 def entries_of(answer: Mapping[str, Any], verdict: Mapping[str, Any]) -> list[Mapping[str, Any]]:
@@ -67,9 +72,17 @@ def right(answer: Mapping[str, Any], entries: Sequence[Mapping[str, Any]], same_
         return not entries
     if group == "outside":
         if len(entries) != 1:
-            return False
+            return _beside_unknown(answer, entries)
         return same_curve or entries[0]["id"] == "unknown" or _named_later(answer["effects"][0], entries[0])
     return matched(answer, entries) is not None
+
+
+def _beside_unknown(answer: Mapping[str, Any], entries: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether the effects of the catalogue have their names, and what is outside of it is one unknown."""
+    inside = [effect for effect in answer["effects"] if not _is_outside(answer, effect)]
+    named = [entry for entry in entries if entry["id"] != "unknown"]
+    one_unknown = len(entries) == len(named) + 1 == len(answer["effects"])
+    return bool(one_unknown and inside and matched({**answer, "effects": inside}, named) is not None)
 
 
 def _named_later(effect: Mapping[str, Any], entry: Mapping[str, Any]) -> bool:

@@ -187,9 +187,7 @@ def backward(
         if program.node_code[node] > 0:
             u, c = parameters_of(program, node, theta), program.node_constant[node]
             if program.node_code[node] == OWN_MOTION:
-                own_motion_slopes_apart(
-                    u, c, omega, program.motion, sums, outputs, adjoints, node, slopes, pulls
-                )
+                own_motion_slopes_apart(u, c, omega, program.motion, sums, outputs, adjoints, node, slopes, pulls)
             else:
                 slopes_row_apart(program.node_code[node], u, c, omega, sums, adjoints, node, slopes)
             for k in range(N_PARAMETERS):

@@ -75,12 +75,12 @@ def motion_per_force(
         if isinstance(node, Series):
             velocity = velocity * here / inside
         node, here = part, inside
-    return np.asarray(np.abs(velocity / s))
+    return np.asarray(np.abs(velocity / np.asarray(s)))
 
 
 def saturating_share(motion: npt.ArrayLike, knee: npt.ArrayLike) -> np.ndarray:
     """The h of a motion and the one at which it is a half."""
-    square = (np.asarray(motion) / knee) ** 2
+    square = (np.asarray(motion) / np.asarray(knee)) ** 2
     return np.asarray(square / (1 + square))
 
 
@@ -94,7 +94,7 @@ def _share(motion: np.ndarray, node: int, outputs: np.ndarray, f: int, still: fl
             size = x * x + y * y
             for _ in range(abs(motion[k, 2])):
                 square = square * size if motion[k, 2] > 0 else square / size
-    return square / (square + still)  # type: ignore[no-any-return]
+    return square / (square + still)
 
 
 @compiled

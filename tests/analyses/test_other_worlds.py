@@ -236,6 +236,22 @@ def test_a_change_during_the_only_sweep_counts_as_outside_of_the_catalogue() -> 
         assert scoring.right(again, said, same_curve=False) is right_again
 
 
+def test_what_has_a_name_keeps_it_beside_what_one_sweep_cannot_show() -> None:
+    both = _answer("rig.mass", "body.drift")
+    for said, right in (
+        ([_entry("unknown")], True),
+        ([_entry("rig.mass"), _entry("unknown")], True),
+        ([_entry("unknown"), _entry("rig.delay", "rig.mass")], True),
+        ([_entry("rig.delay"), _entry("unknown")], False),
+        ([_entry("rig.mass")], False),
+        ([_entry("rig.mass"), _entry("body.drift")], False),
+        ([_entry("rig.mass"), _entry("unknown"), _entry("unknown")], False),
+    ):
+        assert scoring.right(both, said, same_curve=False) is right
+    again = _answer("rig.mass", "body.drift", repetitions=2)
+    assert not scoring.right(again, [_entry("rig.mass"), _entry("unknown")], same_curve=False)
+
+
 def test_one_name_of_the_same_curve_is_right_for_physics_outside_and_two_are_not() -> None:
     answer, names = _answer("outside.echo"), [_entry("body.relaxation"), _entry("rig.lowpass")]
     assert scoring.right(answer, names[:1], same_curve=True)

@@ -10,6 +10,7 @@ import pytest
 from operation_cases import (
     CASE,
     CASES,
+    OF_THE_PLACE,
     Case,
     five,
     some_impedances,
@@ -32,7 +33,7 @@ def test_the_table_knows_the_parameters_of_the_formula(case: Case) -> None:
     assert [bool(d.any()) for d in by_parameter] == [k < len(traits.parameters) for k in range(N_PARAMETERS)]
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", OF_THE_PLACE)
 def test_the_table_knows_how_an_operation_is_connected(name: str) -> None:
     """What is beside a place adds an impedance that the place does not change, what is in series a mobility."""
     case = next(c for c in CASES if c.name == name)

@@ -21,6 +21,11 @@ _EDGE = 1e-9
 that drives it there must be able to begin from it again."""
 
 
+_LEAST_DECADES = 2.0
+"""Least width of a grid of compliances. By choice: a spring's curve has one compliance, but at its resonances, and at
+places inside of the network, the motion is up to ten times larger or smaller."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Scales:
     """Typical sizes in a dataset: they make coefficients dimensionless.
@@ -111,6 +116,14 @@ class Coefficient(Brief):
         grid = [self.unbounded(value, scales) for value in self.values(scales)]
         return min(max(u, min(grid)), max(grid)) if grid else u
 
+    def _compliances(self, scales: Scales) -> tuple[float, ...]:
+        """From what the port moves per unit of force at one end of the band to that at the other, or more."""
+        assert not isinstance(self.grid, tuple)
+        ends = np.log10([1 / (scales.z_low * scales.low), 1 / (scales.z_high * scales.high)])
+        width = max(float(abs(ends[1] - ends[0])), _LEAST_DECADES)
+        n = max(4, round(self.grid * width) + 1)
+        return tuple((10 ** (ends.mean() + width * np.linspace(-0.5, 0.5, n))).tolist())
+
     def scale(self, scales: Scales) -> float:
         """Value of a linear coefficient that changes the impedance by about its magnitude where the effect peaks."""
         s = scales
@@ -129,9 +142,8 @@ class Coefficient(Brief):
         """The shape's values that are scanned, in the unit of the operation."""
         if isinstance(self.grid, tuple):
             return tuple(2 * np.pi * g for g in self.grid) if self.unit == "Hz" else self.grid
-        n = max(4, round(self.grid * np.log10(scales.high / scales.low)) + 1)
         if self.unit == "n":
-            ends = 1 / (scales.z_high * scales.high), 1 / (scales.z_low * scales.low)
-            return tuple(np.geomspace(*ends, n).tolist())
+            return self._compliances(scales)
+        n = max(4, round(self.grid * np.log10(scales.high / scales.low)) + 1)
         omega = np.geomspace(scales.low, scales.high, n)
         return tuple((1 / omega if self.unit == "s" else omega).tolist())

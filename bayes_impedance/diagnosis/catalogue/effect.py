@@ -198,6 +198,11 @@ class Effect(Brief):
         """Whether it changes the element at its place before all other effects there."""
         return bool(self.operation) and self.traits.of_the_element
 
+    @property
+    def follows_motion(self) -> bool:
+        """Whether it depends on how its place moves under the force at the port."""
+        return bool(self.operation) and self.traits.follows_motion
+
     def setting(self, scales: Scales, compliance: float = float("nan")) -> Setting:
         """Units and typical sizes of an operation's parameters, with the compliance of the element at the place."""
         return Setting(
@@ -357,7 +362,7 @@ def direction(
     traits = effect.traits
     if traits.follows_motion:
         assert motion is not None  # whoever scans the catalogue knows it
-        return z * saturating_share(motion, shape[effect.coefficients[1].name])
+        return np.asarray(z * saturating_share(motion, shape[effect.coefficients[1].name]))
     if traits.direction is not None:
         return np.broadcast_to(traits.direction(shape, omega), z.shape)
     u = np.zeros((z.shape[0], N_PARAMETERS))

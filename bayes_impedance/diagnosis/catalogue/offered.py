@@ -2,7 +2,9 @@
 
 An element that changes in the course of a sweep, or with the amplitude of the motion, multiplies the impedance of its
 place by a real function of frequency. In one sweep of each person frequency, time and amplitude go together, and any
-other dependence on frequency is the same curve. Such effects are offered where most people were recorded again.
+other dependence on frequency is the same curve. Such effects are offered where most people were recorded again. An
+element that follows its own motion is always offered: its function of frequency is the network's
+(:mod:`bayes_impedance.diagnosis.selection.one_sweep`).
 
 **Direction of sweeps.** With q, the part of a sweep's time that has passed, an element that changes by exp(x q)
 has at each frequency, in a sweep downwards, 1 - q of the sweep upwards (the time law is the same read from the other
@@ -43,7 +45,9 @@ def withheld(recordings: Recordings) -> tuple[str, ...]:
 def not_shown(recordings: Recordings) -> tuple[str, ...]:
     """The same with the reason, in words."""
     why = "in sweeps of both directions" if _repeated(recordings) else "in one sweep of each"
-    return tuple(f"{name} {why}" for name in withheld(recordings))
+    still = {effect.id for effect in offered(registered(), recordings)}
+    others = dict.fromkeys(still, " by any other law than that of its own motion")
+    return tuple(f"{name}{others.get(name, '')} {why}" for name in withheld(recordings))
 
 
 def about_direction(recordings: Recordings, found: Sequence[str]) -> tuple[str, ...]:

@@ -5,9 +5,6 @@ Impedances are combined from the leaves up to the port. The derivative
 
 .. math:: \text{parallel: } a_\text{part} = a, \qquad \text{series: } a_\text{part} = a\,(z/z_\text{part})^2, \qquad
           \text{operation: } a_\text{inside} = a\,T'(z).
-
-A place moves with :math:`v_p/v = \sqrt{a_p}`, since the network is reciprocal, and so by
-:math:`\sqrt{|a_p|}/|\omega z_\text{port}|` per unit of force.
 """
 
 from __future__ import annotations
@@ -49,13 +46,10 @@ class Local:
         Impedance at the place.
     adjoint : ndarray, complex, shape (M, F)
         Derivative of the port's impedance with respect to it.
-    motion : ndarray, shape (M, F)
-        How far the place moves per unit of the force at the port, in the unit of a compliance.
     """
 
     z: np.ndarray
     adjoint: np.ndarray
-    motion: np.ndarray
 
 
 def local_impedances(model: Model, u: np.ndarray, omega: np.ndarray) -> dict[str, Local]:
@@ -95,7 +89,7 @@ def local_impedances(model: Model, u: np.ndarray, omega: np.ndarray) -> dict[str
         slopes, stages = [], [np.asarray(z)]
         for operation in kernel.operations:
             if operation.path == path:
-                changed, slope = _changed(model, operation, values, omega, np.asarray(z))
+                changed, slope = _changed(model, operation, u, omega, np.asarray(z))
                 slopes.append(slope)
                 z = changed
                 stages.append(z)
@@ -105,8 +99,7 @@ def local_impedances(model: Model, u: np.ndarray, omega: np.ndarray) -> dict[str
             channels = sum(effect.is_of_the_channel for effect in rig)
             for name, later in ((INSIDE, len(rig)), (BEFORE_CHANNELS, channels)):
                 first = len(slopes) - later
-                slope = reduce(np.multiply, slopes[first:], np.ones_like(stages[0]))
-                at_port[name] = Local(stages[first], slope, 1 / np.abs(omega * stages[first]))
+                at_port[name] = Local(stages[first], reduce(np.multiply, slopes[first:], np.ones_like(stages[0])))
         return after[path]
 
     up(kernel.network, ())
@@ -134,28 +127,27 @@ def local_impedances(model: Model, u: np.ndarray, omega: np.ndarray) -> dict[str
 
     down(kernel.network, (), np.ones_like(after[()]))
     found: Mapping[str, tuple[int, ...]] = inner_places(model)
-    inside = at_port[INSIDE]
+    places = {name: Local(after[path], adjoints[path]) for name, path in found.items()}
+    return {**places, **at_port}
 
-    def local(path: tuple[int, ...]) -> Local:
-        # The network is reciprocal: dZ/dz is the square of the place's velocity over that of the port.
-        ratio = np.sqrt(np.abs(adjoints[path] / inside.adjoint))
-        return Local(after[path], adjoints[path], ratio * inside.motion)
 
-    return {**{name: local(path) for name, path in found.items()}, **at_port}
+def motion_at(model: Model, u: np.ndarray, omega: np.ndarray, path: tuple[int, ...]) -> np.ndarray:
+    """How far a place of the kernel's network moves per unit of force at the port, its operations left aside (M, F)."""
+    kernel = model.kernel
+    values = {name: u[:, i, None] for i, name in enumerate(kernel.elements)}
+    known = {p.name: p.value(values[p.name]) for p in kernel.network.parameters if not p.held}
+    return motion_per_force(kernel.network, path, 1j * omega, known)
 
 
 def _changed(
-    model: Model, operation: Operation, values: Mapping[str, np.ndarray], omega: np.ndarray, z: np.ndarray
+    model: Model, operation: Operation, u: np.ndarray, omega: np.ndarray, z: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """What an operation makes of the impedance z (M, F) of its place, and the derivative of that with respect to z."""
     own = np.zeros((len(z), N_PARAMETERS))
     for k, name in enumerate(operation.parameters):
-        own[:, k] = values[name][:, 0]
+        own[:, k] = u[:, model.kernel.elements.index(name)]
     if TRAITS[operation.name].follows_motion:
-        network = model.kernel.network
-        known = {p.name: p.value(values[p.name]) for p in network.parameters if not p.held}
-        motion = motion_per_force(network, operation.path, 1j * omega, known)
-        share = saturating_share(motion, np.exp(own[:, 1, None]))
+        share = saturating_share(motion_at(model, u, omega, operation.path), np.exp(own[:, 1, None]))
         factor = np.exp(operation.constants[0] * own[:, :1] * share)
         return z * factor, factor.astype(complex)
     constants = np.array((*operation.constants, 0.0, 0.0))[:N_PARAMETERS]

@@ -14,7 +14,6 @@ all that is not offered is excluded at its place.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from concurrent.futures import Executor
 
 import numpy as np
@@ -22,8 +21,6 @@ import numpy as np
 from bayes_impedance.diagnosis.catalogue.effect import registered
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.measured import measured
-from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
-from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.compare import compare
 from bayes_impedance.diagnosis.selection.finalists import again, finalists
 from bayes_impedance.diagnosis.selection.score_scan import screen
@@ -53,7 +50,7 @@ def shown_by_repeated_sweeps(
     recorded = np.bincount(fit.owner)
     if 2 * np.sum(recorded > 1) > recorded.size:
         return None
-    follows = bool(trial.effect.operation and trial.effect.traits.follows_motion)
+    follows = trial.effect.follows_motion
     others = tuple(effect for effect in registered() if effect.needs_repetitions)
     places = (trial.candidate.place,) if follows else None
     screening = screen(fit, step.residuals, others, seed, executor, places)

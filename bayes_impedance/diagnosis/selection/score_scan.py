@@ -28,16 +28,16 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 from scipy.special import gammaincc, gammaln, log_ndtr
 
 from bayes_impedance.diagnosis.catalogue.effect import Candidate, Effect, direction, shape_grid
-from bayes_impedance.diagnosis.fit.model import Model
+from bayes_impedance.diagnosis.fit.model import Model, inner_places
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
 from bayes_impedance.diagnosis.fit.refit import Refit
-from bayes_impedance.diagnosis.residuals.sensitivity import local_impedances, spot_of
+from bayes_impedance.diagnosis.residuals.sensitivity import local_impedances, motion_at, spot_of
 from bayes_impedance.diagnosis.selection.level_starts import LevelEvidence, best_levels, has_levels
 from bayes_impedance.network.operations import ADDING
 
@@ -312,12 +312,14 @@ def _signatures(
     result = np.empty((len(u), len(candidates) + added.size, 2 * omega.size))
     n = omega.size
     felt = {name: place.adjoint / person.sd for name, place in local.items()}
+    paths = inner_places(model)
+    moved = cache(lambda place: motion_at(model, u, omega, paths[place]))
     for k, candidate in enumerate(candidates):
         spot = spot_of(candidate)
         d = constant[k]
         if d is None:
-            place = local[spot]
-            d = direction(candidate.effect, candidate.shape, model.scales, omega, place.z, place.motion)
+            motion = moved(candidate.place) if candidate.effect.follows_motion else None
+            d = direction(candidate.effect, candidate.shape, model.scales, omega, local[spot].z, motion)
         dz = d * felt[spot]
         result[:, k, :n], result[:, k, n:] = dz.real, dz.imag
     if added.size:

@@ -178,9 +178,9 @@ def aliases_of(step: Step, quick: bool, remaining: Sequence[PersonResiduals] = (
 
 
 _ALONG_THE_SWEEP = (
-    "The element has another value at one end of the sweep than at the other: it changes with time, or with the amplitude "
-    "of the motion. In one sweep of each subject time, amplitude and frequency go together, so that they cannot show "
-    "which. Sweeps in both directions, or at two drive levels, would."
+    "The element has another value at one end of the sweep than at the other: it changes with time, or with the "
+    "amplitude of the motion. In one sweep of each subject time, amplitude and frequency go together, so that the "
+    "recordings cannot show which. Sweeps in both directions, or at two drive levels, would."
 )
 
 

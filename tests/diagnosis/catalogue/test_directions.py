@@ -16,8 +16,8 @@ from bayes_impedance.diagnosis.catalogue.effect import (
     registered,
     shape_grid,
 )
-from bayes_impedance.diagnosis.fit.model import Addition, Model, build
-from bayes_impedance.diagnosis.residuals.sensitivity import local_impedances, spot_of
+from bayes_impedance.diagnosis.fit.model import Addition, Model, build, inner_places
+from bayes_impedance.diagnosis.residuals.sensitivity import local_impedances, motion_at, spot_of
 from bayes_impedance.network.notation import parse
 from bayes_impedance.network.operations import line_compliance, line_mass
 
@@ -30,7 +30,8 @@ def assert_direction(effect: Effect, place: str, shape: dict[str, float], before
     small = build(NETWORK, before, SCALES, starts)
     u = np.column_stack([THETA, *(np.full(3, p.start + 0.1 * p.is_coefficient) for p in small.parameters)])
     local = local_impedances(small, u, OMEGA)[spot_of(Candidate(effect, place, shape))]
-    change = direction(effect, shape, SCALES, OMEGA, local.z)
+    motion = motion_at(small, u, OMEGA, inner_places(small)[place]) if effect.follows_motion else None
+    change = direction(effect, shape, SCALES, OMEGA, local.z, motion)
     model = build(NETWORK, [*before, Addition(effect=effect, place=place, pooling="shared")], SCALES, [*starts, shape])
     columns = model.columns(len(before))
     own = np.column_stack([THETA, *(np.full(3, p.start + 0.1 * p.is_coefficient) for p in model.parameters)])

@@ -265,6 +265,12 @@ def test_shapes_cover_the_band(effect: Effect) -> None:
             factor = 2 * np.pi if coefficient.unit == "Hz" else 1.0
             assert values == pytest.approx(sorted(factor * g for g in coefficient.grid))
             continue
+        if coefficient.unit == "n":
+            motions = sorted((1 / (SCALES.z_low * SCALES.low), 1 / (SCALES.z_high * SCALES.high)))
+            assert values[0] <= motions[0] * 1.001
+            assert motions[1] <= values[-1] * 1.001
+            assert np.diff(np.log10(values)).max() <= 1.2 / coefficient.grid
+            continue
         angular = sorted(1 / v for v in values) if coefficient.unit == "s" else values
         assert (angular[0], angular[-1]) == pytest.approx((SCALES.low, SCALES.high))
         assert np.diff(np.log10(angular)).max() <= 1.2 / coefficient.grid  # as many per decade as it says
