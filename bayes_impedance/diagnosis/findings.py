@@ -29,6 +29,7 @@ from bayes_impedance.diagnosis.selection.stepwise import Found, search
 from bayes_impedance.diagnosis.selection.trial import Trial
 from bayes_impedance.diagnosis.selection.unnamed import (
     Realised,
+    along_the_sweep,
     branch_effects,
     stand_in_network,
     structure_remains,
@@ -173,7 +174,7 @@ def _unshown(refitter: Refitter, found: Found, seed: int) -> Realised | None:
     if trial is None or before != found.final.model.additions:  # names were withdrawn since
         return None
     total, se = people_gain(refitter, found.final, trial.fit, seed)
-    return Realised(trial, total, se) if clearly_gains(total, se) else None
+    return Realised(along_the_sweep(trial), total, se) if clearly_gains(total, se) else None
 
 
 def at_rest(refitter: Refitter, fit: Refit) -> Refit:

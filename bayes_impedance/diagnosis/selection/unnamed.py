@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -87,6 +87,22 @@ def branch_effects() -> tuple[Effect, ...]:
         for branch in BRANCHES
         for connection in ("beside", "series")
     )
+
+
+def along_the_sweep(trial: Trial) -> Trial:
+    """An explanation that only repeated sweeps could show, as an unnamed one (:mod:`.one_sweep`)."""
+    model = trial.fit.model
+    effect = replace(
+        trial.effect,
+        id="unknown",
+        name="element that changes along the sweep",
+        story="The element has another value at one end of the sweep than at the other: it changes with time, or with "
+        "the amplitude of the motion. In one sweep of each subject time, amplitude and frequency go together, so that "
+        "the recordings cannot show which. Sweeps in both directions, or at two drive levels, would.",
+    )
+    additions = (*model.additions[:-1], replace(model.additions[-1], effect=effect))
+    fit = replace(trial.fit, model=replace(model, additions=additions))
+    return replace(trial, candidate=replace(trial.candidate, effect=effect), fit=fit)
 
 
 def stand_in_network(

@@ -177,13 +177,6 @@ def aliases_of(step: Step, quick: bool, remaining: Sequence[PersonResiduals] = (
     return tuple(rows)
 
 
-_ALONG_THE_SWEEP = (
-    "The element has another value at one end of the sweep than at the other: it changes with time, or with the "
-    "amplitude of the motion. In one sweep of each subject time, amplitude and frequency go together, so that the "
-    "recordings cannot show which. Sweeps in both directions, or at two drive levels, would."
-)
-
-
 def unknown_entry(unknown: Realised, named: int) -> Physics:
     """Entry for unnamed physics: the network that stands for it, in addition to the named effects."""
     terms = unknown.trial.fit.model.additions[named:]
@@ -193,18 +186,20 @@ def unknown_entry(unknown: Realised, named: int) -> Physics:
     branches = unknown.trial.fit.model.branches[named:]  # with names that are free in the network
     joined = "in parallel with" if addition.effect.connection == "beside" else "in series with"
     formula = f"a small network {branches[0]} {joined} the place"
+    name = "physics outside the catalogue"
     story = "No effect of the catalogue explains what is missing. A small passive network represents it."
-    if len(terms) == 1 and addition.effect.needs_repetitions:
-        formula, story = "a value that changes along the sweep", _ALONG_THE_SWEEP
-    elif len(terms) == 1 and not branches[0]:
-        formula = addition.effect.name
+    if len(terms) == 1 and not branches[0]:
+        formula = f"a law of the form {addition.effect.formula}"
+        if addition.effect.id == "unknown":
+            name, story = addition.effect.name, addition.effect.story
+            formula = "a value that changes along the sweep"
     if len(terms) > 1:
         each = zip(terms, branches, strict=True)
         formula = "a sum of " + ", ".join(f"{branch or t.effect.name} at {t.place}" for t, branch in each)
     return Physics(
         kind="unknown",
         id="unknown",
-        name="physics outside the catalogue",
+        name=name,
         place=addition.place,
         side=None,
         pooling="shared" if addition.pooling == "shared" else "varying",
