@@ -5,6 +5,8 @@ Impedances are combined from the leaves up to the port. The derivative
 
 .. math:: \text{parallel: } a_\text{part} = a, \qquad \text{series: } a_\text{part} = a\,(z/z_\text{part})^2, \qquad
           \text{operation: } a_\text{inside} = a\,T'(z).
+
+The motion that an element follows (:mod:`bayes_impedance.network.own_motion`) is held in these derivatives.
 """
 
 from __future__ import annotations

@@ -12,10 +12,11 @@ from hypothesis import given
 from strategies import network_impedance, networks_with_elements, repeatable
 
 from bayes_impedance.diagnosis.fit.model import Addition, Model, build, inner_places
-from bayes_impedance.diagnosis.residuals.sensitivity import BEFORE_CHANNELS, INSIDE, local_impedances
+from bayes_impedance.diagnosis.residuals.sensitivity import BEFORE_CHANNELS, INSIDE, local_impedances, motion_at
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import Network
 from bayes_impedance.network.operations import Operation
+from bayes_impedance.network.own_motion import saturating_share
 
 
 def probed(model: Model, u: np.ndarray, path: tuple[int, ...]) -> Callable[[float], np.ndarray]:
@@ -69,6 +70,23 @@ def test_adjoints_against_differences(name: str) -> None:
         assert_slope(curve, here.adjoint, 1 / np.abs(here.z) + np.abs(here.adjoint / curve(0.0)))
     np.testing.assert_allclose(local["port"].z, model.kernel.impedance(u, FREQUENCY), rtol=1e-10)
     np.testing.assert_array_equal(local["port"].adjoint, 1)
+
+
+def test_an_element_that_follows_its_own_motion_is_in_the_impedances() -> None:
+    """Of the places around it and of itself, as in the compiled model; the motion is that of the network at rest."""
+    effect = entry("body.amplitude", "own_motion")
+    knee = float(effect.coefficients[1].values(SCALES)[1])
+    model = build(NETWORK, [Addition(effect=effect, place="n1", pooling="varying")], SCALES, [{"knee": knee}])
+    u = np.column_stack([THETA, np.full(3, 0.4), np.full(3, np.log(knee))])
+    local = local_impedances(model, u, OMEGA)
+    np.testing.assert_allclose(local["port"].z, model.kernel.impedance(u, FREQUENCY), rtol=1e-12)
+    share = saturating_share(motion_at(model, u, OMEGA, inner_places(model)["n1"]), knee)
+    spring = 1 / (S * np.exp(u[:, NETWORK.elements.index("n1"), None]))
+    np.testing.assert_allclose(local["n1"].z, spring * np.exp(0.4 * share), rtol=1e-12)
+    assert np.ptp(share) > 0.05
+    # What changes the impedance of n1 by a factor, the change itself does by its share.
+    change = model.kernel.derivative(u, FREQUENCY)[1][:, model.columns(0)[0]]
+    np.testing.assert_allclose(local["n1"].adjoint * local["n1"].z * share, change, rtol=1e-9)
 
 
 def test_the_rigs_mechanics_is_measured_through_its_channels() -> None:
