@@ -22,7 +22,7 @@ from bayes_impedance.population.parameters import PopulationParameters
 NETWORK = parse("skin:(n3|r3)-tissue:(m2|r1|n1|(m1-(n2|r2)))")
 CENTRE = {"n3": 9e-5, "r3": 30.0, "m2": 9e-4, "r1": 1.5, "n1": 1.2e-3, "m1": 1.7e-2, "n2": 5e-3, "r2": 3.2}
 F = np.geomspace(5, 2000, 40)
-NO_NETWORK = {"sweep", "amplitude"}
+NO_NETWORK = {"sweep", "amplitude", "own_motion"}
 """Operations that have no form in the language of networks."""
 
 
