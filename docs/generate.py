@@ -21,8 +21,8 @@ from bayes_impedance.datasets import fingertip_result
 from bayes_impedance.diagnosis import registered
 from bayes_impedance.diagnosis.catalogue.effect import Effect, direction, shape_grid
 from bayes_impedance.diagnosis.catalogue.population_structure import STRUCTURES
-from bayes_impedance.diagnosis.fit.model import build, scales_of
-from bayes_impedance.diagnosis.residuals.sensitivity import local_impedances
+from bayes_impedance.diagnosis.fit.model import build, inner_places, scales_of
+from bayes_impedance.diagnosis.residuals.sensitivity import local_impedances, motion_at
 from bayes_impedance.network import parse
 from bayes_impedance.population.fingertip import FINGERTIP
 from bayes_impedance.population.simulate import simulate_recordings
@@ -108,7 +108,8 @@ def signature(effect: Effect, frequency_hz: np.ndarray) -> tuple[str, np.ndarray
     place = effect.sites(network)[0].name
     shapes = list(shape_grid(effect, scales))
     at = local[place]
-    change = direction(effect, shapes[len(shapes) // 2], scales, omega, at.z) * at.adjoint
+    motion = motion_at(model, u, omega, inner_places(model)[place]) if effect.follows_motion else None
+    change = direction(effect, shapes[len(shapes) // 2], scales, omega, at.z, motion) * at.adjoint
     relative = change[0] / z
     return place, np.asarray(_LARGEST * relative / np.max(np.abs(relative)))
 
