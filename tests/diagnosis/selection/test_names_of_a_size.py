@@ -36,6 +36,19 @@ def test_a_mass_that_is_there_keeps_its_name(name: str, pooling: str) -> None:
     assert names_of_a_size(experiment.refitter, found, 1) is found
 
 
+@pytest.mark.parametrize("pooling", ["varying", "shared"])
+def test_a_mean_that_is_said_to_be_zero_is_believed_where_people_differ_in_sign(
+    monkeypatch: pytest.MonkeyPatch, pooling: str
+) -> None:
+    """An approximation far from the fit says nothing of people who all have the effect."""
+    experiment = toy(*TOY, seed=2, hidden=with_mass(0.3 if pooling == "varying" else 0.0))
+    found = found_in(experiment, "body.mass", pooling)
+    zero = SimpleNamespace(central=np.random.default_rng(1).normal(size=(500, 1)))
+    monkeypatch.setattr(module, "coefficient_posterior", lambda *_: zero)
+    kept = names_of_a_size(experiment.refitter, found, 1)
+    assert (kept is found) == (pooling == "varying")
+
+
 def test_a_mass_of_either_sign_describes_people_better_and_is_no_mass() -> None:
     experiment = toy(*TOY, seed=2, hidden=of_either_sign)
     found = found_in(experiment, "body.mass", "varying")
