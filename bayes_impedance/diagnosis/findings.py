@@ -1,7 +1,8 @@
 """What a search finds: named effects that hold, a network for what has no name, and what remains.
 
 The steps in their order: search for effects of the catalogue, keep those that improve predictions, locate what is left,
-find a network for it, take back names that are not identified, and try one network instead of all.
+find a network for it, or the element that changes where people were swept once, take back names that are not
+identified, and try one network instead of all.
 """
 
 from __future__ import annotations

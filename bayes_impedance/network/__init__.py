@@ -5,9 +5,10 @@ with its derivatives. Open :mod:`.notation` first (the text), then :mod:`.tree` 
 damper), :mod:`.parameters` and :mod:`.constructs` (power laws, wrappers; what is shared or held), :mod:`.program` (the
 network as arrays) and :mod:`.kernel` (compiled evaluation). :mod:`.electrical` reads and prints circuits,
 and :mod:`.spellings` says where the user is shown both spellings.
-:mod:`.operations` is the table of operations on the impedance of a place, :mod:`.transform` their formulas,
-:mod:`.rational` the network as a ratio of polynomials. :mod:`.redundancy` says what no recording can tell apart,
-:mod:`.passivity` whether a network is passive by construction. :mod:`.schematic` draws it.
+:mod:`.operations` is the table of operations on the impedance of a place, :mod:`.transform` their formulas
+(:mod:`.own_motion` that of an element which follows its motion), :mod:`.rational` the network as a ratio of
+polynomials. :mod:`.redundancy` says what no recording can tell apart, :mod:`.passivity` whether a network is passive by
+construction. :mod:`.schematic` draws it.
 
 The kernel is imported at first use: the notation alone needs no compiler.
 """

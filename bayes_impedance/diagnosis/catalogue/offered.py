@@ -18,6 +18,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from bayes_impedance.diagnosis.catalogue.effect import Effect, registered
 from bayes_impedance.recordings.circumstances import DOWN, UP, sweep_directions
 from bayes_impedance.recordings.dataset import Recordings
@@ -76,7 +78,12 @@ def about_direction(recordings: Recordings, found: Sequence[str]) -> tuple[str, 
 
 
 def _repeated(recordings: Recordings) -> bool:
-    return 2 * sum(len(s.repetitions) > 1 for s in recordings.subjects) > len(recordings.subjects)
+    return recorded_again([len(s.repetitions) for s in recordings.subjects])
+
+
+def recorded_again(repetitions: Sequence[int] | np.ndarray) -> bool:
+    """Whether most people were recorded more than once, from the number of each one's recordings."""
+    return bool(2 * np.sum(np.asarray(repetitions) > 1) > len(repetitions))
 
 
 def _both(recordings: Recordings) -> bool:

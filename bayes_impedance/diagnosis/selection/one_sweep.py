@@ -19,6 +19,7 @@ from concurrent.futures import Executor
 import numpy as np
 
 from bayes_impedance.diagnosis.catalogue.effect import registered
+from bayes_impedance.diagnosis.catalogue.offered import recorded_again
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.measured import measured
 from bayes_impedance.diagnosis.selection.compare import compare
@@ -47,8 +48,7 @@ def shown_by_repeated_sweeps(
     executor : Executor
     """
     fit = step.before
-    recorded = np.bincount(fit.owner)
-    if 2 * np.sum(recorded > 1) > recorded.size:
+    if recorded_again(np.bincount(fit.owner)):
         return None
     follows = trial.effect.follows_motion
     others = tuple(effect for effect in registered() if effect.needs_repetitions)

@@ -23,10 +23,12 @@ from bayes_impedance.diagnosis.selection.trial import Trial
 from bayes_impedance.diagnosis.selection.unnamed import (
     BRANCHES,
     Realised,
+    along_the_sweep,
     branch_effects,
     stand_in_network,
     structure_remains,
 )
+from bayes_impedance.diagnosis.verdict.entries import unknown_entry
 from bayes_impedance.network.elements import kind_of
 from bayes_impedance.network.notation import parse
 
@@ -184,3 +186,29 @@ def test_what_a_single_person_has_is_not_stood_in_for() -> None:
 
 def test_nothing_stands_in_for_noise_of_few_people_by_chance() -> None:
     assert stand_in("nothing", 6, 3, np.geomspace(2, 2000, 41))[1] is None
+
+
+# A law in the place of a network
+
+
+@pytest.mark.parametrize("swept_once", [False, True])
+def test_a_law_without_its_name_is_described_as_one(swept_once: bool) -> None:
+    """And not as a network of no elements; a change along the sweep has a story, and its name nowhere."""
+    experiment = toy(*TOY, seed=2)
+    effect = entry("body.drift" if swept_once else "body.hysteresis")
+    shape = next(iter(shape_grid(effect, experiment.model.scales)))
+    candidate = Candidate(effect, "n1", shape)
+    fit = replace(experiment.fit(), model=extended(experiment.model, candidate, "varying", 0.1))
+    trial = Trial(candidate=candidate, pooling="varying", fit=fit, gain=9.0, physical=True)
+    described = unknown_entry(Realised(along_the_sweep(trial) if swept_once else trial, 8.0, 2.0), 0)
+    assert (described.id, described.place, described.network) == ("unknown", "n1", "")
+    assert "small network" not in described.formula
+    if swept_once:
+        assert (described.formula, described.name) == (
+            "a value that changes along the sweep",
+            "element that changes along the sweep",
+        )
+        assert "both directions" in described.story
+        assert fit.model.additions[0].effect is effect  # the trial itself keeps it
+    else:
+        assert described.formula == f"a law of the form {effect.formula}"
