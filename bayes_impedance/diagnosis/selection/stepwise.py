@@ -2,11 +2,10 @@
 
 Each step screens all candidates with the previous additions in the model, refits the most promising ones and keeps the
 best. The search stops when no candidate is significant after correction for all that were tried, when none improves the
-evidence, when there are too few people for more, or when only repeated sweeps could show what is missing
-(:mod:`.one_sweep`). Where a choice leaves structure and another that it does not exclude leaves none, that one is
-chosen (:mod:`.what_remains`), and where a second one is not better than a richer law alone, that law
-(:mod:`.richer_law`). What has become superfluous is removed, and earlier choices are made anew beside what is left
-(:mod:`.exchange`).
+evidence, with too few people for more, or when only repeated sweeps could show what is missing (:mod:`.one_sweep`).
+Where a choice leaves structure and another that it does not exclude leaves none, that one is chosen
+(:mod:`.what_remains`), and where a second one is not better than a richer law alone, that law (:mod:`.richer_law`).
+What is superfluous then is removed, earlier choices are made anew beside what is left (:mod:`.exchange`).
 """
 
 from __future__ import annotations
