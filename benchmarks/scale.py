@@ -208,6 +208,8 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--people", type=int, nargs="+", default=[100, 1000, 10000])
     parser.add_argument("--workers", type=int, nargs="+", default=[2])
     parser.add_argument("--draws", type=int, default=256)
+    parser.add_argument("--points", type=int, default=101, help="frequencies of a recording")
+    parser.add_argument("--repetitions", type=int, default=3)
     parser.add_argument("--files", choices=("csv", "parquet"), help="write the people to files and read them there")
     parser.add_argument("--kill", action="store_true", help="repeat each fit with a worker killed in the middle")
     parser.add_argument("--overhead", action="store_true", help="only what a likelihood costs beside its arithmetic")

@@ -9,10 +9,10 @@ the draws of :mod:`bayes_impedance.person.importance_draws`
 
 The same draws serve every call, so the estimate is a smooth function of the population parameters. The variance of its
 logarithm, about 1/(effective draws) - 1/K per person, is summed and reported. In coordinates u in which the reference
-population is a standard normal the log density is a quadratic polynomial in u: the draws' monomials are computed once,
-and a set of population parameters is one row of coefficients. All walkers times all draws is then one matrix product
-(in single precision: the coordinates are of order one, and the rounding, 1e-6 per draw, is far below the Monte-Carlo
-error).
+population is a standard normal the log density is a quadratic polynomial in u, and a set of population parameters is
+one row of coefficients of its monomials. All walkers times all draws is then one matrix product (in single precision:
+the coordinates are of order one, and the rounding, 1e-6 per draw, is far below the Monte-Carlo error). Only u is kept,
+a fifth of the numbers; the monomials of a few persons are computed when they are needed, for all walkers at once.
 
 Where parameters are the same for everybody, monomials in them are further columns of the coefficients, and each
 person's draws are moved (:mod:`bayes_impedance.population.shared_draws`), which changes the other coefficients
@@ -34,6 +34,7 @@ from copy import copy
 
 import numpy as np
 
+from bayes_impedance.network.kernel import compiled
 from bayes_impedance.person.importance_draws import Draws
 from bayes_impedance.population.contrasts import Contrasts
 from bayes_impedance.population.exponentials import log_sums, sums_of_exponentials
@@ -107,18 +108,18 @@ class ImportanceLikelihood:
         # Twice the entry, except on the diagonal: coefficients of the monomials u_p u_q, p >= q.
         self._multiplicity = np.where(self.pairs[0] == self.pairs[1], 1.0, 2.0)
         self._thinned: dict[int, ImportanceLikelihood] = {1: self}
-        self.blocks: list[tuple[int, np.ndarray, np.ndarray]] = []  # repetitions, persons, features (m, B K)
+        self.blocks: list[tuple[int, np.ndarray, np.ndarray]] = []  # repetitions, persons, coordinates (c, B K)
         for j in np.unique(repetitions):
             group = np.flatnonzero(repetitions == j)
             for persons in np.split(group, range(_BLOCK, group.size, _BLOCK)):
-                features = [self._monomials(draws[i], reference_means[i]) for i in persons]
+                own = [self._coordinates(draws[i], reference_means[i]) for i in persons]
                 if sharing is not None:
-                    pairs = zip(features, persons, strict=True)
-                    features = [np.vstack([own, moved[i].coefficients.astype(np.float32)]) for own, i in pairs]
+                    pairs = zip(own, persons, strict=True)
+                    own = [np.vstack([rows, moved[i].coefficients.astype(np.float32)]) for rows, i in pairs]
                 if span is not None:
-                    pairs = zip(features, persons, strict=True)
-                    features = [np.vstack([own, responses[i].astype(np.float32)]) for own, i in pairs]
-                self.blocks.append((int(j), persons, np.concatenate(features, axis=1)))
+                    pairs = zip(own, persons, strict=True)
+                    own = [np.vstack([rows, responses[i].astype(np.float32)]) for rows, i in pairs]
+                self.blocks.append((int(j), persons, np.concatenate(own, axis=1)))
 
     def thinned(self, n_draws: int) -> ImportanceLikelihood:
         """The same from about `n_draws` of each person's draws, evenly spread: rougher, and faster in proportion."""
@@ -140,14 +141,31 @@ class ImportanceLikelihood:
     @property
     def nbytes(self) -> int:
         """Memory in bytes, nearly all of it for the draws."""
-        arrays = [features for _, _, features in self.blocks] + [c.information for c in self.contrasts]
+        arrays = [own for _, _, own in self.blocks] + [c.information for c in self.contrasts]
         return sum(array.nbytes for array in arrays)
 
-    def _monomials(self, draws: Draws, mean: np.ndarray) -> np.ndarray:
+    def _coordinates(self, draws: Draws, mean: np.ndarray) -> np.ndarray:
+        """Coordinates u of a person's draws and the logarithms of their ratios, (P + 1, K) in single precision."""
         u = self.whitening @ (draws.theta - mean).T
-        ratio = draws.log_ratio - draws.log_ratio.max()
-        rows, columns = self.pairs
-        return np.vstack([u[rows] * u[columns], u, ratio[None]]).astype(np.float32)
+        return np.vstack([u, draws.log_ratio - draws.log_ratio.max()]).astype(np.float32)
+
+    def draws_of(self, persons: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Log elements (n, S, P) of draws of some persons (n,), from their coordinates u (n, S, P)."""
+        return np.asarray(self.reference_means[persons, None] + u @ self.reference_factor.T)
+
+    def monomials(self, own: np.ndarray, result: np.ndarray) -> np.ndarray:
+        """Products of the coordinates u, and all rows of a block (c, n) after them: (m, n).
+
+        They are written into `result` if it has that shape: computing them takes less time than fetching several times
+        as many numbers from memory would.
+        """
+        p, n_squares = self.whitening.shape[0], self.pairs[0].size
+        shape = n_squares + len(own), own.shape[1]
+        if result.shape != shape:
+            result = np.empty(shape, dtype=np.float32)
+        _multiply_rows(own, p, result)
+        result[n_squares:] = own
+        return result
 
     def terms(self, parameters: PopulationParameters, effective: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Each person's log marginal likelihood, without the contrasts.
@@ -219,15 +237,20 @@ class ImportanceLikelihood:
     def _by_block(
         self, parameters: PopulationParameters
     ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-        """Block by block: the persons, their features, coefficients and constants of W normal populations."""
+        """Block by block: the persons, their monomials, coefficients and constants of W normal populations.
+
+        The monomials are overwritten by those of the next block.
+        """
         moving = self.moving(parameters)
+        features = np.empty((0, 0), dtype=np.float32)
         for j in np.unique(self.repetitions):
             group = np.flatnonzero(self.repetitions == j)
             coefficients, constants = self._coefficients(parameters, int(j), group, moving)
             begin = 0
-            for own, persons, features in self.blocks:
-                if own != j:
+            for repetitions, persons, own in self.blocks:
+                if repetitions != j:
                     continue
+                features = self.monomials(own, features)
                 rows = slice(begin, begin + persons.size)
                 begin = rows.stop
                 if self._same_means:
@@ -340,3 +363,15 @@ class ImportanceLikelihood:
             path = self._path_in_u[:, persons]
             v -= (moving @ path.reshape(len(path), -1)).reshape(v.shape)
         return np.asarray(v)
+
+
+@compiled
+def _multiply_rows(rows: np.ndarray, n: int, result: np.ndarray) -> None:
+    """Write the products of the first n rows, each with those before it and itself, into the first rows of `result`."""
+    m = 0
+    for p in range(n):
+        for q in range(p + 1):
+            a, b, out = rows[p], rows[q], result[m]
+            for k in range(a.size):
+                out[k] = a[k] * b[k]
+            m += 1

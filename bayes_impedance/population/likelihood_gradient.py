@@ -203,11 +203,14 @@ def _moments(
     marginal: ImportanceLikelihood, parameters: PopulationParameters, probability: np.ndarray | None
 ) -> np.ndarray:
     """Means of every person's monomials over the weighted draws, (W, N, m); parts of them where persons count so."""
-    result = np.empty((len(parameters.mu), marginal.repetitions.size, len(marginal.blocks[0][2])))
-    for (persons, values, _), (_, _, features) in zip(marginal.exponents(parameters), marginal.blocks, strict=True):
+    n_monomials = marginal.pairs[0].size + len(marginal.blocks[0][2])
+    result = np.empty((len(parameters.mu), marginal.repetitions.size, n_monomials))
+    features = np.empty((0, 0), dtype=np.float32)
+    for (persons, values, _), (_, _, coordinates) in zip(marginal.exponents(parameters), marginal.blocks, strict=True):
         normalise_rows(values)
         if probability is not None:
             values *= probability[:, persons, None].astype(np.float32)
+        features = marginal.monomials(coordinates, features)
         own = features.reshape(len(features), persons.size, marginal.n_draws)
         result[:, persons] = np.swapaxes(np.swapaxes(values, 0, 1) @ own.transpose(1, 2, 0), 0, 1)
     return result

@@ -28,6 +28,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from bayes_impedance.person.absolute_density import Deviations
 from bayes_impedance.person.importance_draws import Draws
 from bayes_impedance.population.importance_likelihood import ImportanceLikelihood
 from bayes_impedance.population.parameters import PopulationParameters
@@ -48,11 +49,16 @@ def constants_of(draws: Sequence[Draws], rho: np.ndarray) -> np.ndarray:
     ndarray, shape (n,)
     """
     own = np.array([d.constant + d.log_ratio.max() for d in draws])
-    return np.asarray(own - 0.5 * rho.size * np.log(2 * np.pi) - _of_deviations(draws, rho[None])[0])
+    return np.asarray(
+        own - 0.5 * rho.size * np.log(2 * np.pi) - _of_deviations([d.deviations for d in draws], rho[None])[0]
+    )
 
 
 def log_densities(
-    marginal: ImportanceLikelihood, draws: Sequence[Draws], constants: np.ndarray, parameters: PopulationParameters
+    marginal: ImportanceLikelihood,
+    deviations: Sequence[Deviations | None],
+    constants: np.ndarray,
+    parameters: PopulationParameters,
 ) -> np.ndarray:
     """Log density of each person's recordings under W sets of population parameters.
 
@@ -60,7 +66,7 @@ def log_densities(
     ----------
     marginal : ImportanceLikelihood
         Of n persons.
-    draws : sequence of Draws
+    deviations : sequence of Deviations or None
         Of the same persons.
     constants : ndarray, shape (n,)
         Of :func:`constants_of`.
@@ -72,14 +78,14 @@ def log_densities(
     ndarray, shape (W, n)
         Natural logarithms of the density of real and imaginary parts in the unit of the recordings.
     """
-    other_rho = _of_deviations(draws, parameters.between_repetitions)
+    other_rho = _of_deviations(deviations, parameters.between_repetitions)
     return np.asarray(marginal.terms(parameters)[0] + constants + other_rho)
 
 
-def _of_deviations(draws: Sequence[Draws], rho: np.ndarray) -> np.ndarray:
+def _of_deviations(deviations: Sequence[Deviations | None], rho: np.ndarray) -> np.ndarray:
     """Each person's G(rho), shape (W, n), for dispersions (W, P)."""
-    result = np.zeros((len(rho), len(draws)))
-    for i, own in enumerate(draws):
-        if own.deviations is not None:
-            result[:, i] = own.deviations.log_likelihood(rho)
+    result = np.zeros((len(rho), len(deviations)))
+    for i, own in enumerate(deviations):
+        if own is not None:
+            result[:, i] = own.log_likelihood(rho)
     return result

@@ -1,6 +1,6 @@
 """The population likelihood, computed in batches of persons where their draws are kept; workers send back only sums.
 
-The memory for draws grows with the number of persons, a few hundred kilobytes for each. They are kept in parts
+The memory for draws grows with the number of persons, about ten kilobytes for each. They are kept in parts
 (batches) of some dozens to hundreds of persons, in this process or by the workers of a cluster, which evaluate the
 likelihood on them: a set of population parameters is sent there and one number is returned. The division into parts
 depends only on the number of persons, and parts are summed in order, so the result does not depend on the number of
@@ -11,13 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial, reduce
 from typing import Any
 
 import numpy as np
 
 from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.person.absolute_density import Deviations
 from bayes_impedance.person.importance_draws import Draws
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.marginal_likelihood import LEAST_RHO
@@ -44,34 +45,41 @@ sampler's walkers; the weights of a block of four persons then take less than a 
 
 @dataclass(frozen=True)
 class Part:
-    """Draws of some persons and the likelihood computed from them.
+    """Draws of some persons, as the likelihood computed from them holds them.
 
     Attributes
     ----------
-    theta : ndarray, shape (n, K, P)
-        Each person's draws.
-    log_ratio : ndarray, shape (n, K)
-        ln L - ln q of each draw.
     marginal : ImportanceLikelihood
-    draws : tuple of Draws
-        The same, of each person; no copies.
+    deviations : tuple of Deviations or None
+        Each person's likelihood of other dispersions between repetitions.
+    effective : ndarray, shape (n,)
+        Each person's effective number of draws under the reference population.
     constant : ndarray, shape (n,)
         What `marginal` lacks of each person's log density.
     """
 
-    theta: np.ndarray
-    log_ratio: np.ndarray
     marginal: ImportanceLikelihood
-    draws: tuple[Draws, ...]
+    deviations: tuple[Deviations | None, ...]
+    effective: np.ndarray
     constant: np.ndarray
+
+    @classmethod
+    def of(cls, marginal: ImportanceLikelihood, draws: Sequence[Draws], rho: np.ndarray) -> Part:
+        """From the persons' draws, which are not kept; rho (P,) is where their deviations were integrated out."""
+        effective = np.array([own.effective for own in draws])
+        return cls(marginal, tuple(own.deviations for own in draws), effective, constants_of(draws, rho))
 
     def log_densities(self, parameters: PopulationParameters) -> np.ndarray:
         """Log density of each person's recordings under W sets, shape (W, n)."""
-        return log_densities(self.marginal, self.draws, self.constant, parameters)
+        return log_densities(self.marginal, self.deviations, self.constant, parameters)
+
+    def __len__(self) -> int:
+        """Number of persons."""
+        return len(self.constant)
 
     def __sizeof__(self) -> int:
         """Size in bytes: a scheduler that knows it does not copy a large part to an idle worker."""
-        return self.theta.nbytes + self.log_ratio.nbytes + self.marginal.nbytes
+        return self.marginal.nbytes
 
 
 class KeptDraws:
@@ -212,7 +220,10 @@ class KeptDraws:
         return np.concatenate(self._kept.ask(_pareto_k, parameters[:1]))
 
     def gathered(self) -> tuple[np.ndarray, np.ndarray]:
-        """Draws of all persons, (N, K, P), and their ln L - ln q, (N, K): all are sent to this process."""
+        """Draws of all persons, (N, K, P), and their ln L - ln q, (N, K), up to a constant for each person.
+
+        All are sent to this process.
+        """
         both = self._kept.ask(_draws_and_ratios)
         return np.concatenate([a for a, _ in both]), np.concatenate([b for _, b in both])
 
@@ -287,21 +298,18 @@ def _part(
     means: np.ndarray,
     covariates: np.ndarray,
 ) -> Part:
-    """A part with one person per row of `means`; draws are consumed one by one, so that none is in memory twice."""
-    theta = np.empty((len(means), plan.n_draws, means.shape[1]))
-    log_ratio = np.empty(theta.shape[:2])
-    kept, how, responses = [], [], []
-    for i, own in zip(range(len(means)), drawn, strict=False):
-        theta[i], log_ratio[i] = own.draws.theta, own.draws.log_ratio
-        kept.append(replace(own.draws, theta=theta[i], log_ratio=log_ratio[i]))
+    """A part with one person per row of `means`."""
+    draws, how, responses = [], [], []
+    for _, own in zip(means, drawn, strict=False):
+        draws.append(own.draws)
         if own.moved is not None:
             how.append(own.moved)
         if own.response is not None:
             responses.append(own.response)
     marginal = ImportanceLikelihood(
-        kept, means, plan.covariance, repetitions, covariates, contrasts, plan.sharing, how, plan.span, responses
+        draws, means, plan.covariance, repetitions, covariates, contrasts, plan.sharing, how, plan.span, responses
     )
-    return Part(theta, log_ratio, marginal, tuple(kept), constants_of(kept, np.maximum(plan.rho, LEAST_RHO)))
+    return Part.of(marginal, draws, np.maximum(plan.rho, LEAST_RHO))
 
 
 def _watched(drawn: Iterable[PersonDraws], n: int, progress: Progress) -> Iterator[PersonDraws]:
@@ -311,11 +319,18 @@ def _watched(drawn: Iterable[PersonDraws], n: int, progress: Progress) -> Iterat
 
 
 def _draws_and_ratios(part: Part) -> tuple[np.ndarray, np.ndarray]:
-    return part.theta, part.log_ratio
+    marginal = part.marginal
+    n_elements = marginal.whitening.shape[0]
+    theta, log_ratio = np.empty((len(part), marginal.n_draws, n_elements)), np.empty((len(part), marginal.n_draws))
+    for _, persons, rows in marginal.blocks:
+        own = rows.reshape(len(rows), persons.size, marginal.n_draws)
+        theta[persons] = marginal.draws_of(persons, np.moveaxis(own[:n_elements], 0, 2))
+        log_ratio[persons] = own[n_elements]
+    return theta, log_ratio
 
 
 def _size(part: Part) -> int:
-    return len(part.theta)
+    return len(part)
 
 
 def _log_likelihood(part: Part, parameters: PopulationParameters) -> np.ndarray:
@@ -343,7 +358,7 @@ def _effective(part: Part, parameters: PopulationParameters) -> np.ndarray:
 
 
 def _effective_at_home(part: Part) -> np.ndarray:
-    return np.array([draws.effective for draws in part.draws])
+    return part.effective
 
 
 def _influences(part: Part, parameters: PopulationParameters, influence: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -368,19 +383,21 @@ def _resampled(
     part: Part, parameters: PopulationParameters, seed: np.random.SeedSequence
 ) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
-    n_sets, n = parameters.mu.shape[0], len(part.theta)
-    theta = np.empty((n_sets, n, parameters.mu.shape[1]))
+    marginal, (n_sets, n_elements), n = part.marginal, parameters.mu.shape, len(part)
+    theta = np.empty((n_sets, n, n_elements))
     for start in range(0, n_sets, _SETS_AT_ONCE):
         some = parameters[slice(start, start + _SETS_AT_ONCE)]
         level = rng.random((some.mu.shape[0], n, 1))
-        for persons, log_weight, _ in part.marginal.exponents(some):
+        for (persons, log_weight, _), (_, _, rows) in zip(marginal.exponents(some), marginal.blocks, strict=True):
             weight = np.exp(log_weight - log_weight.max(axis=2, keepdims=True))
             cumulative = np.cumsum(weight, axis=2)
             own = level[:, persons] * cumulative[:, :, -1:]
             chosen = np.minimum((cumulative < own).sum(axis=2), weight.shape[2] - 1)
-            theta[start : start + _SETS_AT_ONCE, persons] = part.theta[persons, chosen]
-    if part.marginal.sharing is not None and parameters.shared is not None:
-        t, away = part.marginal.sharing.standardised(parameters.shared), theta - part.marginal.reference_means
-        theta += np.einsum("nmp,wm->wnp", part.marginal.path, monomials(t))
-        theta += np.einsum("ws,nspq,wnq->wnp", t, part.marginal.shears, away, optimize=True)
+            u = rows[:n_elements].reshape(n_elements, persons.size, -1)
+            there = np.moveaxis(u[:, np.arange(persons.size)[:, None], chosen.T], 0, 2)
+            theta[start : start + _SETS_AT_ONCE, persons] = np.swapaxes(marginal.draws_of(persons, there), 0, 1)
+    if marginal.sharing is not None and parameters.shared is not None:
+        t, away = marginal.sharing.standardised(parameters.shared), theta - marginal.reference_means
+        theta += np.einsum("nmp,wm->wnp", marginal.path, monomials(t))
+        theta += np.einsum("ws,nspq,wnq->wnp", t, marginal.shears, away, optimize=True)
     return theta, part.log_densities(parameters)

@@ -37,8 +37,7 @@ def kept(n_draws: int, seed: int, others: int = 0) -> KeptDraws:
         draws.append(Draws(theta, ratio, ratio - np.logaddexp.reduce(ratio)))
     square = np.array([[REFERENCE_SD**2]])
     marginal = ImportanceLikelihood(draws, np.zeros((n, 1)), square, np.ones(n, dtype=int), np.zeros((n, 0)), ())
-    stacked = np.array([d.theta for d in draws]), np.array([d.log_ratio for d in draws])
-    return KeptDraws([Part(*stacked, marginal, tuple(draws), np.zeros(n))], Serial())
+    return KeptDraws([Part.of(marginal, draws, np.ones(1))], Serial())
 
 
 def populations() -> tuple[np.ndarray, PopulationParameters]:

@@ -117,9 +117,7 @@ def test_persons_are_drawn_where_the_shared_parameters_are() -> None:
     w = world(ONE, 1, 2, noise=0.3, seed=4)
     kept = moved_world(w, 4096)
     there = at(w, 2.0)
-    draws = kept.draws_of_persons
-    theta = np.array([d.theta for d in draws])
-    part = Part(theta, np.array([d.log_ratio for d in draws]), kept.marginal, tuple(draws), np.zeros(len(draws)))
+    part = Part.of(kept.marginal, kept.draws_of_persons, np.ones(2))
     many = there[np.zeros(4000, dtype=int)]
     found, _ = _resampled(part, many, np.random.SeedSequence(1))
     assert there.shared is not None
