@@ -16,7 +16,6 @@ from scipy.linalg import block_diag
 
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.person.likelihood import Likelihood
-from bayes_impedance.person.mode import Mode
 from bayes_impedance.population.alignment import aligned
 from bayes_impedance.population.e_step import (
     PersonFit,
@@ -33,6 +32,7 @@ from bayes_impedance.population.e_step import (
     sums,
 )
 from bayes_impedance.population.heavy_tails import HEAVIEST, estimated_tail, weights_of
+from bayes_impedance.population.packed_fits import packed, unpacked
 from bayes_impedance.population.prior import Prior
 from bayes_impedance.population.shared import (
     Placed,
@@ -58,20 +58,6 @@ see from being singular."""
 _SHORTER = 6
 """Most lengths that are tried of a step of shared parameters, each a quarter of the one before. By choice: a thousandth
 of the step, below which the iteration goes on without it."""
-
-
-def _kept(fit: PersonFit) -> tuple[np.ndarray, float, np.ndarray, np.ndarray]:
-    """What the next iteration takes from a person's fit: log elements, noise scale and both kinds of deviations."""
-    return fit.theta, fit.mode.scale, fit.deviations, fit.expanded
-
-
-def _restored(
-    _: Likelihood, theta: np.ndarray, scale: float, deviations: np.ndarray, expanded: np.ndarray
-) -> PersonFit:
-    """A person's fit from :func:`_kept`; what the next iteration computes anew is empty."""
-    nothing = np.empty(0)
-    mode = Mode(theta=theta, objective=np.nan, precision=nothing, information=nothing, scale=scale, decrement=np.nan)
-    return PersonFit.between_iterations(mode, deviations, expanded)
 
 
 def _placed(fit: PersonFit) -> Placed:
@@ -138,18 +124,13 @@ class State:
 
     def snapshot(self) -> dict[str, np.ndarray]:
         """Arrays that determine the next iteration, for the checkpoint."""
-        theta, scale, deviations, expanded = zip(*self.fits.gathered(_kept), strict=True)
         return {
             "mu": self.mu.copy(),  # of both, an iteration writes into the array itself
             "slopes": self.slopes.copy(),
             "covariance": self.covariance,
             "rho": self.rho,
             "phi": self.phi,
-            "theta": np.array(theta),
-            "scale": np.array(scale),
-            "deviations": np.concatenate(deviations),
-            "expanded": np.concatenate(expanded),
-            "repetitions": np.array([len(own) for own in deviations]),
+            **packed(self.fits),
             **({} if self.weights is None else {"weights": self.weights, "tail": np.array(self.tail)}),
         }
 
@@ -158,9 +139,7 @@ class State:
         self.mu, self.slopes = snapshot["mu"].copy(), snapshot["slopes"].copy()
         self.covariance, self.rho = snapshot["covariance"], snapshot["rho"]
         self.phi = snapshot["phi"]
-        ends = np.cumsum(snapshot["repetitions"])[:-1]
-        own = (np.split(snapshot[name], ends) for name in ("deviations", "expanded"))
-        self.fits = self.data.each(_restored, snapshot["theta"], snapshot["scale"].tolist(), *own)
+        self.fits = unpacked(self.data, snapshot)
         if "weights" in snapshot:
             self.weights, self.tail = snapshot["weights"], float(snapshot["tail"])
         self.begun = True  # snapshots are taken after an iteration
@@ -199,6 +178,8 @@ class State:
 
     def iterate(self, extra_starts: np.ndarray | None) -> float:
         """One iteration; returns how far the population moved, in its standard errors."""
+        if self.begun and self.fits.remembers_inputs:
+            self.fits = unpacked(self.data, packed(self.fits))
         means = self.means
         moved = self._move_shared()
         starts = None

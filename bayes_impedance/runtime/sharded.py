@@ -62,6 +62,18 @@ class Kept:
         results = list(map_persons(self.executor, function, *here))
         return Kept(self.executor, [results[rows] for rows in parts_of(len(results))])
 
+    @property
+    def remembers_inputs(self) -> bool:
+        """Whether the inputs of these data are remembered, to compute them again should they be lost."""
+        return isinstance(self.executor, Cluster)
+
+    def each_part(self, function: Callable[..., Any], rows: Sequence[Sequence[Any]]) -> Kept:
+        """Results of ``function(part, *row)`` for every part, kept where the part is."""
+        rows = [(part, *row) for part, row in zip(self.parts, rows, strict=True)]
+        if isinstance(self.executor, Cluster):
+            return Kept(self.executor, self.executor.keep_each(function, rows))
+        return Kept(self.executor, [function(*row) for row in rows])
+
     def ask(
         self, function: Callable[..., Result], *shared: Any, columns: Sequence[Kept | np.ndarray] = ()
     ) -> list[Result]:
