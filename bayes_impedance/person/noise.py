@@ -13,11 +13,14 @@ Sums run over persons and over as many neighbouring frequencies as give about 20
 the window is narrow and a sharp rise of the noise is resolved; with one person it is wide and the estimate is stable.
 
 With one repetition the noise is estimated from the second difference over frequency of the residual from the fitted
-network. (The second difference of the data would count their curvature as noise.) The ends of the band have none, and
-are taken to be as noisy as their neighbours. But on a linear grid these are far away in log frequency: with noise that
-rises below 10 Hz, the point at 6 Hz was taken to have a third of its noise, that of the point at 25 Hz, and the mass of
-a resonator was four times too large, five standard errors off. So such an end is compared with the fitted network
-itself, with its leverage, and for the same reason a wide gap counts as several points in pooling.
+network. (The second difference of the data would count their curvature as noise.) The ends of the band have none. Their
+noise is extrapolated along the line of its logarithm over log frequency near the end, as far as the line's slope b is
+known, with the factor :math:`\max(0, 1 - \operatorname{se}_b^2/b^2)` on it. (Taken to be as noisy as their neighbours,
+the ends were structure in three of six populations with one recording of 51 points each: their noise rises by a quarter
+from the second point to the first.) On a linear grid the ends are far away in log frequency: with noise that rises below
+10 Hz, the point at 6 Hz was taken to have a third of its noise, that of the point at 25 Hz, and the mass of a resonator
+was four times too large, five standard errors off. So such an end is compared with the fitted network itself, with its
+leverage, and for the same reason a wide gap counts as several points in pooling.
 
 The level is that of the median person: everybody has a scale of their own in the likelihood, and a few persons whose
 elements have not been found yet must not make their misfit look like everybody's noise.
@@ -49,6 +52,10 @@ _DEGREES_OF_FREEDOM = 200.0
 _FAR = 0.25
 """Distance in log frequency from which neighbours tell little of a point's noise. By choice: noise that rises with the
 inverse square of frequency changes by 1.6 over it; the grids of most recordings are several times finer."""
+
+_SLOPE_WIDTH = 3.0
+"""Width of the window over whose points the slope at an end is estimated, relative to that of pooling; at least that of
+one point. By choice: the slope of a line is less certain than its level, and noise does not follow a line for long."""
 
 _TAIL_ROUNDS = 20
 """Times that the weights of points and the noise are found in turn where noise has tails. By choice: the error is about
@@ -241,7 +248,26 @@ def _pool(scatters: Sequence[Scatter], relative: bool, floor: float, degrees: fl
         deviance += float(np.sum(freedom[part] * (np.log(expected[part] * own_scale) + log_scale[part])))
         start += s.square.size
     variance = np.maximum(variance * np.median(scales), smallest)
-    return NoiseModel(np.exp(nodes), np.sqrt(variance), relative, floor), deviance
+    own = np.maximum(square_sum / freedom_sum, smallest) * np.median(scales)
+    ends = [_beyond(nodes, np.log(own), freedom_sum, rank, width, end) for end in (0, -1)]
+    nodes = np.r_[nodes[0] - _FAR, nodes, nodes[-1] + _FAR]
+    variance = np.r_[variance[0] * np.exp(ends[0]), variance, variance[-1] * np.exp(ends[1])]
+    return NoiseModel(np.exp(nodes), np.sqrt(np.maximum(variance, smallest)), relative, floor), deviance
+
+
+def _beyond(
+    nodes: np.ndarray, log_variance: np.ndarray, freedom: np.ndarray, rank: np.ndarray, width: float, end: int
+) -> float:
+    """Change of the log variance from the first or last node (end 0 or -1) to a point that is just not far from it."""
+    own = np.exp(-0.5 * ((rank - rank[end]) / max(_SLOPE_WIDTH * width, 1.0)) ** 2) * freedom
+    x = nodes - np.sum(own * nodes) / np.sum(own)
+    square = np.sum(own * x**2)
+    if not square > 0:
+        return 0.0
+    slope = np.sum(own * x * log_variance) / square
+    error = np.sum(2 / freedom * (own * x) ** 2) / square**2  # a log chi-square has variance 2/freedom
+    kept = max(0.0, 1 - error / slope**2) if slope else 0.0
+    return float(kept * slope * (_FAR if end else -_FAR))
 
 
 def _orthonormal(columns: np.ndarray) -> np.ndarray:

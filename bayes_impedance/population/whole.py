@@ -47,10 +47,12 @@ class Whole:
         return replace(complete, mu=complete.mu * self.unit)
 
     def persons(self, theta: np.ndarray, shared: np.ndarray | None) -> np.ndarray:
-        """Everybody's parameters, (W, N, P), of varying ones (W, N, V) and shared ones (W, S)."""
-        if shared is None or not self.pooling.names:
-            return np.asarray(theta * self.unit)
-        return np.asarray(self.pooling.whole(theta, shared[:, None, :]) * self.unit)
+        """Everybody's parameters, (W, N, P), of varying ones (W, N, V) and shared ones (W, S).
+
+        If all are varying logarithms it is the array that was given: of many people it is the largest there is.
+        """
+        whole = self.pooling.whole(theta, shared[:, None, :]) if shared is not None and self.pooling.names else theta
+        return whole if np.all(self.unit == 1.0) else np.asarray(whole * self.unit)
 
     def without(self, varying: np.ndarray) -> np.ndarray:
         """Deviations or dispersions (..., P) of varying parameters (..., V); zero for the shared ones."""

@@ -75,9 +75,10 @@ def executor_of(threads: int = 2, processes: int | None = None, scheduler: str |
     _say("waiting up to %d s for the Dask scheduler at %s", _SCHEDULER_SECONDS, scheduler)
     try:
         asyncio.run(asyncio.wait_for(_require_scheduler(scheduler), _SCHEDULER_SECONDS))
-        client: Any = Client(  # type: ignore[no-untyped-call]
-            scheduler, timeout=_SCHEDULER_SECONDS, set_as_default=False
-        )
+        with without_message_log():
+            client: Any = Client(  # type: ignore[no-untyped-call]
+                scheduler, timeout=_SCHEDULER_SECONDS, set_as_default=False
+            )
     except Exception as error:  # a wrong address or port raises many types of exception
         reason = " ".join(str(error).split()) or f"nothing within {_SCHEDULER_SECONDS} s"
         raise InputError(
@@ -99,6 +100,18 @@ def executor_of(threads: int = 2, processes: int | None = None, scheduler: str |
             if watch.lost or client.status != "running":  # other errors follow from this one
                 raise WorkerError(watch.lost or _lost(scheduler)) from None
             raise
+
+
+@contextmanager
+def without_message_log() -> Iterator[None]:
+    """Clients and schedulers made meanwhile do not keep the messages that they have sent.
+
+    Dask keeps the last thousand for its developers, with the data in them: 20 kB for each person of a population.
+    """
+    from dask import config
+
+    with config.set({"distributed.admin.low-level-log-length": 0}):
+        yield
 
 
 def _require_certificates(address: str) -> None:
