@@ -5,9 +5,12 @@ the location of structure, the tests of the population's distribution. Effects a
 significant, the sentence says so and refers to ``diagnose``.
 
 **Affected elements.** Significant effects of the screening are added to the network and the population is refitted for
-a few rounds. An element whose centre moves by more than the half width of its own 90 % interval depends on whether that
-effect is present, and is marked. If structure is significant and no effect explains it down to the noise, or people are
-not of one normal population, all elements are marked.
+a few rounds. If none of them describes the recordings better then, the scores, which are linear in the effect and take
+the noise as known, were mistaken, and only the location of structure counts. (Of populations with nothing missing and
+one recording of 51 points each, half were marked by scores alone, 4 of 8.) An element whose centre moves by more than
+the half width of its own 90 % interval depends on whether that effect is present, and is marked. If structure is
+significant and no effect explains it down to the noise, or people are not of one normal population, all elements are
+marked.
 
 **Outliers.** Under one normal population a person's posterior mean deviates from the population's with covariance
 :math:`T - C_i`, with T the covariance between people and :math:`C_i` that of the person's posterior: little in
@@ -47,11 +50,12 @@ from bayes_impedance.diagnosis.multiple_testing import STRUCTURE_ALPHA
 from bayes_impedance.diagnosis.residuals.absolute_fit import badly_described, copies, far_off
 from bayes_impedance.diagnosis.residuals.locate import locate
 from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN
+from bayes_impedance.diagnosis.selection.level_starts import from_level
 from bayes_impedance.diagnosis.selection.richer_law import simple_and_richer
 from bayes_impedance.diagnosis.selection.score_scan import screen
 from bayes_impedance.diagnosis.selection.shortlist import ALPHA, best_shapes
 from bayes_impedance.diagnosis.selection.step import Step
-from bayes_impedance.diagnosis.selection.trial import poolings_for, try_candidate
+from bayes_impedance.diagnosis.selection.trial import Trial, poolings_for, trial_of, try_candidate
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.population.fit import PopulationFit
 from bayes_impedance.population.map_error import without_map_noise
@@ -120,10 +124,11 @@ def _examine(fit: PopulationFit, effects: tuple[Effect, ...], executor: Executor
     if significant:
         bent, names = _consequences(fit, refitter, base, step)
     structured = location.p_value < STRUCTURE_ALPHA
-    if significant or structured:
-        if not names:
-            bent = _all(fit)
-        misfit.append(_missing(fit, min(location.p_value, float(np.exp(step.log_p))), bent))
+    if not names:
+        bent = _all(fit) if structured else {}
+    if names or structured:
+        by_scores = float(np.exp(step.log_p)) if names else 1.0
+        misfit.append(_missing(fit, min(location.p_value, by_scores), bent))
     shape = badly_described(recordings.names, fit.noise_scale)
     if n > 1:
         structures, _ = find_structures(base, recordings.select(names_of), False, fit.seed)
@@ -195,7 +200,7 @@ def _consequences(
     screening, bent, gains = step.screening, dict[str, float](), dict[str, float]()
     order = [*best_shapes(screening), *best_shapes(screening, by_spread=True)]
     p_size = screening.log_p(np.nan_to_num(screening.z))
-    tried, explained = set[str](), False
+    tried, trials, explained = set[str](), list[Trial](), False
     known = {name for name, seen in zip(fit.kernel.elements, fit.identified, strict=True) if seen}
     half = 0.5 * np.subtract(*np.quantile(fit.parameters.mu[:, varying_of(fit)], (0.95, 0.05), axis=0))
     for k in order:
@@ -205,10 +210,15 @@ def _consequences(
             continue
         tried.add(candidate.effect.id)
         pooling = poolings_for(candidate.effect, len(refitter.data))
-        trial = try_candidate(refitter, base, candidate, float(screening.size[k]), pooling, _ROUNDS)[-1]
+        trials.append(try_candidate(refitter, base, candidate, float(screening.size[k]), pooling, _ROUNDS)[-1])
+    if screening.log_p_levels < np.log(ALPHA):
+        level = screening.levels[0]
+        grown = from_level(refitter, base, level, _ROUNDS)
+        trials.append(trial_of(level.candidate, "varying", grown, base))
+    for trial in trials:
         if not (trial.physical and trial.gain > LEAST_GAIN):
             continue
-        gains[candidate.effect.id] = trial.gain
+        gains[trial.effect.id] = max(trial.gain, gains.get(trial.effect.id, 0.0))
         explained = explained or float(np.mean(trial.fit.weight**-0.5 > MISFIT_SCALE)) <= MISFIT_SHARE
         e = base.model.n_elements
         change = trial.fit.persons[:, :e].mean(axis=0) - base.persons[:, :e].mean(axis=0)

@@ -15,12 +15,12 @@ the window is narrow and a sharp rise of the noise is resolved; with one person 
 With one repetition the noise is estimated from the second difference over frequency of the residual from the fitted
 network. (The second difference of the data would count their curvature as noise.) The ends of the band have none. Their
 noise is extrapolated along the line of its logarithm over log frequency near the end, as far as the line's slope b is
-known, with the factor :math:`\max(0, 1 - \operatorname{se}_b^2/b^2)` on it. (Taken to be as noisy as their neighbours,
-the ends were structure in three of six populations with one recording of 51 points each: their noise rises by a quarter
-from the second point to the first.) On a linear grid the ends are far away in log frequency: with noise that rises below
-10 Hz, the point at 6 Hz was taken to have a third of its noise, that of the point at 25 Hz, and the mass of a resonator
-was four times too large, five standard errors off. So such an end is compared with the fitted network itself, with its
-leverage, and for the same reason a wide gap counts as several points in pooling.
+known, with the factor :math:`\max(0, 1 - \operatorname{se}_b^2/b^2)` on it. (Taken to be as noisy as its neighbour, the
+lowest of 51 points had a fifth too little noise, of 71 people and more, and looked like structure.) On a linear grid
+the ends are far away in log frequency: with noise that rises below 10 Hz, the point at 6 Hz was taken to have a third
+of its noise, that of the point at 25 Hz, and the mass of a resonator was four times too large, five standard errors
+off. So such an end is compared with the fitted network itself, with its leverage, and for the same reason a wide gap
+counts as several points in pooling.
 
 The level is that of the median person: everybody has a scale of their own in the likelihood, and a few persons whose
 elements have not been found yet must not make their misfit look like everybody's noise.

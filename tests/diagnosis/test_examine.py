@@ -11,6 +11,7 @@ import pytest
 
 from bayes_impedance.diagnosis.examine import examine
 from bayes_impedance.mcmc.ensemble import SamplerSettings
+from bayes_impedance.population.fingertip import FINGERTIP
 from bayes_impedance.population.fit import FitSettings, fit_population
 from bayes_impedance.population.simulate import VirtualPopulation, simulate_recordings
 from bayes_impedance.recordings.files import Recordings
@@ -62,6 +63,16 @@ def test_good_populations_are_not_marked() -> None:
     ]
     assert sum((found.gross, found.misfit) != ((), ()) for found in all_found) <= 1
     assert all(not found.bent and not found.gross for found in all_found)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [1, 2])
+def test_one_sweep_of_few_points_is_not_taken_for_missing_physics(seed: int) -> None:
+    """The scores say so: noise is known to 6 % at each frequency, and rises at the lowest. No refit gains."""
+    made = simulate_recordings(FINGERTIP, 71, 1, np.geomspace(5, 5000, 51), seed).recordings
+    found = examine(fit_population(made, settings=SHORT))
+    assert (found.gross, found.misfit, found.bent) == ((), (), {})
+    assert found.log_p < np.log(0.01)
 
 
 @pytest.mark.long

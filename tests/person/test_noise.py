@@ -207,7 +207,7 @@ def test_very_fine_grids_are_binned():
     frequency = np.geomspace(5.0, 5000.0, 1500)
     z, derivative, _ = population(4, relative, motion=0.02, frequency=frequency)
     model = pool([scatter_of_repetitions(frequency, *person) for person in zip(z, derivative, strict=True)], 1e-4)
-    assert model.frequency_hz.size <= 400
+    assert model.frequency_hz.size <= 400 + 2  # and one beyond either end
     assert np.median(model.sd) == pytest.approx(0.01, rel=0.05)
 
 
@@ -246,3 +246,36 @@ def test_a_dense_grid_has_no_scatter_at_its_ends() -> None:
         strict=True,
     ):
         np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("corner", [0.0, 8.0, 50.0])
+def test_noise_that_rises_to_an_end_goes_on_rising(corner: float) -> None:
+    """At the ends there are no second differences; a flat continuation has a fifth too little at the first of 51."""
+    frequency, rng = np.geomspace(5.0, 5000.0, 51), np.random.default_rng(3)
+    relative = 0.01 * np.sqrt(1 + (corner / frequency) ** 4)
+    found = []
+    for _ in range(12):
+        scatters = []
+        for _ in range(71):
+            noise = relative * (rng.normal(size=(2, 51)).T @ [1, 1j])
+            scatters.append(scatter_of_roughness(frequency, 1 + noise, np.ones(51, dtype=complex)))
+        model = pool(scatters, 1e-3)
+        found.append(model.at(frequency, np.ones(51)) / relative)
+        far = model.at(np.array([1e-3, 1e9]), np.ones(2))
+        assert np.all(np.abs(np.log(far / model.sd[[0, -1]])) < 1e-9)  # no farther than the next point could be
+    middle = np.exp(np.mean(np.log(found), axis=0))
+    np.testing.assert_allclose(middle[[0, 1, -2, -1]], 1.0, atol=0.1)
+    assert np.std(np.log(found), axis=0)[[0, -1]].max() < 0.15
+
+
+def test_the_slope_at_an_end_is_not_taken_from_chance() -> None:
+    """Of one person the level at the ends is nearly that of the neighbours: a slope is not known."""
+    frequency, rng = np.geomspace(5.0, 5000.0, 101), np.random.default_rng(4)
+    changes = []
+    for _ in range(50):
+        noise = 0.01 * (rng.normal(size=(2, 101)).T @ [1, 1j])
+        at = pool([scatter_of_roughness(frequency, 1 + noise, np.ones(101, dtype=complex))], 1e-3).at(
+            frequency, np.ones(101)
+        )
+        changes += [np.log(at[0] / at[1]), np.log(at[-1] / at[-2])]
+    assert np.abs(changes).max() < 0.05

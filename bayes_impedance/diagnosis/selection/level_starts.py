@@ -14,10 +14,14 @@ the effect over nothing is
 
 .. math:: e = \frac1G \sum_{c, s} \prod_i \int e^{\ell_i(x) - \ell_i(0)}\, p(x \mid c, s)\, dx .
 
-It is a ratio of likelihoods, whose mean is one when nothing is missing, whatever the grid: by Markov's inequality it
-exceeds 1/p with a probability of p at most. The largest term says where a refit begins, and each person begins at the
-own most probable coefficient of that distribution. Some people are asked about the whole grid first, and all about
-the part of it that these find likeliest; one recording of each person tells.
+Were the elements known, it would be a ratio of likelihoods, whose mean is one when nothing is missing, whatever the
+grid: by Markov's inequality it would exceed 1/p with a probability of p at most. But elements take their best values.
+If :math:`\varphi_k` are the angles between what they can absorb with the effect and without it, a person's ratio has
+the mean :math:`\prod_k 1/\cos\varphi_k`, and of hundreds of people with one recording of 51 points it said so, with 10
+to 20 units, that a spring was a line. So nothing is said because of it alone: a refit has to gain. The largest term
+says where a refit begins, and each person begins at the own most probable coefficient of that distribution. Some people
+are asked about the whole grid first, and all about the part of it that these find likeliest; one recording of each
+person tells.
 """
 
 from __future__ import annotations
