@@ -4,8 +4,12 @@ Virtual fingertips with 101 frequencies and three repetitions. Everybody's fits 
 return sums; this process keeps the recordings, the sampler's walkers and the result. With ``--kill`` a worker is
 killed while the chains grow, and the result is compared with that of an undisturbed run.
 
-With ``--files csv`` or ``--files parquet`` the people are written as a dataset in a temporary folder, by a process of
-its own, and read from there; with Parquet files partitioned by subject no impedances stay in this process.
+With ``--files csv``, ``parquet`` or ``table`` the people are written as a dataset in a temporary folder, by a process
+of its own, and read from there: as one CSV file, as Parquet files partitioned by subject, of which no impedances stay
+in this process, or as one Parquet file. Where people are a thousand and more, the medians and 90 % intervals of
+everybody's elements are written as a Parquet file, a thousand people at a time.
+
+Memory is the largest anonymous memory, of this process and of the larger worker, from the start of reading on.
 
 ``--overhead`` measures what a likelihood costs beside its arithmetic: every part of the people is asked for 104 numbers
 that cost nothing.
@@ -27,6 +31,7 @@ from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from threading import Event, Thread
 from typing import Any
 
 import numpy as np
@@ -36,18 +41,65 @@ from bayes_impedance.mcmc.ensemble import SamplerSettings
 from bayes_impedance.population.fingertip import FINGERTIP
 from bayes_impedance.population.fit import FitSettings, PopulationFit, fit_population
 from bayes_impedance.population.simulate import simulate_recordings
-from bayes_impedance.recordings.files import Recordings, read_recordings, write_recordings
-from bayes_impedance.runtime.executors import Cluster
+from bayes_impedance.recordings.files import Recordings, Subject, read_recordings, write_recordings
+from bayes_impedance.runtime.executors import Cluster, without_message_log
 from bayes_impedance.runtime.sharded import Kept, parts_of
 
 HERE = Path(__file__).resolve().parent
-_POINTS, _REPETITIONS = 101, 3
 _SAMPLER = SamplerSettings(ensembles=2, burn_in=(80, 40), chunk=100, longest=400, effective=600.0)
 
 
 def peak_megabytes() -> float:
     """Largest resident memory of this process so far."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def anonymous_megabytes(process: int) -> float:
+    """Memory of a process that is not a file's; zero if the process or the system's table of it is gone."""
+    try:
+        lines = Path(f"/proc/{process}/status").read_text(encoding="ascii").splitlines()
+    except OSError:
+        return 0.0
+    return sum(float(line.split()[1]) / 1024 for line in lines if line.startswith("RssAnon"))
+
+
+@contextmanager
+def watched(processes: dict[str, list[int]]) -> Iterator[dict[str, float]]:
+    """Largest anonymous memory of the largest of some processes, for each of their names, while the block runs."""
+    peaks, done = dict.fromkeys(processes, 0.0), Event()
+
+    def watch() -> None:
+        while not done.wait(0.2):
+            for name, some in processes.items():
+                peaks[name] = max(peaks[name], *map(anonymous_megabytes, some))
+
+    thread = Thread(target=watch, daemon=True)
+    thread.start()
+    yield peaks
+    done.set()
+    thread.join()
+
+
+def write_intervals(fit: PopulationFit, file: Path) -> None:
+    """Median and 90 % interval of everybody's elements as a Parquet file."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    draws, names = fit.person_draws.reshape(-1, *fit.person_draws.shape[2:]), fit.recordings.names
+    writer = None
+    for start in range(0, len(names), 1000):
+        rows = slice(start, start + 1000)
+        quantiles = np.exp(np.quantile(draws[:, rows], (0.05, 0.5, 0.95), axis=0))
+        columns = {
+            f"{element}{end}": quantiles[q, :, k]
+            for k, element in enumerate(fit.kernel.elements)
+            for q, end in enumerate(("_low", "", "_high"))
+        }
+        table = pa.table({"subject": list(names[rows]), **columns})
+        writer = writer or pq.ParquetWriter(file, table.schema)
+        writer.write_table(table)
+    if writer is not None:
+        writer.close()
 
 
 def measured(
@@ -58,10 +110,13 @@ def measured(
 
     killed: list[int] = []
     with (
+        without_message_log(),
         distributed.LocalCluster(
             n_workers=workers, threads_per_worker=1, dashboard_address=None, memory_limit=0, silence_logs=50
         ) as cluster,
         distributed.Client(cluster, set_as_default=False) as client,
+        TemporaryDirectory() as folder,
+        watched({"here": [os.getpid()], "worker": list(client.run(os.getpid).values())}) as peaks,
     ):
 
         def progress(stage: str, done: int, _total: int) -> None:
@@ -73,16 +128,19 @@ def measured(
         settings = FitSettings(draws=draws, sampler=_SAMPLER)
         fit = fit_population(recordings, settings=settings, seed=1, executor=Cluster(client), progress=progress)
         seconds = time.perf_counter() - started
-        workers_peak = max(client.run(peak_megabytes).values())
+        if len(recordings.subjects) >= 1000:
+            write_intervals(fit, Path(folder) / "persons.parquet")
     d = fit.diagnostics
     return {
         "people": len(recordings.subjects),
+        "points": recordings.subjects[0].frequency_hz.size,
+        "repetitions": len(recordings.subjects[0].repetitions),
         "workers": workers,
         "draws": draws,
         "seconds": seconds,
         "stages": fit.seconds,
-        "peak MB of this process": peak_megabytes(),
-        "peak MB of a worker": workers_peak,
+        "anonymous MB of this process": peaks["here"],
+        "anonymous MB of a worker": peaks["worker"],
         "R-hat": d.rhat_max,
         "effective": d.effective_min,
         "steps": d.steps,
@@ -129,14 +187,14 @@ def overhead(n: int, workers: int, rounds: int = 20) -> dict[str, Any]:
     }
 
 
-def people(n: int) -> Recordings:
+def people(n: int, points: int, repetitions: int) -> Recordings:
     """The first n people of one sequence, so that larger populations contain the smaller ones."""
-    return simulate_recordings(FINGERTIP, n, _REPETITIONS, np.geomspace(5, 5000, _POINTS), 1).recordings
+    return simulate_recordings(FINGERTIP, n, repetitions, np.geomspace(5, 5000, points), 1).recordings
 
 
-def write_people(n: int, folder: Path, files: str) -> None:
+def write_people(n: int, points: int, repetitions: int, folder: Path, files: str) -> None:
     """The same people as a dataset."""
-    recordings = people(n)
+    recordings = people(n, points, repetitions)
     write_recordings(recordings if files == "csv" else recordings.select(recordings.names[:1]), folder)
     if files == "csv":
         return
@@ -145,26 +203,41 @@ def write_people(n: int, folder: Path, files: str) -> None:
 
     (folder / "recordings.csv").unlink()
     (folder / "subjects.csv").unlink(missing_ok=True)
+    if files == "table":
+        pq.write_table(pa.concat_tables(table_of(s) for s in recordings.subjects), folder / "recordings.parquet")
+        return
     for s in recordings.subjects:
         part = folder / "recordings.parquet" / f"subject={s.name}"
         part.mkdir(parents=True)
-        columns = {
+        pq.write_table(table_of(s).drop_columns(["subject"]), part / "part-0.parquet")
+
+
+def table_of(s: Subject) -> Any:
+    """One person's recordings as a long table."""
+    import pyarrow as pa
+
+    n = s.z.size
+    return pa.table(
+        {
+            "subject": [s.name] * n,
             "repetition": np.repeat(s.repetitions, s.frequency_hz.size),
             "frequency_hz": np.tile(s.frequency_hz, len(s.repetitions)),
             "z_re": s.z.real.ravel(),
             "z_im": s.z.imag.ravel(),
         }
-        pq.write_table(pa.table(columns), part / "part-0.parquet")
+    )
 
 
 @contextmanager
-def read_people(n: int, files: str | None) -> Iterator[tuple[Recordings, dict[str, Any]]]:
+def read_people(
+    n: int, points: int, repetitions: int, files: str | None
+) -> Iterator[tuple[Recordings, dict[str, Any]]]:
     """The people, and time and memory of reading them."""
     if files is None:
-        yield people(n), {}
+        yield people(n, points, repetitions), {}
         return
     with TemporaryDirectory() as folder:
-        writer = get_context("spawn").Process(target=write_people, args=(n, Path(folder), files))
+        writer = get_context("spawn").Process(target=write_people, args=(n, points, repetitions, Path(folder), files))
         writer.start()
         writer.join()
         before, started = peak_megabytes(), time.perf_counter()
@@ -179,6 +252,7 @@ def table(rows: list[dict[str, Any]]) -> str:
     """One line for each fit."""
     head = [
         "people",
+        "points",
         "workers",
         "seconds",
         "modes",
@@ -196,9 +270,10 @@ def table(rows: list[dict[str, Any]]) -> str:
         killed = {None: "no", True: "yes: the same numbers", False: "yes: OTHER NUMBERS"}[
             row.get("same numbers as undisturbed")
         ]
-        memory = [f"{row['peak MB of this process']:.0f}", f"{row['peak MB of a worker']:.0f}"]
+        memory = [f"{row[f'anonymous MB of {who}']:.0f}" for who in ("this process", "a worker")]
         quality = [f"{row['R-hat']:.3f}", f"{row['effective']:.0f}", f"{row['noise of the likelihood']:.2g}", killed]
-        cells = [str(row["people"]), str(row["workers"]), f"{row['seconds']:.0f}", *stages, *memory, *quality]
+        size = f"{row['repetitions']} x {row['points']}"
+        cells = [str(row["people"]), size, str(row["workers"]), f"{row['seconds']:.0f}", *stages, *memory, *quality]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
@@ -210,7 +285,9 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--draws", type=int, default=256)
     parser.add_argument("--points", type=int, default=101, help="frequencies of a recording")
     parser.add_argument("--repetitions", type=int, default=3)
-    parser.add_argument("--files", choices=("csv", "parquet"), help="write the people to files and read them there")
+    parser.add_argument(
+        "--files", choices=("csv", "parquet", "table"), help="write the people to files and read them there"
+    )
     parser.add_argument("--kill", action="store_true", help="repeat each fit with a worker killed in the middle")
     parser.add_argument("--overhead", action="store_true", help="only what a likelihood costs beside its arithmetic")
     parser.add_argument("-o", "--out", type=Path, default=HERE / "scale.json")
@@ -222,7 +299,7 @@ def main(arguments: list[str] | None = None) -> None:
         return
     rows = json.loads(options.out.read_text(encoding="utf-8")) if options.out.is_file() else []
     for n in options.people:
-        with read_people(n, options.files) as (recordings, told):
+        with read_people(n, options.points, options.repetitions, options.files) as (recordings, told):
             for workers in options.workers:
                 row, fit = measured(recordings, workers, options.draws)
                 rows.append(row | told)
@@ -233,7 +310,7 @@ def main(arguments: list[str] | None = None) -> None:
                     rows.append(again | told | {"same numbers as undisturbed": bool(same)})
                     print(f"a worker killed: {again['killed']}, the same numbers: {same}", flush=True)
                 options.out.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
-    if options.files is None:
+    if options.files != "csv":
         replace_between(HERE / "README.md", "scale", table(rows))
 
 
