@@ -7,8 +7,8 @@ significant, the sentence says so and refers to ``diagnose``.
 **Affected elements.** Significant effects of the screening are added to the network and the population is refitted for
 a few rounds. If none of them describes the recordings better then, the scores, which are linear in the effect and take
 the noise as known, were mistaken, and only the location of structure counts. (Of populations with nothing missing and
-one recording of 51 points each, half were marked by scores alone, 4 of 8.) An element whose centre moves by more than
-the half width of its own 90 % interval depends on whether that effect is present, and is marked. If structure is
+one recording of 51 points each, 5 of 14 were marked by scores alone.) An element whose centre moves by more than the
+half width of its own 90 % interval depends on whether that effect is present, and is marked. If structure is
 significant and no effect explains it down to the noise, or people are not of one normal population, all elements are
 marked.
 

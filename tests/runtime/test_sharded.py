@@ -37,7 +37,7 @@ from bayes_impedance.population.sharded_likelihood import KeptDraws
 from bayes_impedance.population.simulate import simulate_recordings
 from bayes_impedance.recordings.files import Recordings
 from bayes_impedance.runtime import executors, sharded
-from bayes_impedance.runtime.executors import Cluster, map_persons
+from bayes_impedance.runtime.executors import Cluster, map_persons, without_message_log
 from bayes_impedance.runtime.sharded import Kept, parts_of
 from bayes_impedance.runtime.worker_processes import Processes
 
@@ -192,6 +192,38 @@ def test_many_people_have_few_parts(people: int, parts: int, monkeypatch: pytest
     monkeypatch.setattr(sharded, "_SMALLEST_PART", 128)
     assert len(parts_of(people)) == parts
     assert parts_of(people)[-1].stop == people
+
+
+def test_a_cluster_forgets_how_iterations_came_about() -> None:
+    """It remembers the inputs of what it may have to compute again: those of the last iteration, not of all."""
+    distributed = pytest.importorskip("distributed", reason="distributed is not installed (extra: dask)")
+
+    remembered: list[int] = []
+    with (
+        distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as cluster,
+        distributed.Client(cluster, set_as_default=False) as client,
+    ):
+
+        def progress(stage: str, _done: int, _total: int) -> None:
+            if stage == "population estimate":
+                remembered.append(len(cluster.scheduler.tasks))
+
+        fit_population(people(), settings=SETTINGS, seed=2, executor=Cluster(client), progress=progress)
+    assert len(remembered) >= 6
+    assert max(remembered) <= remembered[0] + 3  # a task for each of three parts may be on its way
+
+
+def test_a_client_does_not_keep_the_messages_it_has_sent() -> None:
+    distributed = pytest.importorskip("distributed", reason="distributed is not installed (extra: dask)")
+
+    with (
+        without_message_log(),
+        distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as cluster,
+        distributed.Client(cluster, set_as_default=False) as client,
+    ):
+        assert client.submit(add, 1, 2).result() == 3
+        sent: Any = client.scheduler_comm
+        assert len(sent.recent_message_log) == 0
 
 
 def test_heavier_tails_on_a_cluster_are_the_same() -> None:
