@@ -26,7 +26,7 @@ from bayes_impedance.recordings.dataset import Recordings, Subject
 from bayes_impedance.recordings.long_table import CARTESIAN, KNOWN, RecordingTable, check_cells, parse_recordings
 from bayes_impedance.recordings.metadata import CONVENTIONS, SIGNS, Metadata, parse_metadata
 from bayes_impedance.recordings.out_of_core import StoredRows, StoredSubject
-from bayes_impedance.recordings.parquet import SUFFIX, parquet_table, partitions
+from bayes_impedance.recordings.parquet import SUFFIX, parquet_table, partitions, release_memory
 from bayes_impedance.recordings.plausibility import Plausibility
 from bayes_impedance.recordings.repetitions import is_conjugated, signed_factor, subjects_of
 from bayes_impedance.recordings.shorter_grid import shorter_grids
@@ -91,8 +91,9 @@ def read_recordings(path: str | os.PathLike[str]) -> Recordings:
         calibration_map = _map_of(metadata_file, metadata)
         described.append(calibration_map[0])
     reading = _Reading(file, metadata, covariates, circumstances)
-    for table, place in _tables(file, digest):
-        reading.add(table, *place)
+    _add_tables(reading, file, digest)
+    if file.suffix == SUFFIX:
+        release_memory()
     for content in described:
         digest.update(content)
     unused = (*reading.match_covariates(str(subjects_file)), *circumstances.unmatched(reading.subjects))
@@ -124,6 +125,12 @@ def read_recordings(path: str | os.PathLike[str]) -> Recordings:
         quantity=metadata.quantity,
         frequency_unit=metadata.frequency_unit,
     )
+
+
+def _add_tables(reading: _Reading, file: Path, digest: hashlib._Hash) -> None:
+    """Add all tables; none is referred to afterwards."""
+    for table, place in _tables(file, digest):
+        reading.add(table, *place)
 
 
 def _map_of(metadata_file: Path, metadata: Metadata) -> tuple[bytes, CalibrationMap]:

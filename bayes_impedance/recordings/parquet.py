@@ -128,9 +128,27 @@ def _cells(column: Any) -> Cells:
 
     if pa.types.is_floating(column.type) or pa.types.is_integer(column.type):
         return np.asarray(column.to_numpy())  # missing values become NaN
+    if pa.types.is_string(column.type) or pa.types.is_large_string(column.type):
+        column = column.dictionary_encode()  # a name is in as many rows as there are frequencies: all share one string
+    if pa.types.is_dictionary(column.type):
+        parts = [_of_dictionary(chunk) for chunk in column.chunks]
+        return np.concatenate(parts) if parts else np.empty(0, dtype=object)
     result = np.empty(len(column), dtype=object)
     result[:] = ["" if value is None else str(value) for value in column.to_pylist()]
     return result
+
+
+def _of_dictionary(chunk: Any) -> Cells:
+    words = ["" if value is None else str(value) for value in chunk.dictionary.to_pylist()]
+    index = chunk.indices.fill_null(len(words)).to_numpy(zero_copy_only=False)
+    return np.asarray(np.array([*words, ""], dtype=object)[index])
+
+
+def release_memory() -> None:
+    """Give the memory of tables that are not needed any more back to the system: pyarrow keeps it for the next."""
+    import pyarrow as pa
+
+    pa.default_memory_pool().release_unused()
 
 
 def _joined(parts: list[list[tuple[str, Cells]]]) -> list[tuple[str, Cells]]:

@@ -20,7 +20,7 @@ from bayes_impedance.quality.checks import check_recordings
 from bayes_impedance.recordings import out_of_core
 from bayes_impedance.recordings.files import Recordings, read_recordings, write_recordings
 from bayes_impedance.recordings.out_of_core import StoredSubject
-from bayes_impedance.recordings.parquet import parquet_table
+from bayes_impedance.recordings.parquet import _cells, parquet_table
 from bayes_impedance.results.predictive import predict
 from bayes_impedance.runtime.executors import Cluster
 
@@ -330,3 +330,21 @@ def test_two_tables_are_one_too_many(dataset: Path) -> None:
     (folder / "recordings.csv").write_bytes((dataset / "recordings.csv").read_bytes())
     with pytest.raises(InputError, match=r"has both recordings\.csv and recordings\.parquet; delete"):
         read_recordings(folder)
+
+
+@pytest.mark.parametrize("kind", ["plain", "large", "dictionary", "in chunks"])
+def test_names_are_shared_by_their_rows(kind: str) -> None:
+    """Millions of rows do not take a string each, and what is missing is empty."""
+    import pyarrow as pa
+
+    words = ["left", None, "right", "left", "left"]
+    column = pa.chunked_array([pa.array(words, pa.large_string() if kind == "large" else pa.string())])
+    if kind == "dictionary":
+        column = column.dictionary_encode()
+    if kind == "in chunks":
+        column = pa.chunked_array([column.chunks[0][:2], column.chunks[0][2:]])
+    cells = _cells(column)
+    assert cells.dtype == object
+    assert cells.tolist() == ["left", "", "right", "left", "left"]
+    assert cells[3] is cells[4]
+    assert _cells(column[:0]).size == 0
