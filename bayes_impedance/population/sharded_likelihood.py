@@ -154,7 +154,7 @@ class KeptDraws:
                 for data, fits, own, rows in columns
             ]
             for part, rows in zip(kept, parts_of(n), strict=True):
-                executor.ask(_size, [(part,)])
+                executor.ask(len, [(part,)])
                 progress("draws", rows.stop, n)
             return cls(kept, executor)
         data, fits = point.data.gathered(), point.fits.gathered()
@@ -231,7 +231,7 @@ class KeptDraws:
         """For each set, one draw of each person's log elements, (W, N, P), and each log density, (W, N)."""
         n_sets, n_elements = parameters.mu.shape
         rows = [(parameters, child) for child in seed.spawn(len(self._kept.parts))]
-        sizes = self._kept.ask(_size)
+        sizes = self._kept.ask(len)
         theta, log_likelihood = np.empty((n_sets, sum(sizes), n_elements)), np.empty((n_sets, sum(sizes)))
         end = 0
         for size, part in zip(sizes, self._kept.ask_in_turn(_resampled, rows), strict=True):
@@ -327,10 +327,6 @@ def _draws_and_ratios(part: Part) -> tuple[np.ndarray, np.ndarray]:
         theta[persons] = marginal.draws_of(persons, np.moveaxis(own[:n_elements], 0, 2))
         log_ratio[persons] = own[n_elements]
     return theta, log_ratio
-
-
-def _size(part: Part) -> int:
-    return len(part)
 
 
 def _log_likelihood(part: Part, parameters: PopulationParameters) -> np.ndarray:

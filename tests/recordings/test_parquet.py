@@ -286,7 +286,7 @@ def test_fits_of_all_kinds_of_files_are_the_same(tmp_path: Path) -> None:
         warnings.simplefilter("ignore")
         with (
             distributed.LocalCluster(
-                n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50
+                n_workers=2, threads_per_worker=1, dashboard_address=":0", silence_logs=50
             ) as cluster,
             distributed.Client(cluster, set_as_default=False) as client,
         ):

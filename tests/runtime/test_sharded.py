@@ -144,7 +144,7 @@ def test_a_cluster_that_loses_a_worker_gives_the_same(alone: PopulationFit, kept
         warnings.simplefilter("ignore")  # a worker that dies is what this is about
         with (
             distributed.LocalCluster(
-                n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50
+                n_workers=2, threads_per_worker=1, dashboard_address=":0", silence_logs=50
             ) as cluster,
             distributed.Client(cluster, set_as_default=False) as client,
         ):
@@ -170,7 +170,7 @@ def test_parts_that_are_with_one_worker_are_asked_together() -> None:
     distributed = pytest.importorskip("distributed", reason="distributed is not installed (extra: dask)")
     with (
         distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50, processes=False
+            n_workers=2, threads_per_worker=1, dashboard_address=":0", silence_logs=50, processes=False
         ) as cluster,
         distributed.Client(cluster, set_as_default=False) as client,
     ):
@@ -200,7 +200,7 @@ def test_a_cluster_forgets_how_iterations_came_about() -> None:
 
     remembered: list[int] = []
     with (
-        distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as cluster,
+        distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0") as cluster,
         distributed.Client(cluster, set_as_default=False) as client,
     ):
 
@@ -218,7 +218,7 @@ def test_a_client_does_not_keep_the_messages_it_has_sent() -> None:
 
     with (
         without_message_log(),
-        distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as cluster,
+        distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0") as cluster,
         distributed.Client(cluster, set_as_default=False) as client,
     ):
         assert client.submit(add, 1, 2).result() == 3
@@ -234,7 +234,7 @@ def test_heavier_tails_on_a_cluster_are_the_same() -> None:
     with (
         warnings.catch_warnings(),
         distributed.LocalCluster(
-            n_workers=1, threads_per_worker=1, dashboard_address=None, silence_logs=50, processes=False
+            n_workers=1, threads_per_worker=1, dashboard_address=":0", silence_logs=50, processes=False
         ) as cluster,
         distributed.Client(cluster, set_as_default=False) as client,
     ):
