@@ -174,29 +174,33 @@ def first_fits(
 
     def everybody(
         stage: str, function: Callable[..., tuple[np.ndarray, ...]], persons: Sequence[Any], *others: np.ndarray
-    ) -> list[tuple[np.ndarray, ...]]:
+    ) -> list[np.ndarray]:
         """One column for each array that the function returns, computed or read from the checkpoint."""
 
         def rows_from(first: int) -> Iterator[tuple[np.ndarray, ...]]:
             return map_persons(executor, function, persons[first:], *(other[first:] for other in others))
 
         rows = in_pieces(checkpoint, stage.replace(" ", "_"), len(persons), rows_from)
-        return list(_watched(rows, stage, len(persons), progress))
+        columns: list[np.ndarray] = []
+        for i, row in enumerate(_watched(rows, stage, len(persons), progress)):
+            columns = columns or [np.empty((len(persons), *own.shape), own.dtype) for own in row]
+            for column, own in zip(columns, row, strict=True):
+                column[i] = own
+        return columns
 
     search = partial(_searched, kernel, prior)
-    found = everybody("searching", search, [thinned(subjects[i], n_elements) for i in searched], random_starts)
+    (found,) = everybody("searching", search, [thinned(subjects[i], n_elements) for i in searched], random_starts)
     given = [] if start is None else [np.median(start, axis=0)[None]]
-    candidates = np.vstack([*(own for (own,) in found), *given])
-    tried = everybody("first fits", partial(_try_all, kernel, candidates, prior.centre, precision), subjects)
-    ends, objectives, alternatives = (np.array(column) for column in zip(*tried, strict=True))
+    candidates = np.vstack([*found, *given])
+    trying = partial(_try_all, kernel, candidates, prior.centre, precision)
+    ends, objectives, alternatives = everybody("first fits", trying, subjects)
     regret = np.minimum(objectives - objectives.min(axis=1, keepdims=True), _REGRET)
     common = int(np.argmin(regret.sum(axis=0)))
     own = np.where(regret[:, common] < 8, common, np.argmin(regret, axis=1))
     exchanged = steps_of(kernel, prior)
     best = named_alike(ends[np.arange(len(subjects)), own], exchanged)
 
-    provisional = everybody("noise", partial(_provisional, kernel, prior.centre, precision), subjects, best)
-    theta = np.array([own for (own,) in provisional])
+    (theta,) = everybody("noise", partial(_provisional, kernel, prior.centre, precision), subjects, best)
     unknown = [i for i, subject in enumerate(subjects) if subject.noise_sd is None]
     tail, degrees = None, np.inf
     shaped = partial(_noise, kernel, [subjects[i] for i in unknown], theta[unknown], executor)

@@ -186,8 +186,11 @@ def in_pieces(folder: Path | None, name: str, n: int, rows_from: Callable[[int],
         start += len(columns[0])
     rest: list[Row] = []
     for row in rows_from(start) if start < n else ():
+        if folder is None:
+            yield row
+            continue
         rest.append(row)
-        if folder is not None and (len(rest) == size or start + len(rest) == n):
+        if len(rest) == size or start + len(rest) == n:
             columns = [np.array(column) for column in zip(*rest, strict=True)]
             save_arrays(_piece(folder, name, start), {f"arr_{k}": column for k, column in enumerate(columns)})
             start, rest = start + len(rest), []
