@@ -14,7 +14,7 @@ Memory is the largest anonymous memory, of this process and of the larger worker
 ``--overhead`` measures what a likelihood costs beside its arithmetic: every part of the people is asked for 104 numbers
 that cost nothing.
 
-Run from the repository's root: ``python benchmarks/scale.py --people 100 1000 10000``; results go to ``scale.json``.
+Run from the repository's root: ``python benchmarks/scale.py --people 1000 4000 30000``; results go to ``scale.json``.
 """
 
 from __future__ import annotations
