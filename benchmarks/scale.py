@@ -1,15 +1,14 @@
 """A population on a local Dask cluster: growth of time and memory with the number of people, and the gain by workers.
 
-Virtual fingertips with 101 frequencies and three repetitions. Everybody's fits and draws stay with the workers, which
-return sums; this process keeps the recordings, the sampler's walkers and the result. With ``--kill`` a worker is
-killed while the chains grow, and the result is compared with that of an undisturbed run.
+Virtual fingertips with 101 frequencies and three repetitions, or as many as asked for. Everybody's fits and draws stay
+with the workers, which return sums; this process keeps the recordings, the sampler's walkers and the result. With
+``--kill`` a worker is killed while the chains grow, and the result is compared with that of an undisturbed run.
 
 With ``--files csv``, ``parquet`` or ``table`` the people are written as a dataset in a temporary folder, by a process
 of its own, and read from there: as one CSV file, as Parquet files partitioned by subject, of which no impedances stay
-in this process, or as one Parquet file. Where people are a thousand and more, the medians and 90 % intervals of
-everybody's elements are written as a Parquet file, a thousand people at a time.
+in this process, or as one Parquet file.
 
-Memory is the largest anonymous memory, of this process and of the larger worker, from the start of reading on.
+Memory is the largest anonymous memory during the fit, of this process and of the larger of the first workers.
 
 ``--overhead`` measures what a likelihood costs beside its arithmetic: every part of the people is asked for 104 numbers
 that cost nothing.
@@ -75,31 +74,11 @@ def watched(processes: dict[str, list[int]]) -> Iterator[dict[str, float]]:
 
     thread = Thread(target=watch, daemon=True)
     thread.start()
-    yield peaks
-    done.set()
-    thread.join()
-
-
-def write_intervals(fit: PopulationFit, file: Path) -> None:
-    """Median and 90 % interval of everybody's elements as a Parquet file."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    draws, names = fit.person_draws.reshape(-1, *fit.person_draws.shape[2:]), fit.recordings.names
-    writer = None
-    for start in range(0, len(names), 1000):
-        rows = slice(start, start + 1000)
-        quantiles = np.exp(np.quantile(draws[:, rows], (0.05, 0.5, 0.95), axis=0))
-        columns = {
-            f"{element}{end}": quantiles[q, :, k]
-            for k, element in enumerate(fit.kernel.elements)
-            for q, end in enumerate(("_low", "", "_high"))
-        }
-        table = pa.table({"subject": list(names[rows]), **columns})
-        writer = writer or pq.ParquetWriter(file, table.schema)
-        writer.write_table(table)
-    if writer is not None:
-        writer.close()
+    try:
+        yield peaks
+    finally:
+        done.set()
+        thread.join()
 
 
 def measured(
@@ -115,7 +94,6 @@ def measured(
             n_workers=workers, threads_per_worker=1, dashboard_address=None, memory_limit=0, silence_logs=50
         ) as cluster,
         distributed.Client(cluster, set_as_default=False) as client,
-        TemporaryDirectory() as folder,
         watched({"here": [os.getpid()], "worker": list(client.run(os.getpid).values())}) as peaks,
     ):
 
@@ -128,8 +106,6 @@ def measured(
         settings = FitSettings(draws=draws, sampler=_SAMPLER)
         fit = fit_population(recordings, settings=settings, seed=1, executor=Cluster(client), progress=progress)
         seconds = time.perf_counter() - started
-        if len(recordings.subjects) >= 1000:
-            write_intervals(fit, Path(folder) / "persons.parquet")
     d = fit.diagnostics
     return {
         "people": len(recordings.subjects),

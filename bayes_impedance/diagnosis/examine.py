@@ -120,13 +120,11 @@ def _examine(fit: PopulationFit, effects: tuple[Effect, ...], executor: Executor
     location = locate(residuals, fit.seed)
     step = Step(before=base, residuals=residuals, screening=screen(base, residuals, effects, fit.seed, executor))
     misfit, bent, names = list[str](), dict[str, float](), list[str]()
-    significant = step.log_p < np.log(ALPHA)
-    if significant:
+    if step.log_p < np.log(ALPHA):
         bent, names = _consequences(fit, refitter, base, step)
-    structured = location.p_value < STRUCTURE_ALPHA
-    if not names:
-        bent = _all(fit) if structured else {}
-    if names or structured:
+    if location.p_value < STRUCTURE_ALPHA and not names:
+        bent = _all(fit)
+    if names or location.p_value < STRUCTURE_ALPHA:
         by_scores = float(np.exp(step.log_p)) if names else 1.0
         misfit.append(_missing(fit, min(location.p_value, by_scores), bent))
     shape = badly_described(recordings.names, fit.noise_scale)
@@ -196,7 +194,10 @@ def _refitted(fit: PopulationFit, executor: Executor) -> tuple[Refitter, Refit, 
 def _consequences(
     fit: PopulationFit, refitter: Refitter, base: Refit, step: Step
 ) -> tuple[dict[str, float], list[str]]:
-    """Elements that significant effects change, with the change of their logarithm, and the effects, best first."""
+    """Elements that significant effects change, with the change of their logarithm, and the effects, best first.
+
+    Both are empty if no refit with one of these effects describes the recordings better.
+    """
     screening, bent, gains = step.screening, dict[str, float](), dict[str, float]()
     order = [*best_shapes(screening), *best_shapes(screening, by_spread=True)]
     p_size = screening.log_p(np.nan_to_num(screening.z))
@@ -225,7 +226,9 @@ def _consequences(
         for name, moved, width in zip(base.model.network.elements, change, half, strict=True):
             if not abs(moved) <= width and name in known:
                 bent[name] = max(abs(float(moved)), bent.get(name, 0.0))
-    return bent if explained else _all(fit) | bent, sorted(gains, key=lambda name: -gains[name])
+    if gains and not explained:
+        bent = _all(fit) | bent
+    return bent, sorted(gains, key=lambda name: -gains[name])
 
 
 def _missing(fit: PopulationFit, p: float, bent: dict[str, float]) -> str:

@@ -2,8 +2,8 @@
 
 An iteration begins with each person's log elements, noise scale and deviations of the repetitions, and computes all
 else anew. With these in arrays of all persons an iteration can be saved, and a cluster forgets how they came about: it
-remembers the inputs of everything from which kept data could be computed again, and would remember all iterations,
-25 kilobytes for each person by the last of them.
+remembers the inputs of everything from which kept data could be computed again, and would remember all iterations. Of
+1000 people it had 137 tasks and 3.5 kilobytes for each person after the last of them, and has 41 tasks and 1.6.
 """
 
 from __future__ import annotations

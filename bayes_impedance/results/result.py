@@ -257,8 +257,9 @@ def make_result(
 
 def _groups(fit: PopulationFit, predictive: Predictive, checks: Checks) -> dict[str, dict[str, np.ndarray]]:
     posterior = sampled_variables(fit, fit.parameters, fit.n_ensembles)
-    all_seen = bool(np.all(fit.identified))  # of many people the draws are too large to copy for nothing
-    posterior["person_log_elements"] = fit.person_draws if all_seen else fit.person_draws * _nan_unless(fit.identified)
+    seen = np.where(fit.identified, 1.0, np.nan)
+    # Of many people the draws are too large to copy for nothing.
+    posterior["person_log_elements"] = fit.person_draws if np.all(fit.identified) else fit.person_draws * seen
     noise = [
         np.sqrt(np.mean(n**2, axis=0)) / np.abs(s.mean) for s, n in zip(fit.recordings.subjects, fit.noise, strict=True)
     ]
@@ -314,10 +315,6 @@ def _groups(fit: PopulationFit, predictive: Predictive, checks: Checks) -> dict[
             "prior_dispersion_sd": fit.prior.dispersion_sds.copy(),
         },
     }
-
-
-def _nan_unless(seen: np.ndarray) -> np.ndarray:
-    return np.where(seen, 1.0, np.nan)
 
 
 def _both(magnitude: np.ndarray, phase: np.ndarray) -> np.ndarray:

@@ -175,9 +175,12 @@ def in_pieces(folder: Path | None, name: str, n: int, rows_from: Callable[[int],
     rows_from : callable
         Iterator over the rows from a given index on.
     """
+    if folder is None:
+        yield from rows_from(0)
+        return
     size = max(_SMALLEST_PIECE, -(-n // _MOST_PIECES))
     start = 0
-    while folder is not None and start < n:
+    while start < n:
         kept = load_arrays(_piece(folder, name, start))
         if kept is None:
             break
@@ -186,9 +189,6 @@ def in_pieces(folder: Path | None, name: str, n: int, rows_from: Callable[[int],
         start += len(columns[0])
     rest: list[Row] = []
     for row in rows_from(start) if start < n else ():
-        if folder is None:
-            yield row
-            continue
         rest.append(row)
         if len(rest) == size or start + len(rest) == n:
             columns = [np.array(column) for column in zip(*rest, strict=True)]

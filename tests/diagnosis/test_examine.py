@@ -130,3 +130,17 @@ def test_one_person_alone_is_examined_too() -> None:
 
 def test_the_summary_has_no_number_that_json_lacks() -> None:
     assert Adequacy(bent={"n1": np.inf, "r1": 0.3}).summary()["bent"] == {"n1": None, "r1": 0.3}
+
+
+def test_lines_that_no_score_sees_are_said_if_a_refit_gains() -> None:
+    """A layer with a free surface in place of the mass, whose standing wave is elsewhere in everybody."""
+    compliances = 2e-5 * np.exp(0.2 * np.random.default_rng(1).normal(size=24))
+
+    def waves(i: int, f: np.ndarray, z: np.ndarray) -> np.ndarray:
+        mass = 2j * np.pi * f * CENTRAL["m1"]
+        x = np.sqrt(2j * np.pi * f * mass * compliances[i])
+        return z - mass + mass * np.tanh(x) / x
+
+    found = examine(fit_population(recordings(waves), NETWORK, settings=SHORT))
+    assert "leaves out something" in found.misfit[0]
+    assert {"body.free_line", "body.line"} & set(found.effects)
