@@ -152,7 +152,7 @@ def _without_calibration_error(fit: PopulationFit) -> Recordings | None:
     """Recordings without the most probable error of a calibration at each frequency; None if none is removed."""
     if fit.recordings.calibration_map is None or any(one.noise_sd is None for one in fit.recordings.subjects):
         return None
-    plain, elements = without_map_noise(fit.recordings), fit.person_draws.mean(axis=(0, 1))
+    plain, elements = without_map_noise(fit.recordings), fit.person_means
     loads = [
         fit.kernel.impedance(theta + own, one.frequency_hz)
         for one, theta, own in zip(plain.subjects, elements, fit.deviations, strict=True)
@@ -178,7 +178,7 @@ def _refitted(fit: PopulationFit, executor: Executor) -> tuple[Refitter, Refit, 
     centre = {p.name: float(p.value(np.median(fit.parameters.mu[:, k]))) for k, p in enumerate(fit.kernel.parameters)}
     held = {p.name: centre[p.name] for p, same in zip(fit.kernel.parameters, shared, strict=True) if same}
     model = build(fit.kernel.network.holding(held), (), scales_of(fit.recordings), ())
-    persons = fit.person_draws.mean(axis=(0, 1))[:, ~shared]
+    persons = fit.person_means[:, ~shared]
     u = np.concatenate([persons[i] + fit.deviations[i][:, ~shared] for i in some])
     p = persons.shape[1]
     if fit.one_person:
@@ -255,7 +255,7 @@ def _error(fit: PopulationFit) -> np.ndarray:
     The error among the predictions is another number: of each repetition with its own deviation, so that noise counts
     in full; and they are made only when this examination has released the executor.
     """
-    own = zip(fit.recordings.subjects, fit.person_draws.mean(axis=(0, 1)), strict=True)
+    own = zip(fit.recordings.subjects, fit.person_means, strict=True)
     return np.array([relative_rms(fit.kernel.impedance(theta, s.frequency_hz), s.mean) for s, theta in own])
 
 
@@ -271,18 +271,19 @@ def _outliers(fit: PopulationFit) -> list[str]:
     n = len(fit.recordings.subjects)
     if n < seen.size + 3 or not seen.size:
         return []
-    draws = fit.person_draws.reshape(-1, n, fit.person_draws.shape[-1])[:, :, seen]
+    draws = fit.person_draws.reshape(-1, n, fit.person_draws.shape[-1])
     between = fit.parameters.covariance.mean(axis=0)[np.ix_(seen, seen)]
     values, vectors = np.linalg.eigh(between)
     root = (vectors / np.sqrt(values)) @ vectors.T
-    scaled = (draws - fit.parameters.mu.mean(axis=0)[seen]) @ root
+    centre = fit.parameters.mu.mean(axis=0)[seen]
     p = np.ones(n)
     for i in range(n):
-        share, direction = np.linalg.eigh(np.eye(seen.size) - np.cov(scaled[:, i].T).reshape(2 * (seen.size,)))
+        scaled = (draws[:, i, seen] - centre) @ root
+        share, direction = np.linalg.eigh(np.eye(seen.size) - np.cov(scaled.T).reshape(2 * (seen.size,)))
         known = share > _DETERMINED
         k = int(known.sum())
         if k:
-            square = float(np.sum((scaled[:, i].mean(axis=0) @ direction[:, known]) ** 2 / share[known]))
+            square = float(np.sum((scaled.mean(axis=0) @ direction[:, known]) ** 2 / share[known]))
             p[i] = n * beta.sf(min(square * n / (n - 1) ** 2, 1.0), k / 2, (n - k - 1) / 2)
     far = np.flatnonzero(p < _OUTLIER_ALPHA)
     if not far.size:

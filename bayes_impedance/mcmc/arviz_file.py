@@ -16,7 +16,7 @@ import io
 import json
 import logging
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -34,6 +34,8 @@ _SAMPLED = frozenset(
 """Groups of draws."""
 _COUNTED = ("chain", "draw")
 """Axes without labels of their own."""
+_AT_ONCE = 1_000_000
+"""Numbers of an array that enter the digest at once, 8 MB. By choice: memory."""
 _NETCDF_ATTRIBUTES = frozenset({"_NCProperties", "_nc3_strict", "_Netcdf4Dimid", "_Netcdf4Coordinates"})
 """Attributes that netCDF adds to HDF5 for internal use."""
 
@@ -120,7 +122,7 @@ def save(
             own[name] = _Variable(axes, np.asarray(values), said)
         content[group] = own | {axis: _Variable((axis,), np.asarray(values), {}) for axis, values in used.items()}
     own_attributes = dict(attributes) | {_SEAL: _seal(groups, labels, attributes)}
-    write_bytes(file, _as_netcdf(content, own_attributes))
+    write_bytes(file, _as_netcdf(content, own_attributes).getbuffer())
 
 
 class _Variable(NamedTuple):
@@ -131,7 +133,7 @@ class _Variable(NamedTuple):
     attributes: Mapping[str, str]
 
 
-def _as_netcdf(content: Mapping[str, Mapping[str, _Variable]], attributes: Mapping[str, Any]) -> bytes:
+def _as_netcdf(content: Mapping[str, Mapping[str, _Variable]], attributes: Mapping[str, Any]) -> io.BytesIO:
     """A netCDF file with a group for each mapping.
 
     It is made in memory: HDF5 ends the process if it cannot write its buffers, which may happen on a full disk. It is
@@ -158,7 +160,7 @@ def _as_netcdf(content: Mapping[str, Mapping[str, _Variable]], attributes: Mappi
                 packed = {"compression": "gzip", "compression_opts": 4, "shuffle": True} if axes else {}
                 missing = {"fillvalue": np.nan} if values.dtype.kind == "f" else {}
                 group.create_variable(key, axes, values.dtype, data=values, **packed, **missing).attrs.update(said)
-    return file.getvalue()
+    return file
 
 
 def load_groups(file: Path) -> tuple[dict[str, dict[str, np.ndarray]], dict[str, Any], dict[str, Any]]:
@@ -213,14 +215,25 @@ def _seal(
     digest = hashlib.sha256(json.dumps({k: str(v) for k, v in sorted(attributes.items())}).encode())
     arrays = {f"{group} {name}": values for group, own in groups.items() for name, values in own.items()}
     for name in sorted(arrays):
-        values = np.asarray(arrays[name], dtype=float)
-        digest.update(f"{name} {values.shape}".encode() + values.tobytes())
+        values = np.asarray(arrays[name])
+        digest.update(f"{name} {values.shape}".encode())
+        for piece in _pieces(values):
+            digest.update(np.asarray(piece, dtype=float).tobytes())
     for name in sorted(coords):
         labels = [_plain(label) for label in np.asarray(coords[name]).tolist()]
         if labels == list(range(len(labels))):  # ArviZ numbers an axis that was given no labels
             continue
         digest.update(json.dumps([name, labels]).encode())
     return digest.hexdigest()
+
+
+def _pieces(values: np.ndarray) -> Iterator[np.ndarray]:
+    """The array's numbers in their order, a few at a time: copies of the draws of many people are large."""
+    if values.size <= _AT_ONCE or not values.ndim:
+        yield values
+    else:
+        for row in values:
+            yield from _pieces(row)
 
 
 def _plain(value: Any) -> Any:

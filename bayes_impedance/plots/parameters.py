@@ -21,7 +21,18 @@ from bayes_impedance.plots.access import (
     who,
 )
 from bayes_impedance.plots.joint import half_normal_density, prior_density
-from bayes_impedance.plots.style import BLUE, ENSEMBLES, GREY, INK, LIGHT, ORANGE, RED, log_axis, log_limits
+from bayes_impedance.plots.style import (
+    BLUE,
+    ENSEMBLES,
+    GREY,
+    INK,
+    LIGHT,
+    MOST_DRAWN,
+    ORANGE,
+    RED,
+    log_axis,
+    log_limits,
+)
 from bayes_impedance.population.natural_scales import LOG_SD
 from bayes_impedance.results.result import Result
 from bayes_impedance.units import INTERVAL, excludes_zero, signed
@@ -143,8 +154,8 @@ def forest(figure: Figure, result: Result) -> Figure:
         ends = own.value(np.array([u - sd, u + sd])) * scale.factor
         axes.axhspan(*ends.tolist(), color=BLUE, alpha=0.13, lw=0)
         axes.axhline(centre, color=RED, lw=1.4)
-        axes.vlines(x, low[order], high[order], color=BLUE, lw=1.1, alpha=0.75)
-        axes.plot(x, middle[order], "o", color=BLUE, ms=2.8, mew=0)
+        axes.vlines(x, low[order], high[order], color=BLUE, lw=1.1, alpha=0.75, rasterized=n > MOST_DRAWN)
+        axes.plot(x, middle[order], "o", color=BLUE, ms=2.8, mew=0, rasterized=n > MOST_DRAWN)
         if own.link == LOG:
             log_axis(axes.yaxis, *log_limits(low, high), ticks=5)
         axes.set_xlim(-1, n)

@@ -97,7 +97,8 @@ def deviations(result: Result) -> Deviations | None:
     seen = np.flatnonzero(identified(result) & varying(result))
     if spread is None or result.problems or not seen.size:
         return None
-    own = np.quantile(samples(result, "person_log_elements")[:, :, seen], INTERVAL, axis=0)
+    draws = samples(result, "person_log_elements")
+    own = np.stack([np.quantile(draws[:, :, i], INTERVAL, axis=0) for i in seen], axis=-1)
     centre = np.median(samples(result, "mu")[:, seen], axis=0)
     sd = np.median(samples(result, "dispersion_between_persons")[:, seen], axis=0)
     return Deviations([result.elements[i] for i in seen], (own - centre) / sd)

@@ -14,6 +14,7 @@ from bayes_impedance.plots.style import (
     GREY,
     INK,
     INNER,
+    MOST_DRAWN,
     ORANGE,
     OUTER,
     RED,
@@ -256,7 +257,8 @@ def ranked(axes: Axes, values: np.ndarray, label: str) -> Axes:
     -------
     Axes
     """
-    axes.plot(np.arange(values.size), np.sort(values), "o", ms=3.5, color=BLUE, mew=0)
+    n = values.size
+    axes.plot(np.arange(n), np.sort(values), "o", ms=3.5, color=BLUE, mew=0, rasterized=n > MOST_DRAWN)
     axes.set_xlabel(label)
     axes.set_xticks([])
     axes.set_ylim(0, 1.15 * float(np.max(values)))

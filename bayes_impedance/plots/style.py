@@ -20,6 +20,10 @@ INK, GREY, LIGHT = "#222222", "#7a7a7a", "#d4d4d4"
 OUTER, INNER = "#cfe3f0", "#8dbddc"
 """Fill colours of the 90 % and of the 50 % band of a blue curve."""
 
+MOST_DRAWN = 2000
+"""Most marks, or points of lines, that are drawn as such in an SVG; more are rasterised. By choice: they cover one
+another, and of many people the file would be larger than that of the results."""
+
 ENSEMBLES = (BLUE, ORANGE, GREEN, PURPLE, SKY, RED)
 
 _RC: Any = {
@@ -149,7 +153,7 @@ def many_lines(axes: Axes, x: np.ndarray, rows: np.ndarray, **kwargs: Any) -> No
     from matplotlib.collections import LineCollection
 
     lines = [np.column_stack([x, row])[np.isfinite(row)] for row in rows]
-    axes.add_collection(LineCollection(lines, rasterized=rows.size > 2000, **kwargs))
+    axes.add_collection(LineCollection(lines, rasterized=rows.size > MOST_DRAWN, **kwargs))
     # On a logarithmic axis collections are not always included in the automatic limits.
     finite = rows[np.isfinite(rows)]
     if finite.size:

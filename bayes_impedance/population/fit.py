@@ -99,7 +99,8 @@ class PopulationFit(ShownFit):
     n_ensembles : int
     log_probability : ndarray, shape (E, S)
     person_draws : ndarray, shape (E, S, N, P)
-        Each person's log elements: the mean over the person's repetitions.
+        Each person's log elements: the mean over the person's repetitions. Of more people than one in single
+        precision: it is the largest array.
     person_log_likelihood : ndarray, shape (E, S, N)
         Log density of each person's recordings under the population draws, with everything of the person integrated
         out (:mod:`~bayes_impedance.population.person_densities`); of one person alone, under that person's elements.
@@ -148,6 +149,11 @@ class PopulationFit(ShownFit):
     def one_person(self) -> bool:
         """Whether there is only one person, and so no dispersion."""
         return len(self.recordings.subjects) == 1
+
+    @property
+    def person_means(self) -> np.ndarray:
+        """Mean of each person's draws, (N, P)."""
+        return np.asarray(self.person_draws.mean(axis=(0, 1), dtype=float))
 
     @property
     def repeated(self) -> bool:

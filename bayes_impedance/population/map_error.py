@@ -70,7 +70,7 @@ def with_map_error(fit: PopulationFit, seed: np.random.SeedSequence, most: float
     """
     if fit.recordings.calibration_map is None:
         return fit
-    elements = fit.person_draws.mean(axis=(0, 1))
+    elements = fit.person_means
     follows = response(fit.recordings, fit.kernel, elements, fit.effective_noise, fit.parameters, fit.prior)
     parameters, persons = moved(follows, fit.parameters, fit.person_draws.reshape(-1, *elements.shape), seed)
     return replace(

@@ -228,11 +228,12 @@ class KeptDraws:
         return np.concatenate([a for a, _ in both]), np.concatenate([b for _, b in both])
 
     def persons(self, parameters: PopulationParameters, seed: np.random.SeedSequence) -> tuple[np.ndarray, np.ndarray]:
-        """For each set, one draw of each person's log elements, (W, N, P), and each log density, (W, N)."""
+        """For each set, one draw of each person's log elements, (W, N, P), in single precision, and its density."""
         n_sets, n_elements = parameters.mu.shape
         rows = [(parameters, child) for child in seed.spawn(len(self._kept.parts))]
         sizes = self._kept.ask(len)
-        theta, log_likelihood = np.empty((n_sets, sum(sizes), n_elements)), np.empty((n_sets, sum(sizes)))
+        n = sum(sizes)
+        theta, log_likelihood = np.empty((n_sets, n, n_elements), dtype=np.float32), np.empty((n_sets, n))
         end = 0
         for size, part in zip(sizes, self._kept.ask_in_turn(_resampled, rows), strict=True):
             theta[:, end : end + size], log_likelihood[:, end : end + size] = part

@@ -41,6 +41,8 @@ if TYPE_CHECKING:
 
 PROBABILITIES = (0.05, 0.25, 0.5, 0.75, 0.95)
 """Quantiles of every band: its 50 % and 90 % limits and the median."""
+_AT_ONCE = 1000
+"""People whose draws are copied at once. By choice: memory."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -323,4 +325,6 @@ def _own_curves(fit: PopulationFit, frequency: np.ndarray) -> np.ndarray:
 
 def _own_elements(fit: PopulationFit) -> np.ndarray:
     """Posterior median of each person's elements, as logarithms, (N, P)."""
-    return np.asarray(np.median(fit.person_draws.reshape(-1, *fit.person_draws.shape[2:]), axis=0))
+    draws = fit.person_draws.reshape(-1, *fit.person_draws.shape[2:])
+    people = range(0, draws.shape[1], _AT_ONCE)  # a median copies what it is taken of
+    return np.concatenate([np.median(draws[:, i : i + _AT_ONCE], axis=0) for i in people], dtype=float)

@@ -257,7 +257,7 @@ def make_result(
 
 def _groups(fit: PopulationFit, predictive: Predictive, checks: Checks) -> dict[str, dict[str, np.ndarray]]:
     posterior = sampled_variables(fit, fit.parameters, fit.n_ensembles)
-    seen = np.where(fit.identified, 1.0, np.nan)
+    seen = np.where(fit.identified, 1.0, np.nan).astype(fit.person_draws.dtype)
     # Of many people the draws are too large to copy for nothing.
     posterior["person_log_elements"] = fit.person_draws if np.all(fit.identified) else fit.person_draws * seen
     noise = [

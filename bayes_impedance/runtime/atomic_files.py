@@ -118,7 +118,7 @@ def process_lives(number: int) -> bool:
     return True
 
 
-def write_bytes(file: Path, content: bytes) -> Path:
+def write_bytes(file: Path, content: bytes | memoryview) -> Path:
     """Write bytes and return the file's path."""
     with replacing(file) as temporary:
         temporary.write_bytes(content)

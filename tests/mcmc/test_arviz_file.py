@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bayes_impedance.mcmc import arviz_file
 from bayes_impedance.mcmc.arviz_file import load_groups, save
 
 
@@ -42,3 +43,19 @@ def test_what_is_true_or_false_is_read_as_such(tmp_path: Path) -> None:
     np.testing.assert_array_equal(groups["constant_data"]["known"], known)
     with xarray.open_dataset(tmp_path / "a.nc", group="constant_data", engine="h5netcdf") as data:
         assert data["known"].dtype == bool
+
+
+def test_a_large_file_has_the_digest_of_its_numbers_in_their_order(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Taken of a few numbers at a time, whatever their order in memory and their precision."""
+    values = np.swapaxes(np.arange(120.0).reshape(2, 3, 5, 4), -1, -2)
+    dims = {"mu": ["element", "subject"]}
+    save(tmp_path / "at_once.nc", {"posterior": {"mu": values}}, dims, {}, {})
+    monkeypatch.setattr(arviz_file, "_AT_ONCE", 7)
+    save(tmp_path / "in_pieces.nc", {"posterior": {"mu": values}}, dims, {}, {})
+    assert (tmp_path / "at_once.nc").read_bytes() == (tmp_path / "in_pieces.nc").read_bytes()
+    save(tmp_path / "single.nc", {"posterior": {"mu": values.astype(np.float32)}}, dims, {}, {})
+    found, _, _ = load_groups(tmp_path / "single.nc")
+    assert found["posterior"]["mu"].dtype == np.float32
+    np.testing.assert_array_equal(found["posterior"]["mu"], values)

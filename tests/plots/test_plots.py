@@ -75,6 +75,27 @@ def test_leaves_no_trace_in_matplotlib(tmp_path: Path) -> None:
         assert sys.modules["matplotlib.pyplot"].get_fignums() == []
 
 
+@pytest.mark.parametrize("name", ["forest", "noise"])
+def test_marks_of_many_people_are_an_image_in_the_svg(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One mark for each of a hundred thousand would be a file of hundreds of megabytes."""
+    (picture,) = (one for one in PICTURES if one.name == name)
+
+    def marks() -> int:
+        with style():
+            figure = picture.figure(make_result())
+            figure.savefig(tmp_path / "picture.svg")
+        return (tmp_path / "picture.svg").read_text(encoding="utf-8").count("<use ")
+
+    few = marks()
+    for where in ("spectra", "parameters"):
+        monkeypatch.setattr(f"bayes_impedance.plots.{where}.MOST_DRAWN", 1)
+    axes_alone = marks()
+    people = len(make_result().coords["subject"])
+    assert few - axes_alone >= 2 * people
+
+
 @pytest.mark.parametrize("picture", PICTURES, ids=lambda p: p.name)
 def test_axes_say_what_they_show(picture) -> None:
     with style():

@@ -81,6 +81,25 @@ def test_the_common_solution_of_highest_evidence_is_taken_and_an_exchange_is_no_
     np.testing.assert_array_equal(best("r1|r2", rising)[0], common[1])
 
 
+def test_of_many_people_some_compare_and_everybody_begins_from_what_they_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Seven people compare by three of them, spread evenly; the solution taken is then tried with all of them."""
+    monkeypatch.setattr(common_solutions, "_COMPARED", 3)
+    common = np.arange(28.0).reshape(2, 7, 2)
+    first = FirstFits(common[0], np.empty((7, 0, 2)), common, None)
+    tried: list[tuple[list[int], float]] = []
+
+    def state_from(theta: np.ndarray, thinned: Kept, persons: np.ndarray) -> Trial:
+        assert len(thinned.gathered()) == len(theta)
+        tried.append((persons.tolist(), float(theta[0, 0])))
+        return Trial(theta + 0.5, theta[0, 0])  # the second is more probable
+
+    kernel = Kernel(parse("r1-(r2|m1=1.0)"))
+    begun, rivals = best_common(kernel, Order(), state_from, people(7), first, lambda *_: None)  # type: ignore[arg-type]
+    assert tried == [([0, 3, 6], 0.0), ([0, 3, 6], 14.0), ([0, 1, 2, 3, 4, 5, 6], 14.0)]
+    np.testing.assert_array_equal(begun, common[1] + 0.5)
+    assert rivals == (14.0,)
+
+
 @pytest.mark.parametrize("gain", [5.0, 0.5, -5.0])
 def test_everybody_begins_from_another_solution_if_that_is_more_probable(
     gain: float, monkeypatch: pytest.MonkeyPatch

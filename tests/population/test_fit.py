@@ -37,6 +37,8 @@ def test_truth_lies_inside_wide_intervals(small_fit: PopulationFit, small_simula
 def test_everybodys_posterior_covers_their_elements(small_fit: PopulationFit, small_simulation: Simulation) -> None:
     # What a person is: the mean over the repetitions, whose deviations are part of it in these virtual recordings.
     draws = small_fit.person_draws.reshape(-1, *small_fit.person_draws.shape[2:])
+    assert draws.dtype == np.float32
+    np.testing.assert_allclose(small_fit.person_means, draws.astype(float).mean(axis=0), rtol=1e-12)
     spread = np.hypot(draws.std(axis=0), small_fit.parameters.between_repetitions.mean(axis=0) / np.sqrt(3))
     z = (draws.mean(axis=0) - small_simulation.log_elements) / spread
     assert 0.7 < z.std() < 1.3
