@@ -24,16 +24,35 @@ that the motor does not have then gained 55 nats, which it reduces to 2.6, and a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from bayes_impedance.diagnosis.catalogue.effect import Effect
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.refit import Refit
-from bayes_impedance.diagnosis.selection.compare import log_evidence
+from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, log_evidence
 from bayes_impedance.diagnosis.selection.cross_validation import held_out
 
 _STANDARD_ERRORS = 3.0
 """By how many a further effect must stand out, where there is no scatter between people that would show how much of a
 gain is a whim of the recordings. By choice: one more than over people (:data:`~.compare.SCATTERS`)."""
+
+
+_PEOPLE_PER_ADDITION = 8
+"""People required per addition, which has a mean, a dispersion and often a shape to be estimated. By choice. With fewer
+only effects of the measurement chain are added to the first. They are one number for everybody, and take nobody's
+place: where a drift and a damping of the rig stood beside a resonator of 23 people, nothing but effects of the rig was
+tried in the resonator's place, and it stood for a mass."""
+
+
+def only_of_the_chain(found: Sequence[Effect], chain: Sequence[Effect], people: int) -> bool:
+    """Whether so few people may have only effects of the measurement chain beside those that were found.
+
+    Without a standard error over people nothing else could earn its place (:mod:`.stepwise`).
+    """
+    of_any_kind = people // _PEOPLE_PER_ADDITION if people >= FEWEST_PEOPLE else 0
+    return bool(found) and sum(effect not in chain for effect in found) >= of_any_kind
 
 
 def holds_beside(refitter: Refitter, fit: Refit, grown: Refit, seed: int, chosen_from: int) -> bool:

@@ -4,7 +4,8 @@ Each step screens all candidates with the previous additions in the model, refit
 best. The search stops when no candidate is significant after correction for all that were tried, when none improves the
 evidence, with too few people for more, or when only repeated sweeps could show what is missing (:mod:`.one_sweep`).
 Where a choice leaves structure and another that it does not exclude leaves none, that one is chosen
-(:mod:`.what_remains`), and where a second one is not better than a richer law alone, that law (:mod:`.richer_law`).
+(:mod:`.what_remains`), where a second one is not better than a richer law alone, that law (:mod:`.richer_law`), and
+where two of the rig are better than one law of the body, these (:mod:`.two_of_the_chain`).
 What is superfluous then is removed, earlier choices are made anew beside what is left (:mod:`.exchange`).
 """
 
@@ -29,7 +30,7 @@ from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, LEAST_GAI
 from bayes_impedance.diagnosis.selection.cross_validation import clearly_gains, people_gain
 from bayes_impedance.diagnosis.selection.deciding_people import where_few_decide
 from bayes_impedance.diagnosis.selection.exchange import EXCHANGES, Way, exchanged, pruned, without
-from bayes_impedance.diagnosis.selection.few_people import holds_beside
+from bayes_impedance.diagnosis.selection.few_people import holds_beside, only_of_the_chain
 from bayes_impedance.diagnosis.selection.finalists import MOST, SHARE, finalists, in_order, with_lookalikes
 from bayes_impedance.diagnosis.selection.in_some_people import in_some_people
 from bayes_impedance.diagnosis.selection.misfit import dependence
@@ -39,17 +40,12 @@ from bayes_impedance.diagnosis.selection.score_scan import Screening, screen
 from bayes_impedance.diagnosis.selection.shortlist import ALPHA, from_afar, try_shortlist
 from bayes_impedance.diagnosis.selection.step import Step
 from bayes_impedance.diagnosis.selection.trial import Trial
+from bayes_impedance.diagnosis.selection.two_of_the_chain import of_the_chain, two_of_the_chain
 from bayes_impedance.diagnosis.selection.what_remains import that_leaves_nothing
 from bayes_impedance.runtime.progress import Progress
 
 MOST_ADDITIONS = 4
 """Largest number of additions of one search. By choice: a mismatch that needs more is not a list of effects."""
-
-_PEOPLE_PER_ADDITION = 8
-"""People required per addition, which has a mean, a dispersion and often a shape to be estimated. By choice. With fewer
-only effects of the measurement chain are added to the first (:mod:`.few_people`). They are one number for everybody,
-and take nobody's place: where a drift and a damping of the rig stood beside a resonator of 23 people, nothing but
-effects of the rig was tried in the resonator's place, and it stood for a mass."""
 
 _REPEATS = 3
 """Largest number of times that a step is repeated because the model without the addition had not converged. By
@@ -116,8 +112,13 @@ def search(
     step_from = partial(forward, steps_left=1)
     if way is None:
         way = step_from(Way(base, base, ()), begin=begin)
-    while way.steps[-1].chosen is not None:
-        way = longer_or_richer(refitter, way, step_from, names, simple, richer, seed, executor)
+
+    def ended(way: Way) -> Way:
+        while way.steps[-1].chosen is not None:
+            way = longer_or_richer(refitter, way, step_from, names, simple, richer, seed, executor)
+        return way
+
+    way = ended(two_of_the_chain(ended(way), step_from, names, simple, seed, executor))
     for _ in range(EXCHANGES):
         way = pruned(way, _backward(refitter, way.base, way.fit, seed))
         if is_no_list(way):
@@ -169,15 +170,15 @@ def _forward(
 ) -> Way:
     """At most so many steps from there, until nothing is significant, or better, any more."""
     most = MOST_ADDITIONS
-    of_the_chain = tuple(e for e in effects if e.side == "rig" and e.operation and len(e.coefficients) == 1)
+    chain = of_the_chain(effects)
     base, fit, steps, is_measured = way.base, way.fit, list(way.steps), way.measured
     number, repeats = len(steps), 0
     known: tuple[Trial, ...] = ()  # explanations of this step, from before the model without them was better fitted
     last = min(most, number + steps_left - 1)
     while number <= last:
         progress("looking for what is missing", number, most + 1)
-        few = _only_of_the_chain([s.chosen.effect for s in steps if s.chosen], of_the_chain, len(refitter.data))
-        possible, of_few = (of_the_chain, len(of_the_chain)) if few else (effects, 0)
+        few = only_of_the_chain([s.chosen.effect for s in steps if s.chosen], chain, len(refitter.data))
+        possible, of_few = (chain, len(chain)) if few else (effects, 0)
         residuals = tuple(person_residuals(fit, names, executor))
         if begin is None:
             screening = screen(fit, residuals, possible, seed, executor)
@@ -229,15 +230,6 @@ def _forward(
         fit = step.chosen.fit
         number, known = number + 1, ()
     return Way(base, fit, tuple(steps), is_measured)
-
-
-def _only_of_the_chain(found: Sequence[Effect], of_the_chain: Sequence[Effect], people: int) -> bool:
-    """Whether so few people may have only effects of the measurement chain beside those that were found.
-
-    Without a standard error over people nothing else could earn its place (:func:`_earns_its_place`).
-    """
-    of_any_kind = people // _PEOPLE_PER_ADDITION if people >= FEWEST_PEOPLE else 0
-    return bool(found) and sum(effect not in of_the_chain for effect in found) >= of_any_kind
 
 
 def _earns_its_place(refitter: Refitter, fit: Refit, grown: Refit, seed: int, of_few: int) -> bool:

@@ -9,6 +9,7 @@ import pytest
 
 from bayes_impedance.diagnosis.catalogue.effect import Candidate, registered
 from bayes_impedance.diagnosis.selection import stepwise
+from bayes_impedance.diagnosis.selection.few_people import only_of_the_chain
 from bayes_impedance.diagnosis.selection.trial import Trial
 
 EFFECTS = {e.id: e for e in registered() if e.form == ""} | {e.id: e for e in registered()}
@@ -140,4 +141,4 @@ def test_what_is_best_with_a_sign_that_it_cannot_have_counts_as_it_was(
 def test_so_many_effects_of_the_body_as_there_are_people_for(
     found: tuple[Any, ...], people: int, expected: bool
 ) -> None:
-    assert stepwise._only_of_the_chain(found, (DELAY, MASS), people) == expected
+    assert only_of_the_chain(found, (DELAY, MASS), people) == expected

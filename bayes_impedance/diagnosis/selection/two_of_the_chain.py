@@ -1,0 +1,84 @@
+r"""Two effects of the measurement chain in the place of one law of the body that leaves nothing.
+
+The search names first what describes most alone. Of two effects that act together either one alone may describe less
+than a third thing with more freedom: a layer with diffusion, of which everybody has their own, described 31 people by
+535 better than a compliance of the mount did, left no structure, and stood for that compliance with a low-pass. The
+two are one number each for everybody, and 91 ahead of the layer. Nothing leads there from the layer: no second name is
+looked for, and with one name there is nothing beside which another could be chosen.
+
+So if a single law of the body has been found, the best effects of the chain (the same for all, one number each) are
+gone on from as if each had been found first, with one step among the effects of the chain. Two of them are taken as the
+sum of two effects is anywhere (:mod:`.richer_law`): if the log evidence is larger by more than the logarithm of the
+number among which the second was chosen and :data:`.compare.LEAST_GAIN`, and people agree about it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import replace
+
+import numpy as np
+
+from bayes_impedance.diagnosis.catalogue.effect import Effect
+from bayes_impedance.diagnosis.fit.person_residuals import person_residuals
+from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN, compare, log_evidence
+from bayes_impedance.diagnosis.selection.exchange import Way
+from bayes_impedance.diagnosis.selection.score_scan import screen
+
+_TRIED = 2
+"""Effects of the chain that are gone on from, best first. By choice: of two that act together one describes most."""
+
+_BEYOND = 2.0
+"""Gain that is hoped for from a second effect, in what its score promises (Z^2 / 2), which is that of the first step of
+a refit. By choice: where elements have moved far to take its place it is more (1.4 of the low-pass above)."""
+
+
+def of_the_chain(effects: Sequence[Effect]) -> tuple[Effect, ...]:
+    """Effects that are one number for everybody and take nobody's place."""
+    return tuple(e for e in effects if e.side == "rig" and e.operation and len(e.coefficients) == 1)
+
+
+def two_of_the_chain(
+    way: Way,
+    step_among: Callable[..., Way],
+    names: Sequence[str],
+    effects: Sequence[Effect],
+    seed: int,
+    executor: Executor,
+) -> Way:
+    """The way with two effects of the chain, if its only choice is of the body and they are better.
+
+    Parameters
+    ----------
+    way : Way
+        That has ended.
+    step_among : callable
+        Makes one more step from a way among `effects`.
+    names : sequence of str
+        Of the people.
+    effects : sequence of Effect
+        Candidates.
+    seed : int
+    executor : Executor
+    """
+    first, chain = way.steps[0], of_the_chain(effects)
+    chosen = first.chosen
+    if chosen is None or len(way.fit.model.additions) > len(way.base.model.additions) + 1 or chosen.effect in chain:
+        return way
+    begun = [t for t in first.trials if t.effect in chain and t.physical and np.isfinite(t.gain)]
+    for trial in sorted(begun, key=lambda t: -t.gain)[:_TRIED]:
+        others = tuple(effect for effect in chain if effect is not trial.effect)
+        screening = screen(trial.fit, tuple(person_residuals(trial.fit, names, executor)), others, seed, executor)
+        score = float(np.max(np.nan_to_num(np.abs(screening.z)), initial=0.0))
+        if trial.gain + _BEYOND * 0.5 * score**2 < chosen.gain:
+            continue
+        # Without the others, of which the one that leaves nothing would be taken at once.
+        begun_with = replace(first, chosen=trial, trials=())
+        longer = step_among(Way(way.base, trial.fit, (begun_with,)), effects=others)
+        if longer.steps[-1].chosen is None or not compare(longer.fit, chosen.weighed).decided:
+            continue
+        more = log_evidence(longer.fit) - log_evidence(chosen.weighed)
+        if more > np.log(len(others)) + LEAST_GAIN:
+            return replace(longer, steps=(replace(first, chosen=trial), *longer.steps[1:]))
+    return way
