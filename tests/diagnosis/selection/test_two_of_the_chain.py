@@ -1,0 +1,120 @@
+"""Two effects of the measurement chain take the place of one law of the body only where they describe more."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bayes_impedance.diagnosis.catalogue.effect import registered
+from bayes_impedance.diagnosis.selection import two_of_the_chain as module
+from bayes_impedance.diagnosis.selection.two_of_the_chain import of_the_chain, two_of_the_chain
+
+EFFECTS = registered()
+BY_ID = {effect.id: effect for effect in EFFECTS}
+DIFFUSION, MOUNT, LOWPASS, MASS = (
+    BY_ID[k] for k in ("body.diffusion", "rig.series_compliance", "rig.lowpass", "rig.mass")
+)
+OTHERS = len(of_the_chain(EFFECTS)) - 1
+BARE = SimpleNamespace(model=SimpleNamespace(additions=()), evidence=0.0)
+
+
+def trial(effect: Any, evidence: float, physical: bool = True) -> Any:
+    fit = SimpleNamespace(model=SimpleNamespace(additions=(effect,)), evidence=evidence)
+    return SimpleNamespace(effect=effect, gain=evidence, physical=physical, fit=fit, weighed=fit)
+
+
+class Search:
+    """A search in fakes: the score that is left beside each effect, and what the second step describes."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, score: float, second: float | None) -> None:
+        self.went_from: list[Any] = []
+        self.second = second
+        monkeypatch.setattr(module, "person_residuals", lambda *_: ())
+        monkeypatch.setattr(module, "screen", lambda *_: SimpleNamespace(z=np.array([0.5, np.nan, -score])))
+        monkeypatch.setattr(module, "log_evidence", lambda fit: fit.evidence)
+        monkeypatch.setattr(
+            module, "compare", lambda one, other: SimpleNamespace(decided=one.evidence > other.evidence + 3)
+        )
+        monkeypatch.setattr(module, "Way", lambda base, fit, steps: SimpleNamespace(base=base, fit=fit, steps=steps))
+        monkeypatch.setattr(module, "replace", lambda item, **changes: SimpleNamespace(**{**vars(item), **changes}))
+
+    def step(self, way: Any, effects: Any) -> Any:
+        begun = way.steps[0].chosen.effect
+        self.went_from.append(begun)
+        assert way.fit is way.steps[0].chosen.fit
+        assert way.steps[0].trials == ()
+        assert set(effects) == set(of_the_chain(EFFECTS)) - {begun}
+        if self.second is None:
+            return SimpleNamespace(base=way.base, fit=way.fit, steps=(*way.steps, SimpleNamespace(chosen=None)))
+        fit = SimpleNamespace(model=SimpleNamespace(additions=(begun, LOWPASS)), evidence=self.second)
+        return SimpleNamespace(base=way.base, fit=fit, steps=(*way.steps, SimpleNamespace(chosen=LOWPASS)))
+
+    def result(self, chosen: Any, *others: Any) -> tuple[Any, Any]:
+        first = SimpleNamespace(chosen=chosen, trials=(*others, *([chosen] if chosen else [])))
+        fit = chosen.fit if chosen else BARE
+        way = SimpleNamespace(base=BARE, fit=fit, steps=(first, SimpleNamespace(chosen=None)))
+        return way, two_of_the_chain(way, self.step, ("a", "b"), EFFECTS, 1, None)  # type: ignore[arg-type]
+
+
+def test_effects_of_the_chain_are_one_number_for_everybody() -> None:
+    ids = {effect.id for effect in of_the_chain(EFFECTS)}
+    assert {"rig.mass", "rig.delay", "rig.lowpass", "rig.highpass", "rig.series_compliance"} <= ids
+    assert all(name.startswith("rig.") for name in ids)
+    assert not {"rig.resonance", "rig.semi_inductance", "rig.mains"} & ids
+
+
+def test_two_that_describe_more_take_the_place_of_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The best effect of the chain is gone on from, and what was tried beside it stays what it is compared with."""
+    search = Search(monkeypatch, score=30.0, second=1090.0)
+    chosen, mount = trial(DIFFUSION, 1000.0), trial(MOUNT, 500.0)
+    way, found = search.result(chosen, trial(MASS, 400.0), mount, trial(LOWPASS, 900.0, physical=False))
+    assert search.went_from == [MOUNT]
+    assert found.fit.evidence == 1090.0
+    assert found.steps[0].chosen is mount
+    assert found.steps[0].trials == way.steps[0].trials
+    assert found.steps[1].chosen is LOWPASS
+
+
+@pytest.mark.parametrize(("more", "taken"), [(3.1, False), (np.log(OTHERS) + 2.9, False), (np.log(OTHERS) + 3.1, True)])
+def test_a_sum_has_to_pay_for_the_choice_of_the_second(
+    more: float, taken: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    search = Search(monkeypatch, score=30.0, second=1000.0 + more)
+    way, found = search.result(trial(DIFFUSION, 1000.0), trial(MOUNT, 900.0))
+    assert (found is not way) == taken
+
+
+def test_no_more_than_two_are_gone_on_from_and_the_one_stays_if_nothing_is_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    search = Search(monkeypatch, score=30.0, second=None)
+    way, found = search.result(trial(DIFFUSION, 1000.0), trial(MASS, 300.0), trial(MOUNT, 900.0), trial(LOWPASS, 800.0))
+    assert search.went_from == [MOUNT, LOWPASS]
+    assert found is way
+
+
+def test_what_cannot_reach_the_one_is_not_gone_on_from(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A score of 9 promises 40 units of log evidence, twice of which are hoped for."""
+    search = Search(monkeypatch, score=9.0, second=2000.0)
+    way, found = search.result(trial(DIFFUSION, 1000.0), trial(MOUNT, 910.0))
+    assert not search.went_from
+    assert found is way
+    _, found = search.result(trial(DIFFUSION, 1000.0), trial(MOUNT, 925.0))
+    assert found.fit.evidence == 2000.0
+
+
+def test_nothing_is_tried_if_nothing_was_found_or_an_effect_of_the_chain_or_several(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    search = Search(monkeypatch, score=30.0, second=2000.0)
+    for chosen in (None, trial(LOWPASS, 1000.0)):
+        way, found = search.result(chosen, trial(MOUNT, 900.0))
+        assert found is way
+    several = trial(DIFFUSION, 1000.0)
+    several.fit.model = SimpleNamespace(additions=(DIFFUSION, MASS))
+    way, found = search.result(several, trial(MOUNT, 900.0))
+    assert found is way
+    assert not search.went_from
