@@ -5,7 +5,7 @@ best. The search stops when no candidate is significant after correction for all
 evidence, with too few people for more, or when only repeated sweeps could show what is missing (:mod:`.one_sweep`).
 Where a choice leaves structure and another that it does not exclude leaves none, that one is chosen
 (:mod:`.what_remains`), where a second one is not better than a richer law alone, that law (:mod:`.richer_law`), and
-where two of the rig are better than one law of the body, these (:mod:`.two_of_the_chain`).
+where two of the rig are better than what is in the body, these (:mod:`.two_of_the_chain`).
 What is superfluous then is removed, earlier choices are made anew beside what is left (:mod:`.exchange`).
 """
 

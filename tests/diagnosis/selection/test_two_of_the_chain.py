@@ -1,4 +1,4 @@
-"""Two effects of the measurement chain take the place of one law of the body only where they describe more."""
+"""Two effects of the measurement chain take the place of what is in the body only where they describe more."""
 
 from __future__ import annotations
 
@@ -21,8 +21,12 @@ OTHERS = len(of_the_chain(EFFECTS)) - 1
 BARE = SimpleNamespace(model=SimpleNamespace(additions=()), evidence=0.0)
 
 
+def additions_of(*effects: Any) -> tuple[Any, ...]:
+    return tuple(SimpleNamespace(effect=effect) for effect in effects)
+
+
 def trial(effect: Any, evidence: float, physical: bool = True) -> Any:
-    fit = SimpleNamespace(model=SimpleNamespace(additions=(effect,)), evidence=evidence)
+    fit = SimpleNamespace(model=SimpleNamespace(additions=additions_of(effect)), evidence=evidence)
     return SimpleNamespace(effect=effect, gain=evidence, physical=physical, fit=fit, weighed=fit)
 
 
@@ -49,12 +53,12 @@ class Search:
         assert set(effects) == set(of_the_chain(EFFECTS)) - {begun}
         if self.second is None:
             return SimpleNamespace(base=way.base, fit=way.fit, steps=(*way.steps, SimpleNamespace(chosen=None)))
-        fit = SimpleNamespace(model=SimpleNamespace(additions=(begun, LOWPASS)), evidence=self.second)
+        fit = SimpleNamespace(model=SimpleNamespace(additions=additions_of(begun, LOWPASS)), evidence=self.second)
         return SimpleNamespace(base=way.base, fit=fit, steps=(*way.steps, SimpleNamespace(chosen=LOWPASS)))
 
-    def result(self, chosen: Any, *others: Any) -> tuple[Any, Any]:
+    def result(self, chosen: Any, *others: Any, fit: Any = None) -> tuple[Any, Any]:
         first = SimpleNamespace(chosen=chosen, trials=(*others, *([chosen] if chosen else [])))
-        fit = chosen.fit if chosen else BARE
+        fit = fit or (chosen.fit if chosen else BARE)
         way = SimpleNamespace(base=BARE, fit=fit, steps=(first, SimpleNamespace(chosen=None)))
         return way, two_of_the_chain(way, self.step, ("a", "b"), EFFECTS, 1, None)  # type: ignore[arg-type]
 
@@ -106,15 +110,21 @@ def test_what_cannot_reach_the_one_is_not_gone_on_from(monkeypatch: pytest.Monke
     assert found.fit.evidence == 2000.0
 
 
-def test_nothing_is_tried_if_nothing_was_found_or_an_effect_of_the_chain_or_several(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_nothing_is_tried_if_nothing_was_found_or_effects_of_the_chain_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     search = Search(monkeypatch, score=30.0, second=2000.0)
     for chosen in (None, trial(LOWPASS, 1000.0)):
         way, found = search.result(chosen, trial(MOUNT, 900.0))
         assert found is way
-    several = trial(DIFFUSION, 1000.0)
-    several.fit.model = SimpleNamespace(additions=(DIFFUSION, MASS))
-    way, found = search.result(several, trial(MOUNT, 900.0))
-    assert found is way
     assert not search.went_from
+
+
+@pytest.mark.parametrize(("more", "taken"), [(2.9, False), (3.1, True)])
+def test_two_in_the_place_of_two_have_no_choice_to_pay_for(
+    more: float, taken: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Compared with all that was found, not with the first of it."""
+    search = Search(monkeypatch, score=30.0, second=1200.0 + more)
+    chosen, mount = trial(DIFFUSION, 1000.0), trial(MOUNT, 900.0)
+    both = SimpleNamespace(model=SimpleNamespace(additions=additions_of(DIFFUSION, MASS)), evidence=1200.0)
+    way, found = search.result(chosen, mount, fit=both)
+    assert (found is not way) == taken
