@@ -90,14 +90,9 @@ def longer_or_richer(
         if not anew:
             break
     several = log_evidence(longer.fit) - log_evidence(better.after)
-    if several > np.log(_tried(longer.steps[-1])) + LEAST_GAIN:
+    if several > np.log(longer.steps[-1].offered) + LEAST_GAIN:
         return longer
     return Way(way.base, better.after, (*way.steps[:-1], better), measured=True)
-
-
-def _tried(step: Step) -> int:
-    """Number of effects, each at each of its places, among which a step chose."""
-    return len({(c.effect.id, c.effect.form, c.place) for c in step.screening.candidates})
 
 
 def _richer(refitter: Refitter, step: Step, richer: Sequence[Effect], seed: int, executor: Executor) -> Step | None:

@@ -55,6 +55,11 @@ class Step:
         return self.before if self.chosen is None else self.chosen.fit
 
     @property
+    def offered(self) -> int:
+        """Number of effects, each at each of its places, among which the step chooses."""
+        return len({(c.effect.id, c.effect.form, c.place) for c in self.screening.candidates})
+
+    @property
     def log_p(self) -> float:
         """Smallest corrected log p-value: of shared or varying effects with an admissible sign, or of poles."""
         s = self.screening

@@ -5,7 +5,7 @@ best. The search stops when no candidate is significant after correction for all
 evidence, with too few people for more, or when only repeated sweeps could show what is missing (:mod:`.one_sweep`).
 Where a choice leaves structure and another that it does not exclude leaves none, that one is chosen
 (:mod:`.what_remains`), where a second one is not better than a richer law alone, that law (:mod:`.richer_law`), and
-where two of the rig are better than what is in the body, these (:mod:`.two_of_the_chain`).
+where one of the rig with a second one is better than what is in the body, these (:mod:`.chain_first`).
 What is superfluous then is removed, earlier choices are made anew beside what is left (:mod:`.exchange`).
 """
 
@@ -26,6 +26,7 @@ from bayes_impedance.diagnosis.fit.model import Addition
 from bayes_impedance.diagnosis.fit.of_members import mixture_of_members
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
+from bayes_impedance.diagnosis.selection.chain_first import chain_first, of_the_chain
 from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, LEAST_GAIN, compare, log_evidence
 from bayes_impedance.diagnosis.selection.cross_validation import clearly_gains, people_gain
 from bayes_impedance.diagnosis.selection.deciding_people import where_few_decide
@@ -40,7 +41,6 @@ from bayes_impedance.diagnosis.selection.score_scan import Screening, screen
 from bayes_impedance.diagnosis.selection.shortlist import ALPHA, from_afar, try_shortlist
 from bayes_impedance.diagnosis.selection.step import Step
 from bayes_impedance.diagnosis.selection.trial import Trial
-from bayes_impedance.diagnosis.selection.two_of_the_chain import of_the_chain, two_of_the_chain
 from bayes_impedance.diagnosis.selection.what_remains import that_leaves_nothing
 from bayes_impedance.runtime.progress import Progress
 
@@ -118,7 +118,7 @@ def search(
             way = longer_or_richer(refitter, way, step_from, names, simple, richer, seed, executor)
         return way
 
-    way = ended(two_of_the_chain(ended(way), step_from, names, simple, seed, executor))
+    way = ended(chain_first(ended(way), step_from, names, simple, seed, executor))
     for _ in range(EXCHANGES):
         way = pruned(way, _backward(refitter, way.base, way.fit, seed))
         if is_no_list(way):

@@ -16,6 +16,7 @@ from bayes_impedance.diagnosis.selection import richer_law
 from bayes_impedance.diagnosis.selection.compare import LEAST_GAIN
 from bayes_impedance.diagnosis.selection.richer_law import longer_or_richer, simple_and_richer
 from bayes_impedance.diagnosis.selection.shortlist import ALPHA
+from bayes_impedance.diagnosis.selection.step import Step
 from bayes_impedance.diagnosis.selection.stepwise import Found, search
 from bayes_impedance.errors import InputError
 
@@ -86,9 +87,7 @@ def test_two_effects_stand_if_they_are_ahead_by_more_than_the_choice_of_the_seco
     monkeypatch: pytest.MonkeyPatch, beyond: float, two: bool
 ) -> None:
     """With twenty effects at their places, ln 20 and the least gain."""
-    tried = [SimpleNamespace(effect=SimpleNamespace(id=str(k), form=""), place="port") for k in range(20)]
-    screening = SimpleNamespace(candidates=[*tried, *tried])  # each with two shapes
-    steps = tuple(SimpleNamespace(chosen=object(), log_p=-100.0, screening=screening) for _ in range(2))
+    steps = tuple(SimpleNamespace(chosen=object(), log_p=-100.0, offered=20) for _ in range(2))
     way: Any = SimpleNamespace(base="base", fit="simple", steps=steps[:1])
     longer: Any = SimpleNamespace(base="base", fit="two", steps=steps)
     evidence = {"two": np.log(20) + LEAST_GAIN + beyond, "law": 0.0}
@@ -101,6 +100,14 @@ def test_two_effects_stand_if_they_are_ahead_by_more_than_the_choice_of_the_seco
     found = longer_or_richer(nothing, way, lambda *_: longer, (), (), (), 1, nothing)
     assert found.fit == ("two" if two else "law")
     assert len(found.steps) == (2 if two else 1)
+
+
+def test_a_step_is_offered_each_effect_at_each_place_once() -> None:
+    effects = [SimpleNamespace(id=name, form=form) for name, form in (("a", ""), ("b", ""), ("b", "other"))]
+    tried = [SimpleNamespace(effect=effect, place=place) for effect in effects for place in ("port", "n1")]
+    screening: Any = SimpleNamespace(candidates=[*tried, *tried])  # each with two shapes
+    before: Any = None
+    assert Step(before=before, residuals=(), screening=screening).offered == 6
 
 
 def test_an_effect_waits_only_for_a_simpler_one_that_is_there() -> None:

@@ -1,4 +1,4 @@
-"""Two effects of the measurement chain take the place of what is in the body only where they describe more."""
+"""An effect of the measurement chain and a second one take the place of what is in the body only if they are better."""
 
 from __future__ import annotations
 
@@ -8,9 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bayes_impedance.diagnosis import diagnose
 from bayes_impedance.diagnosis.catalogue.effect import registered
-from bayes_impedance.diagnosis.selection import two_of_the_chain as module
-from bayes_impedance.diagnosis.selection.two_of_the_chain import of_the_chain, two_of_the_chain
+from bayes_impedance.diagnosis.selection import chain_first as module
+from bayes_impedance.diagnosis.selection.chain_first import chain_first, of_the_chain
+from bayes_impedance.network.notation import PAPER_NETWORK
+from bayes_impedance.population.simulate import VirtualPopulation, simulate_recordings
 
 EFFECTS = registered()
 BY_ID = {effect.id: effect for effect in EFFECTS}
@@ -33,11 +36,14 @@ def trial(effect: Any, evidence: float, physical: bool = True) -> Any:
 class Search:
     """A search in fakes: the score that is left beside each effect, and what the second step describes."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, score: float, second: float | None) -> None:
+    def __init__(
+        self, monkeypatch: pytest.MonkeyPatch, score: float, second: float | None, structured: bool = False
+    ) -> None:
         self.went_from: list[Any] = []
-        self.second = second
+        self.second, self.structured = second, structured
+        scores, admissible = np.array([0.5, np.nan, 1e3, -score]), np.array([True, True, False, True])
         monkeypatch.setattr(module, "person_residuals", lambda *_: ())
-        monkeypatch.setattr(module, "screen", lambda *_: SimpleNamespace(z=np.array([0.5, np.nan, -score])))
+        monkeypatch.setattr(module, "screen", lambda *_: SimpleNamespace(z=scores, physical=admissible))
         monkeypatch.setattr(module, "log_evidence", lambda fit: fit.evidence)
         monkeypatch.setattr(
             module, "compare", lambda one, other: SimpleNamespace(decided=one.evidence > other.evidence + 3)
@@ -50,17 +56,21 @@ class Search:
         self.went_from.append(begun)
         assert way.fit is way.steps[0].chosen.fit
         assert way.steps[0].trials == ()
-        assert set(effects) == set(of_the_chain(EFFECTS)) - {begun}
+        assert set(effects) == set(EFFECTS if self.structured else of_the_chain(EFFECTS)) - {begun}
         if self.second is None:
             return SimpleNamespace(base=way.base, fit=way.fit, steps=(*way.steps, SimpleNamespace(chosen=None)))
         fit = SimpleNamespace(model=SimpleNamespace(additions=additions_of(begun, LOWPASS)), evidence=self.second)
-        return SimpleNamespace(base=way.base, fit=fit, steps=(*way.steps, SimpleNamespace(chosen=LOWPASS)))
+        return SimpleNamespace(
+            base=way.base, fit=fit, steps=(*way.steps, SimpleNamespace(chosen=LOWPASS, offered=OTHERS))
+        )
 
     def result(self, chosen: Any, *others: Any, fit: Any = None) -> tuple[Any, Any]:
         first = SimpleNamespace(chosen=chosen, trials=(*others, *([chosen] if chosen else [])))
         fit = fit or (chosen.fit if chosen else BARE)
-        way = SimpleNamespace(base=BARE, fit=fit, steps=(first, SimpleNamespace(chosen=None)))
-        return way, two_of_the_chain(way, self.step, ("a", "b"), EFFECTS, 1, None)  # type: ignore[arg-type]
+        way = SimpleNamespace(
+            base=BARE, fit=fit, steps=(first, SimpleNamespace(chosen=None, log_p=-1000.0 if self.structured else 0.0))
+        )
+        return way, chain_first(way, self.step, ("a", "b"), EFFECTS, 1, None)  # type: ignore[arg-type]
 
 
 def test_effects_of_the_chain_are_one_number_for_everybody() -> None:
@@ -70,9 +80,13 @@ def test_effects_of_the_chain_are_one_number_for_everybody() -> None:
     assert not {"rig.resonance", "rig.semi_inductance", "rig.mains"} & ids
 
 
-def test_two_that_describe_more_take_the_place_of_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The best effect of the chain is gone on from, and what was tried beside it stays what it is compared with."""
-    search = Search(monkeypatch, score=30.0, second=1090.0)
+@pytest.mark.parametrize("structured", [False, True])
+def test_two_that_describe_more_take_the_place_of_one(structured: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The best effect of the chain is gone on from, and what was tried beside it stays what it is compared with.
+
+    The second one may be any effect where structure is left.
+    """
+    search = Search(monkeypatch, score=35.0, second=1090.0, structured=structured)
     chosen, mount = trial(DIFFUSION, 1000.0), trial(MOUNT, 500.0)
     way, found = search.result(chosen, trial(MASS, 400.0), mount, trial(LOWPASS, 900.0, physical=False))
     assert search.went_from == [MOUNT]
@@ -128,3 +142,22 @@ def test_two_in_the_place_of_two_have_no_choice_to_pay_for(
     both = SimpleNamespace(model=SimpleNamespace(additions=additions_of(DIFFUSION, MASS)), evidence=1200.0)
     way, found = search.result(chosen, mount, fit=both)
     assert (found is not way) == taken
+
+
+@pytest.mark.long
+def test_a_delay_with_a_compliance_of_the_mount_is_no_mass_of_the_body() -> None:
+    """Tissue that moves along, of which everybody has their own, describes more than either of the two alone."""
+    people = VirtualPopulation(
+        network=f"delay[d1*](n9*-({PAPER_NETWORK}))",
+        central={"n3": 2.9e-4, "r3": 4.93, "m2": 0.0293, "r1": 7.9, "n1": 1.7e-4, "m1": 0.385, "n2": 6.3e-4, "r2": 53.8}
+        | {"n9": 1.43e-6, "d1": -2.63e-5},
+        between_persons={"n3": 0.4, "r3": 0.37, "m2": 0.19, "r1": 0.15, "n1": 0.44, "m1": 0.2, "n2": 0.37, "r2": 0.16},
+        noise=0.0043,
+        noise_corner_hz=3.2,
+    )
+    recordings = simulate_recordings(people, 16, 1, np.geomspace(0.81, 636, 60), seed=1).recordings
+    found = diagnose(recordings, PAPER_NETWORK, quick=True, seed=1).verdict.physics
+    names = [{entry.id, *(alias.id for alias in entry.aliases if not alias.separated)} for entry in found]
+    assert len(names) == 2
+    assert any("rig.delay" in one for one in names)  # sixty points hardly tell it from a low-pass
+    assert any("rig.series_compliance" in one for one in names)
