@@ -36,8 +36,15 @@ score."""
 _BODE_POINTS = 60
 """Points of the grid of ln f for Bode's relation. By choice: a sixth of an octave for three decades."""
 _COMPARED_POINTS = 40
-"""Frequencies in the first comparison of all pairs of curves. By choice, to save time: close pairs are then compared at
-all frequencies."""
+"""Frequencies in the first comparison of pairs of curves. By choice, to save time: close pairs are then compared at all
+frequencies."""
+_NEIGHBOURS_OF = 400
+"""Most recordings whose nearest neighbours are looked for, evenly spread over all. By choice: their median is known to
+some percent, and a hundred thousand recordings take as long as all pairs of some thousand."""
+_LEVEL_OF_COPIES, _SIMILAR = 2.0, 0.1
+"""Largest difference of two copies' mean ln|z|, in units of the limit, where that is below the second number. A point's
+relative difference d changes ln|z| by at most -ln(1 - d), and the mean of that over 40 points is less than twice the
+root mean square of d even if they differ at one of them alone."""
 
 
 @dataclass(frozen=True)
@@ -101,29 +108,44 @@ def duplicates(subjects: Sequence[Subject]) -> list[Copy]:
 def _duplicates_on_grid(subjects: Sequence[Subject]) -> list[Copy]:
     labels = [(subject.name, repetition) for subject in subjects for repetition in subject.repetitions]
     z = np.concatenate([subject.z for subject in subjects])
-    # All pairs are compared, first at few frequencies only.
+    # Pairs are compared at few frequencies first, and only those of nearly the same level.
     some = z[:, np.unique(np.linspace(0, z.shape[1] - 1, _COMPARED_POINTS).astype(int))]
-    nearest = np.full(len(labels), np.inf)
-    close: list[tuple[int, FloatArray]] = []
-    for i in range(len(labels) - 1):
-        distance = _distance(some[i], some[i + 1 :])
-        nearest[i] = min(nearest[i], distance.min())
-        nearest[i + 1 :] = np.minimum(nearest[i + 1 :], distance)
-        close.append((i, distance))
-    limit = COPY_LIMIT
-    if len(labels) >= MINIMUM_SUBJECTS:
-        limit = max(limit, COPY_CONTRAST * float(np.median(nearest)))
+    limit = _limit_of_copies(some)
+    level = np.log(np.maximum(np.abs(some), np.finfo(float).tiny)).mean(axis=1)
+    order = np.argsort(level, kind="stable")
+    reach = _LEVEL_OF_COPIES * limit if limit < _SIMILAR else np.inf
+    stops = np.searchsorted(level[order], level[order] + reach, "right")
+    pairs: list[tuple[int, int]] = []
+    for place, i in enumerate(order.tolist()):
+        near = order[place + 1 : stops[place]]
+        one, other = np.minimum(i, near), np.maximum(i, near)
+        close = _distance(some[one], some[other]) <= limit
+        pairs += zip(one[close].tolist(), other[close].tolist(), strict=True)
     copies: dict[int, Copy] = {}
-    for i, distance in close:
-        for j in (i + 1 + np.flatnonzero(distance <= limit)).tolist():
-            exact = float(_distance(z[i], z[j][None])[0])
-            if exact <= limit:
-                copies.setdefault(j, Copy(*labels[i], *labels[j], exact))
+    for i, j in sorted(pairs):
+        exact = float(_distance(z[i], z[j][None])[0])
+        if exact <= limit:
+            copies.setdefault(j, Copy(*labels[i], *labels[j], exact))
     return list(copies.values())
 
 
+def _limit_of_copies(some: ComplexArray) -> float:
+    """Distance up to which two of R curves (R, F) are copies, by how far the nearest other one typically is."""
+    if len(some) < MINIMUM_SUBJECTS:
+        return COPY_LIMIT
+    asked = np.unique(np.linspace(0, len(some) - 1, min(len(some), _NEIGHBOURS_OF)).round().astype(int))
+    nearest = [
+        min(_distance(some[i], some[part]).min(initial=np.inf) for part in _without(i, len(some))) for i in asked
+    ]
+    return max(COPY_LIMIT, COPY_CONTRAST * float(np.median(nearest)))
+
+
+def _without(i: int, n: int) -> tuple[slice, slice]:
+    return slice(0, i), slice(i + 1, n)
+
+
 def _distance(one: ComplexArray, others: ComplexArray) -> FloatArray:
-    """Return the root mean square relative difference of a curve (F,) to others (R, F), shape (R,)."""
+    """Return the root mean square relative difference of a curve (F,), or of R, to others (R, F), shape (R,)."""
     size = np.maximum(np.abs(one), np.finfo(float).tiny)
     distance: FloatArray = np.sqrt(np.mean(np.abs((others - one) / size) ** 2, axis=-1))
     return distance

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from faulty_recordings import Complex, change, fingertip, gaussian, only, simulate, warnings
 
-from bayes_impedance.quality.curve_anomalies import bode_phase
+from bayes_impedance.quality import curve_anomalies
+from bayes_impedance.quality.curve_anomalies import COPY_CONTRAST, bode_phase, duplicates
 from bayes_impedance.recordings.files import Recordings, Subject
 
 
@@ -151,3 +152,28 @@ def test_bode_phase_of_a_resonance() -> None:
     x = np.arange(-4, 4, 0.02)
     z = 1j * np.exp(x) + 0.5 + 1 / (1j * np.exp(x))
     np.testing.assert_allclose(bode_phase(np.log(np.abs(z)), 0.02), np.angle(z), atol=0.03)
+
+
+@pytest.mark.parametrize(("scatter", "asked"), [(0.05, 400), (0.05, 7), (3.0, 400)])
+def test_copies_among_many_are_those_of_a_comparison_of_all_pairs(
+    scatter: float, asked: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also if the nearest neighbours of a few are looked for, and where nobody resembles anybody."""
+    monkeypatch.setattr(curve_anomalies, "_NEIGHBOURS_OF", asked)
+    rng = np.random.default_rng(2)
+    frequency, n = np.geomspace(10, 1000, 40), 60
+    z = np.exp(scatter * (rng.normal(size=(n, 40)) + 1j * rng.normal(size=(n, 40))))
+    for copy, of, error in ((7, 3, 0.0), (50, 3, 1e-4), (20, 41, 3e-4), (21, 42, 0.3)):
+        z[copy] = z[of] * (1 + error * rng.normal(size=40))
+    z[8] = z[9]
+    z[8, 30] *= 1 + 2e-3  # they differ in one point alone
+    people = [Subject(name=str(i), frequency_hz=frequency, z=own[None], repetitions=("1",)) for i, own in enumerate(z)]
+    apart = np.sqrt(np.mean(np.abs(z[None] / z[:, None] - 1) ** 2, axis=-1)) + np.diag(np.full(n, np.inf))
+    limit = COPY_CONTRAST * np.median(apart.min(axis=1))
+    pairs = [(i, j) for i in range(n) for j in range(i + 1, n) if apart[i, j] <= limit]
+    assert {(3, 7), (3, 50), (20, 41), (8, 9)} <= set(pairs)
+    seen: set[int] = set()
+    firsts = [(i, j) for i, j in pairs if not (j in seen or seen.add(j))]
+    found = duplicates(people)
+    assert [(int(c.subject), int(c.other_subject)) for c in found] == firsts
+    np.testing.assert_allclose([c.distance for c in found], [apart[i, j] for i, j in firsts], atol=1e-12)
