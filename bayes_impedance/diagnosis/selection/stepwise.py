@@ -118,7 +118,9 @@ def search(
             way = longer_or_richer(refitter, way, step_from, names, simple, richer, seed, executor)
         return way
 
-    way = ended(chain_first(ended(way), step_from, names, simple, seed, executor))
+    way = ended(way)
+    if not is_no_list(way):
+        way = ended(chain_first(way, step_from, names, simple, seed, executor))
     for _ in range(EXCHANGES):
         way = pruned(way, _backward(refitter, way.base, way.fit, seed))
         if is_no_list(way):
