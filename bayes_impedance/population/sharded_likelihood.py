@@ -228,7 +228,7 @@ class KeptDraws:
         return np.concatenate([a for a, _ in both]), np.concatenate([b for _, b in both])
 
     def persons(self, parameters: PopulationParameters, seed: np.random.SeedSequence) -> tuple[np.ndarray, np.ndarray]:
-        """For each set, one draw of each person's log elements, (W, N, P), in single precision, and its density."""
+        """For each set, one draw of each person's log elements, (W, N, P), single precision; log densities, (W, N)."""
         n_sets, n_elements = parameters.mu.shape
         rows = [(parameters, child) for child in seed.spawn(len(self._kept.parts))]
         sizes = self._kept.ask(len)

@@ -1,4 +1,4 @@
-r"""An effect of the measurement chain with a second one, in the place of what a search has found in the body.
+r"""An effect of the measurement chain with a second one, in the place of what a search has found.
 
 The search names first what describes most alone. Of two effects that act together either one alone may describe less
 than a third thing with more freedom: a layer with diffusion, of which everybody has their own, described 31 people by
@@ -8,11 +8,12 @@ looked for, and with one name there is nothing beside which another could be cho
 first may be far more than it seems, because everybody's elements can stand in for it: the low-pass is 9 standard errors
 of these recordings if all elements are free, and 620 units of log evidence in a population of them.
 
-So if something of the body has been found, the best effects of the chain (the same for all, one number each) are gone
-on from as if each had been found first, with one step more: among the effects of the chain, or among all if structure
-is left, for then what was found is not all, or not it. The two are taken as the sum of two effects is anywhere
-(:mod:`.richer_law`): if people agree about it, and the log evidence is larger by more than :data:`.compare.LEAST_GAIN`
-and, where they are more names than there were, the logarithm of the number among which the second was chosen.
+So if something else than effects of the chain has been found, the best effects of the chain (the same for all, one
+number each) are gone on from as if each had been found first, with one step more: among the effects of the chain, or
+among all if structure is left, for then what was found is not all, or not it. The two are taken as the sum of two
+effects is anywhere (:mod:`.richer_law`): if people agree about it, and the log evidence is larger by more than
+:data:`.compare.LEAST_GAIN` and, where they are more names than there were, the logarithm of the number among which the
+second was chosen.
 """
 
 from __future__ import annotations
@@ -51,9 +52,9 @@ def chain_first(
     seed: int,
     executor: Executor,
 ) -> Way:
-    """The way with an effect of the chain and a second one instead, if something of the body has been found.
+    """The way with an effect of the chain and a second one instead, if they are better than what it has found.
 
-    It is the same way if they are not better.
+    It is the same way if they are not, or if it has found effects of the chain alone.
 
     Parameters
     ----------
