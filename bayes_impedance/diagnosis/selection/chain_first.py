@@ -73,7 +73,9 @@ def chain_first(
     found = way.fit.model.additions[len(way.base.model.additions) :]
     if first.chosen is None or all(addition.effect in chain for addition in found):
         return way
-    now = first.chosen.weighed if len(found) == 1 else way.fit
+    unshown = way.steps[-1].unshown  # the end of what was found, though it has no name
+    alone = len(found) == 1 and unshown is None
+    now = unshown.weighed if unshown else first.chosen.weighed if alone else way.fit
     here = log_evidence(now)
     offered = effects if way.steps[-1].log_p < np.log(ALPHA) else chain
     begun = [t for t in first.trials if t.effect in chain and t.physical and np.isfinite(t.gain)]
@@ -88,7 +90,7 @@ def chain_first(
         longer = step_among(Way(way.base, trial.fit, (begun_with,)), effects=others)
         if longer.steps[-1].chosen is None:
             continue
-        least = LEAST_GAIN + (np.log(longer.steps[-1].offered) if len(found) == 1 else 0.0)
+        least = LEAST_GAIN + (np.log(longer.steps[-1].offered) if alone else 0.0)
         if compare(longer.fit, now).decided and log_evidence(longer.fit) - here > least:
             return replace(longer, steps=(replace(first, chosen=trial), *longer.steps[1:]))
     return way

@@ -38,6 +38,8 @@ class Step:
         Of richer laws, where one of them was chosen (:mod:`.richer_law`).
     unshown : Trial, optional
         Why nothing was added: an explanation that only repeated sweeps can show (:mod:`.one_sweep`).
+    refused : Trial, optional
+        What would have been added otherwise.
     """
 
     before: Refit
@@ -48,6 +50,7 @@ class Step:
     unpredictive: bool = False
     richer: Screening | None = None
     unshown: Trial | None = None
+    refused: Trial | None = None
 
     @property
     def after(self) -> Refit:

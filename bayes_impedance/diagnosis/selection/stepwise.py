@@ -35,7 +35,7 @@ from bayes_impedance.diagnosis.selection.few_people import holds_beside, only_of
 from bayes_impedance.diagnosis.selection.finalists import MOST, SHARE, finalists, in_order, with_lookalikes
 from bayes_impedance.diagnosis.selection.in_some_people import in_some_people
 from bayes_impedance.diagnosis.selection.misfit import dependence
-from bayes_impedance.diagnosis.selection.one_sweep import shown_by_repeated_sweeps
+from bayes_impedance.diagnosis.selection.one_sweep import shown_by_repeated_sweeps, two_that_leave_nothing
 from bayes_impedance.diagnosis.selection.richer_law import longer_or_richer, simple_and_richer
 from bayes_impedance.diagnosis.selection.score_scan import Screening, screen
 from bayes_impedance.diagnosis.selection.shortlist import ALPHA, from_afar, try_shortlist
@@ -119,6 +119,7 @@ def search(
         return way
 
     way = ended(way)
+    way = ended(two_that_leave_nothing(way, step_from, names, simple, seed, executor))
     if not is_no_list(way):
         way = ended(chain_first(way, step_from, names, simple, seed, executor))
     for _ in range(EXCHANGES):
@@ -208,9 +209,12 @@ def _forward(
                 better_than_without = compare(trial.weighed, fit)
                 decided = better_than_without.decided
                 if decided and (number == 0 or _earns_its_place(refitter, fit, trial.fit, seed, of_few)):
-                    step = replace(step, unshown=shown_by_repeated_sweeps(refitter, trial, step, seed, executor))
-                    if step.unshown is None:
-                        chosen, is_measured = replace(trial, gain=better_than_without.difference), True
+                    trial = replace(trial, gain=better_than_without.difference)
+                    unshown = shown_by_repeated_sweeps(refitter, trial, step, seed, executor)
+                    if unshown is None:
+                        chosen, is_measured = trial, True
+                    else:
+                        step = replace(step, unshown=unshown, refused=trial)
                     break
                 unpredictive |= decided and not few
                 contest.drop(trial)
