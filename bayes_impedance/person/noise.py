@@ -2,12 +2,14 @@ r"""Estimation of the noise, from repetitions or from roughness over frequency.
 
 A finger that is repositioned has slightly different elements. The difference between two recordings is therefore noise
 plus a change within the tangent space of the network, :math:`\partial Z/\partial\theta`, and only the component
-**outside** that space is noise. A resonance of low damping moves further than its width, where the tangent means
-nothing; so the network's impedance with each recording's own elements is subtracted before. With orthonormal contrasts
-:math:`c` over the J recordings (J - 1 of them, free of the common part), Q an orthonormal basis of the tangent space in
-whitened real coordinates and :math:`h_k` its leverage at frequency k,
+**outside** that space is noise. A resonance of low damping moves further than its width: what one recording has there
+may be fifty times another's, with fifty times the noise, and a tangent space in common means nothing. So the network's
+impedance with each recording's own elements is subtracted, the rest is divided by that recording's own noise, and what
+is within that recording's own tangent space is taken out. With c the differences between the J recordings of what is
+left (J - 1 orthonormal contrasts, free of what the network lacks in all of them), and :math:`h_{jk}` the leverage of
+recording j at frequency k, real and imaginary part together, in the noise's units,
 
-.. math:: \hat\sigma_k^2 = \frac{\sum |(1 - QQ^T) c|_k^2}{\sum 2\,(1 - h_k)} .
+.. math:: \hat\sigma_k^2 = \frac{\sum |c|_k^2}{\sum (1 - 1/J) \sum_j (2 - h_{jk})} .
 
 Sums run over persons and over as many neighbouring frequencies as give about 200 degrees of freedom. With many persons
 the window is narrow and a sharp rise of the noise is resolved; with one person it is wide and the estimate is stable.
@@ -75,7 +77,7 @@ class Scatter:
     ----------
     frequency_hz : ndarray, shape (F,)
     magnitude : ndarray, shape (F,)
-        |z| of the person's mean recording.
+        |z| of the person's recordings, root mean square.
     square : ndarray, shape (F,)
         Sum of squared deviations, real and imaginary parts together.
     freedom : ndarray, shape (F,)
@@ -136,26 +138,28 @@ def scatter_of_repetitions(
     ----------
     frequency_hz : ndarray, shape (F,)
     z : ndarray, complex, shape (J, F)
-    derivative : ndarray, complex, shape (P, F)
-        dZ/dtheta at the person's fitted elements.
-    noise_sd : ndarray, shape (F,), optional
+    derivative : ndarray, complex, shape (J, P, F) or (P, F)
+        dZ/dtheta at the fitted elements of each recording, or of the person.
+    noise_sd : ndarray, shape (J, F), optional
         Current estimate of the noise, used for whitening; by default proportional to |z|. The projection is unbiased
         only with the true noise, so that the noise is estimated twice.
     model : ndarray, complex, shape (J, F), optional
         The network's impedance with elements of each recording.
     """
-    magnitude = np.abs(z.mean(axis=0))
-    white = magnitude if noise_sd is None else noise_sd
-    difference = contrasts(z.shape[0]) @ (z - model) / white
-    tangent = derivative / white
-    basis = _orthonormal(np.concatenate([tangent.real, tangent.imag], axis=1).T)
-    stacked = np.concatenate([difference.real, difference.imag], axis=1)
-    outside = stacked - (stacked @ basis) @ basis.T
+    white = np.abs(z) if noise_sd is None else noise_sd
+    difference = (z - model) / white
     n = frequency_hz.size
-    leverage = np.sum(basis**2, axis=1)
-    square = np.sum(outside[:, :n] ** 2 + outside[:, n:] ** 2, axis=0) * white**2
-    freedom = difference.shape[0] * (2 - leverage[:n] - leverage[n:])
-    return Scatter(frequency_hz, magnitude, square, freedom)
+    stacked = np.concatenate([difference.real, difference.imag], axis=1)
+    freedom = np.empty(z.shape)
+    tangent = np.broadcast_to(derivative, (len(z), *derivative.shape[-2:])) / white[:, None]
+    for j, own in enumerate(np.concatenate([tangent.real, tangent.imag], axis=2)):
+        basis = _orthonormal(own.T)
+        stacked[j] -= basis @ (basis.T @ stacked[j])
+        freedom[j] = 2 - np.sum(basis**2, axis=1).reshape(2, n).sum(axis=0)
+    outside = contrasts(len(z)) @ stacked
+    square = np.sum(outside[:, :n] ** 2 + outside[:, n:] ** 2, axis=0) * np.mean(white**2, axis=0)
+    magnitude = np.sqrt(np.mean(np.abs(z) ** 2, axis=0))
+    return Scatter(frequency_hz, magnitude, square, (1 - 1 / len(z)) * freedom.sum(axis=0))
 
 
 def scatter_of_roughness(

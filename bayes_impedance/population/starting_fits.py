@@ -34,6 +34,7 @@ from bayes_impedance.person.noise import (
 from bayes_impedance.population.equal_parts import named_alike, steps_of
 from bayes_impedance.population.noise_tails import estimated_tail
 from bayes_impedance.population.prior import Prior
+from bayes_impedance.population.recording_noise import noise_of
 from bayes_impedance.recordings.files import Recordings, Subject
 from bayes_impedance.runtime.checkpoint import forget_pieces, in_pieces, load_arrays, save_arrays
 from bayes_impedance.runtime.executors import map_persons
@@ -355,14 +356,12 @@ def _noise(
     if not repeated:
         scatters = list(map_persons(executor, partial(_roughness, kernel), subjects, theta))
         return pool(scatters, FLOOR_WITHOUT, degrees)
-    model: NoiseModel | None = None
+    model = NoiseModel(np.ones(1), np.full(1, PROVISIONAL_NOISE), relative=True, floor=0.0)
     some = [subjects[i] for i in repeated]
     own = list(map_persons(executor, partial(_own_elements, kernel), some, theta[repeated]))
     for _ in range(2):
-        scatter = partial(_disagreement, kernel, model)
-        scatters = list(map_persons(executor, scatter, some, theta[repeated], own))
+        scatters = list(map_persons(executor, partial(_disagreement, kernel, model), some, own))
         model = pool(scatters, FLOOR_WITH_REPETITIONS, degrees)
-    assert model is not None  # two rounds were made
     return model
 
 
@@ -371,13 +370,10 @@ def _roughness(kernel: Kernel, subject: Subject, theta: np.ndarray) -> Scatter:
     return scatter_of_roughness(subject.frequency_hz, subject.mean, model, derivative)
 
 
-def _disagreement(
-    kernel: Kernel, known: NoiseModel | None, subject: Subject, theta: np.ndarray, own: np.ndarray
-) -> Scatter:
+def _disagreement(kernel: Kernel, known: NoiseModel, subject: Subject, own: np.ndarray) -> Scatter:
     frequency = subject.frequency_hz
-    sd = None if known is None else known.at(frequency, np.abs(subject.mean))
-    slope = kernel.derivative(theta, frequency)[1]
-    return scatter_of_repetitions(frequency, subject.z, slope, sd, kernel.impedance(own, frequency))
+    model, slope = (np.array(part) for part in zip(*(kernel.derivative(u, frequency) for u in own), strict=True))
+    return scatter_of_repetitions(frequency, subject.z, slope, noise_of(subject, known), model)
 
 
 def _own_elements(kernel: Kernel, subject: Subject, theta: np.ndarray) -> np.ndarray:
