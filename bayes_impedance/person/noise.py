@@ -25,7 +25,10 @@ off. So such an end is compared with the fitted network itself, with its leverag
 counts as several points in pooling.
 
 The level is that of the median person: everybody has a scale of their own in the likelihood, and a few persons whose
-elements have not been found yet must not make their misfit look like everybody's noise.
+elements have not been found yet must not make their misfit look like everybody's noise. Nor must a sharp resonance,
+which is somewhere else in everybody: where an element was a line in truth, the one or two people of eleven whose
+resonance was near had 20 to 350 times the noise that all others had, and the pooled noise was 40 times too large around
+it, just where the line shows. So nobody counts where they have ten times as much as the median person or more.
 
 At a given frequency, the noise of different persons is either proportional to the magnitude or independent of it; the
 alternative with the higher likelihood is used.
@@ -64,6 +67,14 @@ the lowest of 31 to 101 points in 71 people, noise that rises below 8 Hz is 3 to
 _TAIL_ROUNDS = 20
 """Times that the weights of points and the noise are found in turn where noise has tails. By choice: the error is about
 halved each time."""
+
+_BEYOND_BELIEF = 10.0
+"""Squares per degree of freedom, in those of the median person, that are not believed to be noise. By choice: normal
+noise is beyond with a probability of 0.1 % where only one point is near, and with less elsewhere."""
+
+_BARELY = 0.01
+"""Share of the most that anybody knows around a node below which a person says nothing there: the far end of a window
+is as good as no point. By choice."""
 
 _GRID_POINTS = 400
 """Largest number of frequencies in pooling; more are binned. By choice: the windows are much wider than a bin."""
@@ -223,22 +234,29 @@ def _pool(scatters: Sequence[Scatter], relative: bool, floor: float, degrees: fl
         edges = np.linspace(x.min(), x.max(), _GRID_POINTS + 1)
         index = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, _GRID_POINTS - 1)
         nodes = 0.5 * (edges[1:] + edges[:-1])
-    square_sum = np.bincount(index, square, minlength=nodes.size)
     freedom_sum = np.bincount(index, freedom, minlength=nodes.size)
     filled = freedom_sum > 0
     place = (np.cumsum(filled) - 1)[index]
-    nodes, square_sum, freedom_sum = nodes[filled], square_sum[filled], freedom_sum[filled]
+    nodes, freedom_sum = nodes[filled], freedom_sum[filled]
 
     # Rank distance, not frequency distance: the window holds the same information everywhere; across wide gaps less.
     per_node = np.median(freedom_sum)
     width = max(_DEGREES_OF_FREEDOM / per_node / np.sqrt(4 * np.pi), 0.3)
     rank = np.cumsum(np.r_[0.0, np.maximum(np.diff(nodes) / _FAR, 1.0)])
     window = np.exp(-0.5 * ((rank[:, None] - rank[None, :]) / width) ** 2)
+    believed = _believed(
+        place + nodes.size * np.repeat(np.arange(len(scatters)), [s.square.size for s in scatters]),
+        square,
+        freedom,
+        window,
+    )
+    square_sum = np.bincount(place, square * believed, minlength=nodes.size)
+    freedom_sum = np.bincount(place, freedom * believed, minlength=nodes.size)
     variance = (window @ square_sum) / (window @ freedom_sum)
     for _ in range(_TAIL_ROUNDS if np.isfinite(degrees) else 0):
         expected = np.maximum(variance[place], np.finfo(float).tiny)
         weighted = square * (degrees + freedom) / (degrees + square / expected)
-        square_sum = np.bincount(place, weighted, minlength=nodes.size)
+        square_sum = np.bincount(place, weighted * believed, minlength=nodes.size)
         variance = (window @ square_sum) / (window @ freedom_sum)
     square = square if not np.isfinite(degrees) else weighted
     smallest = (floor * np.median(np.concatenate([s.magnitude for s in scatters]) / scale)) ** 2
@@ -249,7 +267,8 @@ def _pool(scatters: Sequence[Scatter], relative: bool, floor: float, degrees: fl
     log_scale = np.log(scale**2)
     for s in scatters:
         part = slice(start, start + s.square.size)
-        own_scale = max(float(np.sum(square[part] / expected[part]) / freedom[part].sum()), 1e-12)
+        felt = np.minimum(square[part] / expected[part], _BEYOND_BELIEF * freedom[part])
+        own_scale = max(float(np.sum(felt) / freedom[part].sum()), 1e-12)
         scales.append(own_scale)
         deviance += float(np.sum(freedom[part] * (np.log(expected[part] * own_scale) + log_scale[part])))
         start += s.square.size
@@ -259,6 +278,27 @@ def _pool(scatters: Sequence[Scatter], relative: bool, floor: float, degrees: fl
     nodes = np.r_[nodes[0] - _FAR, nodes, nodes[-1] + _FAR]
     variance = np.r_[variance[0] * np.exp(ends[0]), variance, variance[-1] * np.exp(ends[1])]
     return NoiseModel(np.exp(nodes), np.sqrt(np.maximum(variance, smallest)), relative, floor), deviance
+
+
+def _believed(cell: np.ndarray, square: np.ndarray, freedom: np.ndarray, window: np.ndarray) -> np.ndarray:
+    """Whether a point is believed to be noise: what its person has around it is not far beyond the median person's.
+
+    Parameters
+    ----------
+    cell : ndarray of int
+        Person and node of each point, `node + G * person`.
+    square, freedom : ndarray
+        Of each point.
+    window : ndarray, shape (G, G)
+        Weights of the nodes around each node.
+    """
+    shape = (cell[-1] // len(window) + 1, len(window))
+    around, known = (
+        np.bincount(cell, value, minlength=shape[0] * shape[1]).reshape(shape) @ window for value in (square, freedom)
+    )
+    own = np.where(known > 0, around / np.where(known > 0, known, 1.0), np.nan)
+    own[known < _BARELY * known.max(axis=0)] = np.nan
+    return np.asarray(~(own > _BEYOND_BELIEF * np.nanmedian(own, axis=0)).ravel()[cell])
 
 
 def _beyond(
