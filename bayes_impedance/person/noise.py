@@ -28,7 +28,7 @@ The level is that of the median person: everybody has a scale of their own in th
 elements have not been found yet must not make their misfit look like everybody's noise. Nor must a sharp resonance,
 which is somewhere else in everybody: where an element was a line in truth, the one or two people of eleven whose
 resonance was near had 20 to 350 times the noise that all others had, and the pooled noise was 40 times too large around
-it, just where the line shows. So nobody counts where they have ten times as much as the median person or more.
+it, just where the line shows. So points do not count where they are ten times what the median person has around them.
 
 At a given frequency, the noise of different persons is either proportional to the magnitude or independent of it; the
 alternative with the higher likelihood is used.
@@ -70,7 +70,10 @@ halved each time."""
 
 _BEYOND_BELIEF = 10.0
 """Squares per degree of freedom, in those of the median person, that are not believed to be noise. By choice: normal
-noise is beyond with a probability of 0.1 % where only one point is near, and with less elsewhere."""
+noise of two degrees of freedom is beyond with a probability of 5e-5."""
+
+_MEDIAN_OF_TWO = float(np.log(2.0))
+"""Median of a mean square of two degrees of freedom, in its expectation."""
 
 _BARELY = 0.01
 """Share of the most that anybody knows around a node below which a person says nothing there: the far end of a window
@@ -262,14 +265,14 @@ def _pool(scatters: Sequence[Scatter], relative: bool, floor: float, degrees: fl
     smallest = (floor * np.median(np.concatenate([s.magnitude for s in scatters]) / scale)) ** 2
     variance = np.maximum(variance, smallest)
     expected = np.interp(x, nodes, variance)
-    # Gaussian deviance, profiled over each person's scale.
+    # Gaussian deviance, profiled over each person's scale. Points that are not noise here may be noise there.
     deviance, start, scales = 0.0, 0, []
     log_scale = np.log(scale**2)
     for s in scatters:
         part = slice(start, start + s.square.size)
-        felt = np.minimum(square[part] / expected[part], _BEYOND_BELIEF * freedom[part])
-        own_scale = max(float(np.sum(felt) / freedom[part].sum()), 1e-12)
-        scales.append(own_scale)
+        white, own_freedom, kept = square[part] / expected[part], freedom[part], believed[part]
+        scales.append(max(float(np.sum(white[kept]) / max(own_freedom[kept].sum(), 1e-9)), 1e-12))
+        own_scale = max(float(np.sum(np.minimum(white, _BEYOND_BELIEF * own_freedom)) / own_freedom.sum()), 1e-12)
         deviance += float(np.sum(freedom[part] * (np.log(expected[part] * own_scale) + log_scale[part])))
         start += s.square.size
     variance = np.maximum(variance * np.median(scales), smallest)
@@ -281,7 +284,9 @@ def _pool(scatters: Sequence[Scatter], relative: bool, floor: float, degrees: fl
 
 
 def _believed(cell: np.ndarray, square: np.ndarray, freedom: np.ndarray, window: np.ndarray) -> np.ndarray:
-    """Whether a point is believed to be noise: what its person has around it is not far beyond the median person's.
+    """Whether a point is believed to be noise: it is not far beyond what the median person has there or around it.
+
+    Around it more is known; there, noise that rises steeply is seen, which is the median person's too.
 
     Parameters
     ----------
@@ -292,13 +297,17 @@ def _believed(cell: np.ndarray, square: np.ndarray, freedom: np.ndarray, window:
     window : ndarray, shape (G, G)
         Weights of the nodes around each node.
     """
-    shape = (cell[-1] // len(window) + 1, len(window))
-    around, known = (
-        np.bincount(cell, value, minlength=shape[0] * shape[1]).reshape(shape) @ window for value in (square, freedom)
-    )
-    own = np.where(known > 0, around / np.where(known > 0, known, 1.0), np.nan)
-    own[known < _BARELY * known.max(axis=0)] = np.nan
-    return np.asarray(~(own > _BEYOND_BELIEF * np.nanmedian(own, axis=0)).ravel()[cell])
+    size = len(window)
+    shape = (cell[-1] // size + 1, size)
+    own, known = (np.bincount(cell, value, minlength=shape[0] * size).reshape(shape) for value in (square, freedom))
+    there = _median(own, known > 0, known) / _MEDIAN_OF_TWO
+    around = _median(own @ window, known @ window > _BARELY * (known @ window).max(axis=0), known @ window)
+    return np.asarray(square <= _BEYOND_BELIEF * np.maximum(there, around)[cell % size] * freedom)
+
+
+def _median(square: np.ndarray, seen: np.ndarray, freedom: np.ndarray) -> np.ndarray:
+    """Median over persons of squares per degree of freedom, where they are seen by somebody: (N, G) to (G,)."""
+    return np.asarray(np.nanmedian(np.where(seen, square / np.where(seen, freedom, 1.0), np.nan), axis=0))
 
 
 def _beyond(
