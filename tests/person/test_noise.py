@@ -94,7 +94,9 @@ def test_a_narrow_resonance_that_moves_is_not_noise():
     kernel, own, z = resonant(60)
     scatters = []
     for elements, one in zip(own, z, strict=True):
-        model, derivative = (np.array(part) for part in zip(*(kernel.derivative(u, FREQUENCY) for u in elements)))
+        model, derivative = (
+            np.array(part) for part in zip(*(kernel.derivative(u, FREQUENCY) for u in elements), strict=True)
+        )
         scatters.append(scatter_of_repetitions(FREQUENCY, one, derivative, model=model))
     estimate = pool(scatters, 1e-4).at(FREQUENCY, np.ones(FREQUENCY.size))
     np.testing.assert_allclose(estimate, 0.01, rtol=5 * np.sqrt(1 / 400))

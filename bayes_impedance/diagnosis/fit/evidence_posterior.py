@@ -189,7 +189,8 @@ class _Joint(EvidenceSurface):
             one[k], bend[k, k] = up, up + down - 2 * self.value
             for j in range(k):
                 both = self.at(self.fit, self.centre + step + steps[:, j])[1]
-                bend[j, k] = bend[k, j] = both - one[k] - one[j] + self.value
+                with np.errstate(invalid="ignore"):  # beyond the bounds of two dispersions; taken as uncorrelated below
+                    bend[j, k] = bend[k, j] = both - one[k] - one[j] + self.value
         bend[~np.isfinite(bend)] = 0.0
         curvature, directions = np.linalg.eigh(-bend)
         length = np.maximum(curvature, _LEAST_CURVATURE) ** -0.5

@@ -106,7 +106,7 @@ def two_that_leave_nothing(
     def leaves_structure(fit: Refit) -> bool:
         residuals = tuple(person_residuals(fit, names, executor))
         screening = screen(fit, residuals, effects, seed, executor)
-        return Step(before=fit, residuals=residuals, screening=screening).log_p < np.log(ALPHA)
+        return bool(Step(before=fit, residuals=residuals, screening=screening).log_p < np.log(ALPHA))
 
     def gone_on(chosen: Trial) -> Way:
         # Without the others, of which one that leaves nothing would be taken at once.

@@ -41,6 +41,7 @@ class Search:
     ) -> None:
         self.went_from: list[Any] = []
         self.second, self.structured = second, structured
+        self.last = SimpleNamespace(chosen=None, log_p=-1000.0 if structured else 0.0, unshown=None)
         scores, admissible = np.array([0.5, np.nan, 1e3, -score]), np.array([True, True, False, True])
         monkeypatch.setattr(module, "person_residuals", lambda *_: ())
         monkeypatch.setattr(module, "screen", lambda *_: SimpleNamespace(z=scores, physical=admissible))
@@ -68,7 +69,7 @@ class Search:
         first = SimpleNamespace(chosen=chosen, trials=(*others, *([chosen] if chosen else [])))
         fit = fit or (chosen.fit if chosen else BARE)
         way = SimpleNamespace(
-            base=BARE, fit=fit, steps=(first, SimpleNamespace(chosen=None, log_p=-1000.0 if self.structured else 0.0))
+            base=BARE, fit=fit, steps=(first, self.last)
         )
         return way, chain_first(way, self.step, ("a", "b"), EFFECTS, 1, None)  # type: ignore[arg-type]
 
@@ -141,6 +142,17 @@ def test_two_in_the_place_of_two_have_no_choice_to_pay_for(
     chosen, mount = trial(DIFFUSION, 1000.0), trial(MOUNT, 900.0)
     both = SimpleNamespace(model=SimpleNamespace(additions=additions_of(DIFFUSION, MASS)), evidence=1200.0)
     way, found = search.result(chosen, mount, fit=both)
+    assert (found is not way) == taken
+
+
+@pytest.mark.parametrize(("more", "taken"), [(2.9, False), (3.1, True)])
+def test_a_change_without_a_name_that_was_found_beside_the_first_counts(
+    more: float, taken: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The end of what was found is the fit with it, so two are not better because it has no name."""
+    search = Search(monkeypatch, score=30.0, second=1200.0 + more)
+    search.last.unshown = trial(MASS, 1200.0)
+    way, found = search.result(trial(DIFFUSION, 1000.0), trial(MOUNT, 900.0))
     assert (found is not way) == taken
 
 

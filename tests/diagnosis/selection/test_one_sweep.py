@@ -43,6 +43,18 @@ def recordings(what: str, repetitions: int = 1, seed: int = 3) -> Recordings:
     return Recordings(title="", unit="N s/m", network=NETWORK, source="", licence="", subjects=tuple(subjects))
 
 
+def two_at_once(people: int = 24, seed: int = 3) -> Recordings:
+    """People whose spring has a hysteresis, and who have a relaxation beside everything."""
+    rng, s, subjects = np.random.default_rng(seed), 2j * np.pi * FREQUENCY, []
+    for i in range(people):
+        m1, r1, n1 = np.exp(np.log(list(CENTRE.values())) + 0.25 * rng.normal(size=3))
+        loss, damping, time = np.array([0.4, 2.0, 0.02]) * np.exp(0.25 * rng.normal(size=3))
+        z = s * m1 + r1 + (1 + 1j * loss) / (s * n1) + damping / (1 + s * time)
+        z = z * (1 + 0.006 * (rng.normal(size=s.size) + 1j * rng.normal(size=s.size)))
+        subjects.append(Subject(name=f"P{i}", frequency_hz=FREQUENCY, z=z[None], repetitions=("0",)))
+    return Recordings(title="", unit="N s/m", network=NETWORK, source="", licence="", subjects=tuple(subjects))
+
+
 @cache
 def verdict_of(what: str, repetitions: int = 1) -> Verdict:
     return diagnose(recordings(what, repetitions), quick=True, workers=1).verdict
@@ -75,6 +87,16 @@ def test_a_drift_is_not_taken_for_it_and_nobody_says_why_the_spring_changes() ->
 def test_a_drift_in_repeated_sweeps_has_its_name() -> None:
     (found,) = verdict_of("drift", 3).physics
     assert (found.id, found.place) == ("body.drift", "n1")
+
+
+@pytest.mark.long
+def test_a_change_along_the_sweep_that_leaves_structure_does_not_stand_for_two_effects() -> None:
+    """It describes more than either of them alone, and less than both."""
+    verdict = diagnose(two_at_once(), quick=True, workers=1).verdict
+    assert [(found.id, found.place) for found in verdict.physics] == [
+        ("body.hysteresis", "n1"),
+        ("body.relaxation", "port"),
+    ]
 
 
 @pytest.mark.parametrize("repetitions", [1, 2])
