@@ -68,9 +68,7 @@ class Search:
     def result(self, chosen: Any, *others: Any, fit: Any = None) -> tuple[Any, Any]:
         first = SimpleNamespace(chosen=chosen, trials=(*others, *([chosen] if chosen else [])))
         fit = fit or (chosen.fit if chosen else BARE)
-        way = SimpleNamespace(
-            base=BARE, fit=fit, steps=(first, self.last)
-        )
+        way = SimpleNamespace(base=BARE, fit=fit, steps=(first, self.last))
         return way, chain_first(way, self.step, ("a", "b"), EFFECTS, 1, None)  # type: ignore[arg-type]
 
 
