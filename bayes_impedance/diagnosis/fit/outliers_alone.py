@@ -8,9 +8,9 @@ population, by the bounded and by the exact error, under a prior of the same wid
 person's own optimum with only those elements drawn that lie outside of this spread. The population's evidence decides
 whether the optimum that is found replaces the old one.
 
-Noise that is known well makes an optimum narrow, and starts that were few enough before miss it: of 60 people whose
-undamped resonance has everywhere its own 0.4 % of noise, two stayed at ten times theirs, and were called a group. So the
-search is made with a noise of :data:`_SOFT` of the magnitude as well, and goes on from there with their own.
+Noise that is known well makes an optimum narrow, and starts that were enough before miss it: of 60 people with an
+undamped resonance and noise of 0.4 %, two stayed at ten times their noise, and were called a group. So the search is
+made with softer noise as well (:func:`bayes_impedance.person.bounded_search.softened`), and goes on from there.
 
 The search is that of a person's first recording. From its end the others are searched where it does not describe them:
 repositioning moves an undamped resonance by more than its width, and a person of whom one recording has come to the
@@ -20,7 +20,6 @@ others' optimum and two have not would be counted as worse there.
 from __future__ import annotations
 
 from concurrent.futures import Executor
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -28,7 +27,7 @@ import numpy as np
 from bayes_impedance.diagnosis.fit.normal_equations import Population
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.network.kernel import Kernel
-from bayes_impedance.person.bounded_search import GROSS, best_mode, bounded_search
+from bayes_impedance.person.bounded_search import GROSS, best_mode, bounded_search, softened
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.marginal_likelihood import LEAST_RHO
 from bayes_impedance.population.alignment import HELD, searched_alone
@@ -46,9 +45,6 @@ deviations off occur, and a start costs a millisecond."""
 _NARROW = 128
 """Starts in which only the elements outside of that spread are drawn. By choice: an undamped resonance has an optimum
 in each gap between frequencies, of which a decade has a hundred."""
-
-_SOFT = 0.05
-"""Noise over magnitude that widens the optima. By choice: that of the first fits, which find most people's."""
 
 _MOST, _MOST_OF_A_RIGHT_MODEL = 0.25, 0.5
 """Largest share of people who are searched alone, the worst described: where more are described badly, the model is
@@ -145,16 +141,10 @@ def _ends(
 ) -> np.ndarray:
     """The best optimum of a person's first recording from any start (S, P), and of the others from there; (J, P)."""
     one = data.recording(0, centre.size)
-    soft = _softened(one)
+    soft = softened(one)
     near = np.concatenate([starts, bounded_search(kernel, soft, starts, centre, precision)])
     begin = best_mode(kernel, soft, near, centre, precision)[0]
     ends = np.concatenate([starts, bounded_search(kernel, one, starts, centre, precision), begin[None]])
     end = best_mode(kernel, one, ends, centre, precision)[0]
     places = np.tile(end, (len(data.z), 1))
     return places if len(places) == 1 else searched_alone(kernel, data, places, end, rho)
-
-
-def _softened(likelihood: Likelihood) -> Likelihood:
-    """With a noise of a share of the magnitude on top of the recording's own."""
-    square = _SOFT**2 * np.sum(likelihood.z**2, axis=1)
-    return replace(likelihood, weight=likelihood.weight / (1 + likelihood.weight * square))
