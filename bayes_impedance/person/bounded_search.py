@@ -18,7 +18,6 @@ relative one; where resonances are damped both are alike (measured for 18 person
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -31,9 +30,6 @@ from bayes_impedance.person.small_matrices import solved
 GROSS = 1.5
 """Noise scale above which an optimum is not taken for the global one. By choice: persons of one
 population differ by less, and in the first fits the noise that is assumed is several times that of most recordings."""
-
-_SOFT = 0.05
-"""Noise over magnitude that widens optima in a search. By choice: that of the first fits, which find most people's."""
 
 STEPS = 15
 """Steps from each start. By choice, for time: with 40, in twice the time, 57 of 600 starts reached the best mode of
@@ -158,15 +154,6 @@ def _search(
         for p in range(n_elements):
             ends[i, p] = u[p]
     return ends
-
-
-def softened(likelihood: Likelihood) -> Likelihood:
-    """With a noise of :data:`_SOFT` of the magnitude on top of the recording's own, for the first part of a search.
-
-    Noise that is known well makes optima narrow, and few starts lead to the one of a lightly damped resonance.
-    """
-    square = _SOFT**2 * np.sum(likelihood.z**2, axis=1)
-    return replace(likelihood, weight=likelihood.weight / (1 + likelihood.weight * square))
 
 
 def gross(likelihood: Likelihood) -> float:
