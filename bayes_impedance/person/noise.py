@@ -301,7 +301,8 @@ def _believed(cell: np.ndarray, square: np.ndarray, freedom: np.ndarray, window:
     shape = (cell[-1] // size + 1, size)
     own, known = (np.bincount(cell, value, minlength=shape[0] * size).reshape(shape) for value in (square, freedom))
     there = _median(own, known > 0, known) / _MEDIAN_OF_TWO
-    around = _median(own @ window, known @ window > _BARELY * (known @ window).max(axis=0), known @ window)
+    near = known @ window
+    around = _median(own @ window, near > _BARELY * near.max(axis=0), near)
     return np.asarray(square <= _BEYOND_BELIEF * np.maximum(there, around)[cell % size] * freedom)
 
 
