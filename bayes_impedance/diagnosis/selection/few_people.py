@@ -31,6 +31,7 @@ import numpy as np
 from bayes_impedance.diagnosis.catalogue.effect import Effect
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.refit import Refit
+from bayes_impedance.diagnosis.selection.chain_first import of_the_chain
 from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, log_evidence
 from bayes_impedance.diagnosis.selection.cross_validation import held_out
 
@@ -40,19 +41,23 @@ gain is a whim of the recordings. By choice: one more than over people (:data:`~
 
 
 _PEOPLE_PER_ADDITION = 8
-"""People required per addition, which has a mean, a dispersion and often a shape to be estimated. By choice. With fewer
-only effects of the measurement chain are added to the first. They are one number for everybody, and take nobody's
-place: where a drift and a damping of the rig stood beside a resonator of 23 people, nothing but effects of the rig was
-tried in the resonator's place, and it stood for a mass."""
+"""People required per addition of the body, which has a mean, a dispersion and often a shape to be estimated. By
+choice; one may be named of any number of people. Effects of the measurement chain are one number for everybody, and
+take nobody's place: where a drift and a damping of the rig stood beside a resonator of 23 people, nothing but effects
+of the rig was tried in the resonator's place, and it stood for a mass."""
 
 
-def only_of_the_chain(found: Sequence[Effect], chain: Sequence[Effect], people: int) -> bool:
-    """Whether so few people may have only effects of the measurement chain beside those that were found.
+def may_follow(found: Sequence[Effect], effects: Sequence[Effect], people: int) -> tuple[Sequence[Effect], int]:
+    """Effects that may be added to those that were found, and their number if only frequencies can judge them.
 
-    Without a standard error over people nothing else could earn its place (:mod:`.stepwise`).
+    Which of two effects is found first does not matter: so few people may have one of the body, before or after one of
+    the chain. Effects of the chain are judged by :func:`holds_beside` where nothing else may follow, and everything is
+    where people are too few for a standard error over them. Otherwise the number is zero.
     """
-    of_any_kind = people // _PEOPLE_PER_ADDITION if people >= FEWEST_PEOPLE else 0
-    return bool(found) and sum(effect not in chain for effect in found) >= of_any_kind
+    of_the_body = len(found) - len(of_the_chain(found))
+    only_chain = bool(found) and of_the_body >= max(people // _PEOPLE_PER_ADDITION, 1)
+    possible = of_the_chain(effects) if only_chain else effects
+    return possible, len(possible) if only_chain or people < FEWEST_PEOPLE else 0
 
 
 def holds_beside(refitter: Refitter, fit: Refit, grown: Refit, seed: int, chosen_from: int) -> bool:

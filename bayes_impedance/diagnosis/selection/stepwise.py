@@ -26,12 +26,12 @@ from bayes_impedance.diagnosis.fit.model import Addition
 from bayes_impedance.diagnosis.fit.of_members import mixture_of_members
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
-from bayes_impedance.diagnosis.selection.chain_first import chain_first, of_the_chain
+from bayes_impedance.diagnosis.selection.chain_first import chain_first
 from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, LEAST_GAIN, compare, log_evidence
 from bayes_impedance.diagnosis.selection.cross_validation import clearly_gains, people_gain
 from bayes_impedance.diagnosis.selection.deciding_people import where_few_decide
 from bayes_impedance.diagnosis.selection.exchange import EXCHANGES, Way, exchanged, pruned, without
-from bayes_impedance.diagnosis.selection.few_people import holds_beside, only_of_the_chain
+from bayes_impedance.diagnosis.selection.few_people import holds_beside, may_follow
 from bayes_impedance.diagnosis.selection.finalists import MOST, SHARE, finalists, in_order, with_lookalikes
 from bayes_impedance.diagnosis.selection.in_some_people import in_some_people
 from bayes_impedance.diagnosis.selection.misfit import dependence
@@ -173,15 +173,14 @@ def _forward(
 ) -> Way:
     """At most so many steps from there, until nothing is significant, or better, any more."""
     most = MOST_ADDITIONS
-    chain = of_the_chain(effects)
     base, fit, steps, is_measured = way.base, way.fit, list(way.steps), way.measured
     number, repeats = len(steps), 0
     known: tuple[Trial, ...] = ()  # explanations of this step, from before the model without them was better fitted
     last = min(most, number + steps_left - 1)
     while number <= last:
         progress("looking for what is missing", number, most + 1)
-        few = only_of_the_chain([s.chosen.effect for s in steps if s.chosen], chain, len(refitter.data))
-        possible, of_few = (chain, len(chain)) if few else (effects, 0)
+        found = [s.chosen.effect for s in steps if s.chosen]
+        possible, of_few = may_follow(found, effects, len(refitter.data))
         residuals = tuple(person_residuals(fit, names, executor))
         if begin is None:
             screening = screen(fit, residuals, possible, seed, executor)
@@ -216,7 +215,7 @@ def _forward(
                     else:
                         step = replace(step, unshown=unshown, refused=trial)
                     break
-                unpredictive |= decided and not few
+                unpredictive |= decided and not of_few
                 contest.drop(trial)
             if better is not None:  # no physics was missing: the smaller model had not converged
                 repeats += 1

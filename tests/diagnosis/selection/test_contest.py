@@ -9,7 +9,7 @@ import pytest
 
 from bayes_impedance.diagnosis.catalogue.effect import Candidate, registered
 from bayes_impedance.diagnosis.selection import stepwise
-from bayes_impedance.diagnosis.selection.few_people import only_of_the_chain
+from bayes_impedance.diagnosis.selection.few_people import may_follow
 from bayes_impedance.diagnosis.selection.trial import Trial
 
 EFFECTS = {e.id: e for e in registered() if e.form == ""} | {e.id: e for e in registered()}
@@ -128,17 +128,22 @@ def test_what_is_best_with_a_sign_that_it_cannot_have_counts_as_it_was(
 
 
 @pytest.mark.parametrize(
-    ("found", "people", "expected"),
+    ("found", "people", "any_kind", "by_frequencies"),
     [
-        ((), 1, False),  # the first may be of any kind
-        ((MASS,), 9, True),  # nothing else could earn its place
-        ((MASS,), 10, False),  # one number for everybody takes nobody's place
-        ((RESONATOR,), 15, True),
-        ((RESONATOR, DELAY), 23, False),  # as where another choice is made in place of a second of the body
-        ((RESONATOR, RESONATOR, DELAY), 23, True),
+        ((), 1, True, True),  # the first may be of any kind
+        ((MASS,), 9, True, True),  # in whichever order the two are found
+        ((RESONATOR,), 9, False, True),
+        ((MASS, RESONATOR), 9, False, True),
+        ((MASS,), 10, True, False),  # one number for everybody takes nobody's place
+        ((RESONATOR,), 15, False, True),
+        ((RESONATOR, DELAY), 23, True, False),  # as where another choice is made in place of a second of the body
+        ((RESONATOR, RESONATOR, DELAY), 23, False, True),
     ],
 )
 def test_so_many_effects_of_the_body_as_there_are_people_for(
-    found: tuple[Any, ...], people: int, expected: bool
+    found: tuple[Any, ...], people: int, any_kind: bool, by_frequencies: bool
 ) -> None:
-    assert only_of_the_chain(found, (DELAY, MASS), people) == expected
+    chain, effects = (DELAY, MASS), (DELAY, MASS, RESONATOR)
+    possible, of_few = may_follow(found, effects, people)
+    assert possible == (effects if any_kind else chain)
+    assert of_few == len(possible) * by_frequencies
