@@ -19,14 +19,15 @@ and variance: :math:`s^2 = \ln(1 + \tau^2/\mu^2)`, median :math:`\mu e^{-s^2/2}`
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from bayes_impedance.diagnosis.fit.model import Model
 from bayes_impedance.diagnosis.fit.normal_equations import marginal, quadratic
 from bayes_impedance.diagnosis.fit.refit import Refit
-from bayes_impedance.diagnosis.fit.spike_slab import members
+from bayes_impedance.diagnosis.fit.spike_slab import Membership, members
 from bayes_impedance.units import INTERVAL, unit_of
 
 DRAWS = 2000
@@ -55,6 +56,8 @@ class CoefficientPosterior:
         Whether the draws have converged.
     elements : ndarray, shape (P, S) or None
         Log elements of the network in the median person; None where they are not drawn with the additions.
+    who : mapping of int to Membership
+        Who has what only some have, by addition; empty where that was not looked for.
     """
 
     central: np.ndarray
@@ -62,6 +65,7 @@ class CoefficientPosterior:
     covariance: np.ndarray
     settled: bool = True
     elements: np.ndarray | None = None
+    who: Mapping[int, Membership] = field(default_factory=dict)
 
     @property
     def is_sampled(self) -> bool:
@@ -69,7 +73,9 @@ class CoefficientPosterior:
         return self.elements is not None
 
 
-def coefficient_posterior(fit: Refit, seed: int, n_draws: int = DRAWS) -> CoefficientPosterior:
+def coefficient_posterior(
+    fit: Refit, seed: int, n_draws: int = DRAWS, lacks: Mapping[int, np.ndarray] | None = None
+) -> CoefficientPosterior:
     """Draws of the posterior of all additions.
 
     Parameters
@@ -78,13 +84,16 @@ def coefficient_posterior(fit: Refit, seed: int, n_draws: int = DRAWS) -> Coeffi
         Of a model with at least one addition.
     seed : int
     n_draws : int
+    lacks : mapping of int to ndarray, optional
+        Who lacks an addition, bool (N,), if that is known; otherwise it is read from the fit.
     """
     rng = np.random.default_rng(seed)
     h, d, _ = quadratic(fit.model, fit.data, fit.u, fit.equations, fit.population.covariance)
     parameters = fit.model.parameters
     varying = np.array([not p.shared for p in parameters])
     start = fit.u[:, fit.model.n_elements :].mean(axis=0)
-    h, d, start = _of_those_who_have_it(fit, h, d, start)
+    lacks = _read_from(fit) if lacks is None else lacks
+    h, d, start = _of_those_who_have_it(fit, h, d, start, lacks)
     # Shapes and elements are on a logarithmic scale, where one is the natural unit of dispersion.
     linear = np.array([p.is_coefficient for p in parameters])
     unit = np.where(linear, np.maximum(np.abs(start), 1e-12), 1.0)
@@ -125,26 +134,30 @@ def coefficient_posterior(fit: Refit, seed: int, n_draws: int = DRAWS) -> Coeffi
     return CoefficientPosterior(central, relative, np.linalg.inv(solved(tau)[2]))
 
 
+def _read_from(fit: Refit) -> dict[int, np.ndarray]:
+    """Who lacks what only some have, bool (N,)."""
+    who = {i: members(fit, i) for i, addition in enumerate(fit.model.additions) if addition.absent_in_some}
+    return {i: own.probability < 0.5 for i, own in who.items() if own.only_some}
+
+
 def _of_those_who_have_it(
-    fit: Refit, h: np.ndarray, d: np.ndarray, start: np.ndarray
+    fit: Refit, h: np.ndarray, d: np.ndarray, start: np.ndarray, lacking: Mapping[int, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Slopes (N, A), curvatures (N, A, A) and mean values (A,), of what only some have without those who lack it.
 
     Who lacks it has a coefficient of zero, and shapes where they are: the slopes are of absolute values.
     """
     h, d, start = h.copy(), d.copy(), start.copy()
-    for i, addition in enumerate(fit.model.additions):
-        if not addition.absent_in_some:
+    for i, lacks in lacking.items():
+        if lacks.all():
             continue
-        who = members(fit, i)
-        columns, lacks = np.array(fit.model.columns(i)), who.probability < 0.5
-        if who.only_some and not lacks.all():
-            start[columns - fit.model.n_elements] = fit.u[~lacks[fit.owner]][:, columns].mean(axis=0)
-            for column in (columns - fit.model.n_elements).tolist():
-                if not fit.model.parameters[column].is_coefficient:  # without a coefficient it may have any value
-                    own = fit.u[:, fit.model.n_elements + column][np.searchsorted(fit.owner, np.flatnonzero(lacks))]
-                    h[lacks] -= d[lacks, :, column] * own[:, None]
-                h[lacks, column], d[lacks, column], d[lacks, :, column] = 0.0, 0.0, 0.0
+        columns = np.array(fit.model.columns(i))
+        start[columns - fit.model.n_elements] = fit.u[~lacks[fit.owner]][:, columns].mean(axis=0)
+        for column in (columns - fit.model.n_elements).tolist():
+            if not fit.model.parameters[column].is_coefficient:  # without a coefficient it may have any value
+                own = fit.u[:, fit.model.n_elements + column][np.searchsorted(fit.owner, np.flatnonzero(lacks))]
+                h[lacks] -= d[lacks, :, column] * own[:, None]
+            h[lacks, column], d[lacks, column], d[lacks, :, column] = 0.0, 0.0, 0.0
     return h, d, start
 
 

@@ -23,7 +23,7 @@ it differs, may differ nevertheless: its dispersion is one of the unknowns.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -85,11 +85,12 @@ def evidence_posterior(refitter: Refitter, fit: Refit, seed: int) -> Coefficient
         Of a model with at least one addition.
     seed : int
     """
-    refitter, fit = of_members(refitter, fit, seed)
+    known = of_members(refitter, fit, seed)
+    refitter, fit = known.refitter, known.fit
     fit = _that_may_differ(refitter, fit, seed)
     surface = _Joint(refitter, fit, seed)
     if not np.isfinite(surface.value):  # a model that is as good as infinite somewhere has no evidence
-        return coefficient_posterior(fit, seed)
+        return replace(coefficient_posterior(fit, seed), who=known.who)
     surface.climb()
     for _ in range(_SWEEPS):
         before = surface.value
@@ -102,7 +103,7 @@ def evidence_posterior(refitter: Refitter, fit: Refit, seed: int) -> Coefficient
     for axis, profile in zip(axes.T, profiles, strict=True):
         draws += profile.quantiles(rng.uniform(size=DRAWS))[:, None] * axis
     central, relative = surface.read(draws)
-    return CoefficientPosterior(central, relative, np.atleast_2d(np.cov(central.T)))
+    return CoefficientPosterior(central, relative, np.atleast_2d(np.cov(central.T)), who=known.who)
 
 
 def _that_may_differ(refitter: Refitter, fit: Refit, seed: int) -> Refit:

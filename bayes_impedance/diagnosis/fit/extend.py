@@ -97,14 +97,18 @@ def _may_be(fit: Refit, addition: int) -> bool:
     return has_admissible_signs(fit, addition)
 
 
-def has_admissible_signs(fit: Refit, addition: int) -> bool:
-    """Whether the means of an addition's coefficients have signs that its effect may have."""
+def has_admissible_signs(fit: Refit, addition: int, recordings: np.ndarray | None = None) -> bool:
+    """Whether the means of an addition's coefficients have signs that its effect may have.
+
+    Over all recordings, or those given, bool (M,).
+    """
     effect = fit.model.additions[addition].effect
     if not effect.operation or effect.signed:
         return True
     columns = zip(fit.model.columns(addition), effect.coefficients, strict=True)
     linear = [column for column, coefficient in columns if coefficient.link == "linear"]
-    return effect.traits.allows(fit.u[:, linear].mean(axis=0))
+    rows = slice(None) if recordings is None else recordings
+    return effect.traits.allows(fit.u[rows][:, linear].mean(axis=0))
 
 
 def has_shapes(effect: Effect) -> bool:

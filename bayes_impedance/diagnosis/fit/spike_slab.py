@@ -32,7 +32,7 @@ choice."""
 _MOST_FRACTION = 0.85
 """Share from which an effect is attributed to all people: the few others may have a small one. By choice."""
 
-_FEWEST_MEMBERS = 2.5
+FEWEST_MEMBERS = 2.5
 """Expected number of people who must have an effect: one or two are outliers and not a group."""
 
 _LEAST_GAIN = 3.0
@@ -58,8 +58,8 @@ estimate."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Members:
-    """The people with and without an effect, and the distribution among those who have it.
+class Membership:
+    """Who has an effect.
 
     Attributes
     ----------
@@ -67,16 +67,35 @@ class Members:
         Probability that each person has it.
     fraction, q05, q95 : float
         Fraction of people who have it, with a 90 % interval.
-    mean, mean_sd, dispersion : float
-        Of the coefficient among those who have it; the dispersion is relative to the mean.
-    gain : float
-        Gain of log likelihood over the model in which all people have it.
     """
 
     probability: np.ndarray
     fraction: float
     q05: float
     q95: float
+
+    @classmethod
+    def of(cls, probability: np.ndarray, fraction: float) -> Membership:
+        """From probabilities and their maximum-likelihood share: the interval is that of a share of so many people."""
+        from scipy.stats import beta
+
+        count, n = float(probability.sum()), len(probability)
+        low, high = (float(q) for q in beta.ppf((0.05, 0.95), count + 0.5, n - count + 0.5))
+        return cls(probability=probability, fraction=fraction, q05=low, q95=high)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Members(Membership):
+    """The people with and without an effect, and the distribution among those who have it.
+
+    Attributes
+    ----------
+    mean, mean_sd, dispersion : float
+        Of the coefficient among those who have it; the dispersion is relative to the mean.
+    gain : float
+        Gain of log likelihood over the model in which all people have it.
+    """
+
     mean: float
     mean_sd: float
     dispersion: float
@@ -86,7 +105,7 @@ class Members:
     def only_some(self) -> bool:
         """Whether a substantial part of the people lacks the effect, and more than one or two have it."""
         return bool(
-            self.gain > _LEAST_GAIN and self.fraction < _MOST_FRACTION and self.probability.sum() > _FEWEST_MEMBERS
+            self.gain > _LEAST_GAIN and self.fraction < _MOST_FRACTION and self.probability.sum() > FEWEST_MEMBERS
         )
 
 
@@ -111,18 +130,11 @@ def mixture(h: np.ndarray, d: np.ndarray) -> Members:
     best = len(among_all) + int(np.argmax(values[some]))
     probability, fraction = memberships[best], float(fractions[best])
     mean, tau = float(means[best]), float(dispersions[best])
-    from scipy.stats import beta
-
-    count, n = float(probability.sum()), len(h)
-    q05, q95 = beta.ppf((0.05, 0.95), count + 0.5, n - count + 0.5)
     precision = float(probability @ (1 / (tau**2 + 1 / d)))
     sd = float(1 / np.sqrt(max(precision, 1e-300)))
     relative = tau / max(abs(mean), 1e-300)
     return Members(
-        probability=probability,
-        fraction=fraction,
-        q05=float(q05),
-        q95=float(q95),
+        **vars(Membership.of(probability, fraction)),
         mean=mean,
         mean_sd=sd,
         dispersion=relative,

@@ -23,7 +23,7 @@ from bayes_impedance.diagnosis.fit.extend import has_admissible_signs
 from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.measured import measured
 from bayes_impedance.diagnosis.fit.model import Addition
-from bayes_impedance.diagnosis.fit.of_members import mixture_of_members
+from bayes_impedance.diagnosis.fit.of_members import of_members
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, person_residuals
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.selection.chain_first import chain_first
@@ -206,7 +206,8 @@ def _forward(
                 if better is not None:
                     break
                 better_than_without = compare(trial.weighed, fit)
-                decided = better_than_without.decided
+                # Of a few members the scatter of a mixture's gain is as large as itself: either account will do.
+                decided = better_than_without.decided or compare(trial.fit, fit).decided
                 if decided and (number == 0 or _earns_its_place(refitter, fit, trial.fit, seed, of_few)):
                     trial = replace(trial, gain=better_than_without.difference)
                     unshown = shown_by_repeated_sweeps(refitter, trial, step, seed, executor)
@@ -328,7 +329,7 @@ class _Contest:
             grown = trial.fit
         self.drop(trial)
         enough = len(self.fit.data) >= FEWEST_PEOPLE
-        mixture = mixture_of_members(self.refitter, grown, self.seed) if enough else None
+        mixture = of_members(self.refitter, grown, self.seed).mixture if enough else None
         if mixture is not None and log_evidence(mixture) <= log_evidence(grown):
             mixture = None
         gain = log_evidence(mixture or grown) - log_evidence(self.fit)

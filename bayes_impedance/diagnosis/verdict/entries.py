@@ -65,7 +65,9 @@ def effect_entry(
     model = found.final.model
     item = model.additions[addition]
     effect = item.effect
-    who = members(found.final, addition) if item.only_in_some else None
+    who = None
+    if item.only_in_some:
+        who = posterior.who.get(addition) or members(found.final, addition)
     elements = posterior.elements
     if elements is None:
         elements = found.final.u[:, : model.n_elements].mean(axis=0)

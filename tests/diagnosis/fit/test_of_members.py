@@ -8,7 +8,7 @@ from experiments import Experiment, enlarged, entry, toy
 
 from bayes_impedance.diagnosis.fit.evidence_posterior import evidence_posterior
 from bayes_impedance.diagnosis.fit.model import Addition, build
-from bayes_impedance.diagnosis.fit.of_members import mixture_of_members, of_members
+from bayes_impedance.diagnosis.fit.of_members import of_members
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.fit.spike_slab import members
 from bayes_impedance.diagnosis.selection.compare import log_evidence
@@ -66,9 +66,9 @@ def test_sizes_are_those_of_members_and_who_lacks_the_layer_does_not_move_the_ri
 def test_evidence_is_that_of_each_kind_and_of_its_share_where_it_is_clear_who_has_it(
     world: Experiment, fit: Refit
 ) -> None:
-    known = of_members(world.refitter, fit, 1)[1]
+    own = of_members(world.refitter, fit, 1)
+    known, mixture = own.fit, own.mixture
     share = HAS_IT.mean()
-    mixture = mixture_of_members(world.refitter, fit, 1)
     assert mixture is not None
     assert mixture.mixed == 0
     more = mixture.evidence - (known.evidence + np.log(np.where(HAS_IT, share, 1 - share)))
@@ -82,4 +82,5 @@ def test_where_everybody_has_it_there_is_no_mixture(world: Experiment, fit: Refi
     who = np.flatnonzero(HAS_IT)
     few = world.refitter.subset(who)
     own = few.fit(fit.model, fit.u[HAS_IT[fit.owner]], fit.population)
-    assert mixture_of_members(few, own, 1) is None
+    known = of_members(few, own, 1)
+    assert (known.fit, known.mixture, known.who) == (own, None, {})

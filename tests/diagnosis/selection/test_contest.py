@@ -33,7 +33,7 @@ def measured(monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
         return SimpleNamespace(**{**vars(fit), "evidence": found.pop(fit.name)})
 
     monkeypatch.setattr(stepwise, "measured", measure)
-    monkeypatch.setattr(stepwise, "mixture_of_members", lambda *_: None)
+    monkeypatch.setattr(stepwise, "of_members", lambda *_: SimpleNamespace(mixture=None))
     monkeypatch.setattr(stepwise, "has_admissible_signs", lambda *_: True)
     monkeypatch.setattr(stepwise, "log_evidence", lambda fit: fit.evidence)
     return found
@@ -56,7 +56,7 @@ def test_what_only_some_have_counts_by_the_mixture_if_that_is_more(
     measured: dict[str, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     mixtures = {RESONATOR.id: SimpleNamespace(evidence=104.0), DELAY.id: SimpleNamespace(evidence=90.0)}
-    monkeypatch.setattr(stepwise, "mixture_of_members", lambda _, fit, _seed: mixtures[fit.name])
+    monkeypatch.setattr(stepwise, "of_members", lambda _, fit, _seed: SimpleNamespace(mixture=mixtures[fit.name]))
     race = contest(trial(RESONATOR, 115.0), trial(DELAY, 105.0))
     leader = race.leader()
     assert leader is not None
