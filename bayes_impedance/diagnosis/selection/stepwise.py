@@ -180,7 +180,7 @@ def _forward(
     while number <= last:
         progress("looking for what is missing", number, most + 1)
         found = [s.chosen.effect for s in steps if s.chosen]
-        possible, of_few = may_follow(found, effects, len(refitter.data))
+        possible, few = may_follow(found, effects, len(refitter.data))
         residuals = tuple(person_residuals(fit, names, executor))
         if begin is None:
             screening = screen(fit, residuals, possible, seed, executor)
@@ -208,7 +208,7 @@ def _forward(
                 better_than_without = compare(trial.weighed, fit)
                 # Of a few members the scatter of a mixture's gain is as large as itself: either account will do.
                 decided = better_than_without.decided or compare(trial.fit, fit).decided
-                if decided and (number == 0 or _earns_its_place(refitter, fit, trial.fit, seed, of_few)):
+                if decided and (number == 0 or _earns_its_place(refitter, fit, trial.fit, seed, possible, few)):
                     trial = replace(trial, gain=better_than_without.difference)
                     unshown = shown_by_repeated_sweeps(refitter, trial, step, seed, executor)
                     if unshown is None:
@@ -216,7 +216,7 @@ def _forward(
                     else:
                         step = replace(step, unshown=unshown, refused=trial)
                     break
-                unpredictive |= decided and not of_few
+                unpredictive |= decided and not few
                 contest.drop(trial)
             if better is not None:  # no physics was missing: the smaller model had not converged
                 repeats += 1
@@ -238,14 +238,16 @@ def _forward(
     return Way(base, fit, tuple(steps), is_measured)
 
 
-def _earns_its_place(refitter: Refitter, fit: Refit, grown: Refit, seed: int, of_few: int) -> bool:
-    """Whether a further addition predicts what was held out: people, or frequencies, if it is one `of_few` effects.
+def _earns_its_place(
+    refitter: Refitter, fit: Refit, grown: Refit, seed: int, effects: Sequence[Effect], few: bool
+) -> bool:
+    """Whether a further addition predicts what was held out: people, or frequencies of so few.
 
     Structure that the first leaves has many ways to resemble some effect. One that does not predict would cost a step
     more, and all choices made anew beside it, before its name is withdrawn.
     """
-    if of_few:
-        return holds_beside(refitter, fit, grown, seed, of_few)
+    if few:
+        return holds_beside(refitter, fit, grown, seed, effects)
     return clearly_gains(*people_gain(refitter, fit, grown, seed))
 
 
