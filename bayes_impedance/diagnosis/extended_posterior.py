@@ -73,7 +73,13 @@ def extended_posterior(model: Model, extended: ExtendedNetwork, fit: PopulationF
     shared = np.array([p.shared for p in model.parameters], dtype=bool)
     relative[:, shared] = 0.0
     covariance = np.atleast_2d(np.cov(central.T))
-    return CoefficientPosterior(central, relative, covariance, not fit.diagnostics.problems, read.elements(mu))
+    return CoefficientPosterior(
+        central=central,
+        relative_dispersion=relative,
+        covariance=covariance,
+        settled=not fit.diagnostics.problems,
+        elements=read.elements(mu),
+    )
 
 
 class Reading:

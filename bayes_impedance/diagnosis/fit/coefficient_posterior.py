@@ -40,7 +40,7 @@ SAME = 0.1
 """Relative dispersion below which people count as equal. By choice."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class CoefficientPosterior:
     """Posterior of the additions' parameters, A of them, in the kernel's order.
 
@@ -131,7 +131,8 @@ def coefficient_posterior(
         factor = np.linalg.cholesky(np.linalg.inv(precision))
         central[mine] = mean + rng.normal(size=(mine.sum(), mean.size)) @ factor.T
     relative = chosen / np.where(linear, np.maximum(np.abs(central), 1e-300), 1.0)
-    return CoefficientPosterior(central, relative, np.linalg.inv(solved(tau)[2]))
+    covariance = np.linalg.inv(solved(tau)[2])
+    return CoefficientPosterior(central=central, relative_dispersion=relative, covariance=covariance)
 
 
 def _read_from(fit: Refit) -> dict[int, np.ndarray]:

@@ -103,7 +103,8 @@ def evidence_posterior(refitter: Refitter, fit: Refit, seed: int) -> Coefficient
     for axis, profile in zip(axes.T, profiles, strict=True):
         draws += profile.quantiles(rng.uniform(size=DRAWS))[:, None] * axis
     central, relative = surface.read(draws)
-    return CoefficientPosterior(central, relative, np.atleast_2d(np.cov(central.T)), who=known.who)
+    covariance = np.atleast_2d(np.cov(central.T))
+    return CoefficientPosterior(central=central, relative_dispersion=relative, covariance=covariance, who=known.who)
 
 
 def _that_may_differ(refitter: Refitter, fit: Refit, seed: int) -> Refit:

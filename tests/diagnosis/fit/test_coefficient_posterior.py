@@ -119,7 +119,9 @@ def test_posterior_of_a_coefficient_that_hardly_varies(monkeypatch: pytest.Monke
 def posterior_at(values: list[float], dispersions: list[float]) -> coefficients_module.CoefficientPosterior:
     """Draws that are all the same."""
     return coefficients_module.CoefficientPosterior(
-        np.tile(values, (10, 1)), np.tile(dispersions, (10, 1)), np.eye(len(values))
+        central=np.tile(values, (10, 1)),
+        relative_dispersion=np.tile(dispersions, (10, 1)),
+        covariance=np.eye(len(values)),
     )
 
 

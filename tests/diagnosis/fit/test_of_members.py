@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from experiments import Experiment, enlarged, entry, toy
 
+from bayes_impedance.diagnosis.fit import of_members as module
 from bayes_impedance.diagnosis.fit.evidence_posterior import evidence_posterior
 from bayes_impedance.diagnosis.fit.model import Addition, build
 from bayes_impedance.diagnosis.fit.of_members import of_members
@@ -84,3 +87,18 @@ def test_where_everybody_has_it_there_is_no_mixture(world: Experiment, fit: Refi
     own = few.fit(fit.model, fit.u[HAS_IT[fit.owner]], fit.population)
     known = of_members(few, own, 1)
     assert (known.fit, known.mixture, known.who) == (own, None, {})
+
+
+def test_members_are_those_whom_their_own_distribution_makes_members(
+    world: Experiment, fit: Refit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A distribution of everybody that is wide takes others for members, and misses some."""
+    first = np.where(np.arange(N) % 9 == 0, ~HAS_IT, HAS_IT | (np.arange(N) % 6 == 1)).astype(float)
+    assert np.sum((first > 0.5) != HAS_IT) == 10
+    sure = of_members(world.refitter, fit, 1)
+    monkeypatch.setattr(module, "members", lambda fit, i: replace(members(fit, i), probability=first))
+    found = of_members(world.refitter, fit, 1)
+    np.testing.assert_array_equal(found.who[0].probability > 0.5, HAS_IT)
+    assert sure.mixture is not None
+    assert found.mixture is not None
+    assert found.mixture.evidence.sum() == pytest.approx(sure.mixture.evidence.sum(), abs=2.0)
