@@ -299,37 +299,42 @@ def log_densities(
 ) -> np.ndarray:
     """Log densities of :func:`marginal` for many dispersions, tau of shape (G, A); shape (G,).
 
-    If central values (A,) are given, around which h and d expand the likelihood, dispersions with which a shape's lies
-    more than its prior's standard deviation away have no density: the expansion says nothing there.
+    If central values (A,) are given, around which h and d expand the likelihood, those of shapes are held there. Where
+    a shape and a coefficient change the curve nearly alike, the expansion does not say where they go with another
+    dispersion (:mod:`.shape_force`).
     """
-    values, mean, _ = _marginal(model, h, d, tau)
-    if around is None:
-        return values
-    reach = np.array([np.inf if p.is_coefficient else p.prior_sd for p in model.parameters])
-    return np.where(np.all(np.abs(mean - around) <= reach, axis=1), values, -np.inf)
+    return _marginal(model, h, d, tau, around)[0]
 
 
-def _marginal(model: Model, h: np.ndarray, d: np.ndarray, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _marginal(
+    model: Model, h: np.ndarray, d: np.ndarray, tau: np.ndarray, around: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Log densities (G,), means (G, A) and precisions (G, A, A) of a for dispersions of shape (G, A).
 
     They are computed around the mean that everybody's being the same would have, whatever the dispersions are: around
     zero, the log likelihood of a parameter that is a thousand million standard deviations from it, such as the
-    frequency of a resonance without damping, is 1e18, of which a double knows hundreds.
+    frequency of a resonance without damping, is 1e18, of which a double knows hundreds. If shapes are held `around` the
+    fit, means and precisions are those of the others, (G, C) and (G, C, C).
     """
     varying = np.flatnonzero(~model.shared[model.n_elements :])
-    prior_sd = np.array([p.prior_sd for p in model.parameters])
-    centre = np.array([p.centre for p in model.parameters])
+    free = np.array([around is None or p.is_coefficient for p in model.parameters])
+    inside = np.ix_(free, free)
+    prior_sd = np.array([p.prior_sd for p in model.parameters])[free]
+    centre = np.array([p.centre for p in model.parameters])[free]
     # Two additions that are the same curve, one of them the same for all, differ by less than rounding.
     firm = np.ones((prior_sd.size, prior_sd.size)) + np.diag(np.full(prior_sd.size, ROUNDING))
     prior = np.diag(prior_sd**-2.0)
-    reference = np.linalg.solve((d.sum(axis=0) + prior) * firm, h.sum(axis=0) + centre / prior_sd**2)
+    whole, force = d.sum(axis=0), h.sum(axis=0)
+    reference = np.zeros(free.size) if around is None else np.where(free, 0.0, around)
+    left = (force - whole @ reference)[free] + centre / prior_sd**2
+    reference[free] = np.linalg.solve((whole[inside] + prior) * firm, left)
     there = h - np.einsum("nab,b->na", d, reference)
     precision, right, value = _integrated(*(np.ascontiguousarray(a) for a in (d, there, varying, tau)))
-    precision = (precision + prior) * firm
-    right += (centre - reference) / prior_sd**2
+    precision = (precision[:, free][:, :, free] + prior) * firm
+    right = right[:, free] + (centre - reference[free]) / prior_sd**2
     mean = np.linalg.solve(precision, right[..., None])[..., 0]
     value += 0.5 * np.sum(right * mean, axis=1) - 0.5 * np.linalg.slogdet(precision)[1]
-    return value, reference + mean, precision
+    return value, reference[free] + mean, precision
 
 
 @compiled

@@ -209,8 +209,10 @@ def _of_distribution(fit: Refit, addition: int) -> float:
 def _dispersions_integrated(fit: Refit, addition: int) -> float:
     """Logarithm of the integral of L(tau) / L(tau_0) over the prior of an addition's dispersions.
 
-    Only over those with which the shapes stay near the fit: a resonance whose damping had gone to twelve standard
-    deviations of its prior was taken back there, with larger dispersions, by an expansion that held for one of them.
+    The shapes' central values are held at the fit's. Where a shape trades with a coefficient, the expansion would
+    follow the ridge with the coefficient's dispersion, to where it does not hold: a relaxation with its corner far
+    below the band had 23 units for a coefficient of nearly zero and another time constant, and led the spring that was
+    there by as much.
     """
     pooling = fit.model.additions[addition].pooling
     model = with_pooling(fit.model, addition, "varying") if pooling == "shared" else fit.model
@@ -223,7 +225,7 @@ def _dispersions_integrated(fit: Refit, addition: int) -> float:
         held[columns] = 0.0
 
     here = central_values(fit)
-    start = float(log_densities(model, h, d, held[None])[0])
+    start = float(log_densities(model, h, d, held[None], here)[0])
     prior = -0.5 * _GRID**2 - logsumexp(-0.5 * _GRID**2)
     nodes = TYPICAL_DISPERSION * np.exp(_SPREAD_OF_DISPERSIONS * _GRID)
     tau, total = held.copy(), 0.0
@@ -235,11 +237,9 @@ def _dispersions_integrated(fit: Refit, addition: int) -> float:
             grid[:, c] = nodes * unit[c]
             values = log_densities(model, h, d, grid, here)
             best = int(np.argmax(values + prior))
-            if not np.isfinite(values[best]):  # with none of them is the fit near its maximum: it tells nothing
-                return 0.0
             tau[c] = nodes[best] * unit[c]
             total += float(logsumexp(values + prior)) - float(values[best])
-    return total + float(log_densities(model, h, d, tau[None])[0]) - start
+    return total + float(log_densities(model, h, d, tau[None], here)[0]) - start
 
 
 def _units(fit: Refit, model: Model) -> np.ndarray:
