@@ -11,14 +11,13 @@ from scipy.integrate import quad
 from scipy.stats import multivariate_normal, norm
 
 from bayes_impedance.diagnosis.catalogue.effect import Candidate
+from bayes_impedance.diagnosis.fit.additions_step import central_values
 from bayes_impedance.diagnosis.fit.extend import with_pooling
 from bayes_impedance.diagnosis.fit.normal_equations import log_densities, marginal, quadratic
 from bayes_impedance.diagnosis.fit.refit import Refit
-from bayes_impedance.diagnosis.selection import compare as compare_module
 from bayes_impedance.diagnosis.selection.compare import (
     LEAST_GAIN,
     Comparison,
-    _dispersions_integrated,
     compare,
     log_evidence,
     typical_gain,
@@ -205,15 +204,26 @@ def test_the_truth_is_rarely_excluded(apart: float) -> None:
     assert separated(-own).mean() < below + 0.005
 
 
-def test_dispersions_that_take_the_shape_far_away_bring_no_evidence(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The expansion around the fit foretells anything there; what the people's own evidence says, stays."""
-    experiment = toy(*TOY, seed=2, n=12, hidden=with_mass(0.3))
-    fit = masses(experiment, experiment.fit())[1].fit
-    assert _dispersions_integrated(fit, 0) != 0.0
+def test_a_dispersion_is_worth_what_refits_with_it_say() -> None:
+    """A relaxation whose corner is far below the band: its time constant trades with its damping."""
 
-    def nowhere_near(*arguments: np.ndarray) -> np.ndarray:
-        values = log_densities(*arguments[:4])
-        return values if len(arguments) < 5 else np.full(values.shape, -np.inf)
+    def stiffness(s: np.ndarray, z: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        k = 60.0 * np.exp(0.3 * rng.normal(size=len(z)))
+        return z + k[:, None, None] / s, k
 
-    monkeypatch.setattr(compare_module, "log_densities", nowhere_near)
-    assert _dispersions_integrated(fit, 0) == 0.0
+    centre = {"m1": 0.18, "r1": 4.0}
+    experiment = toy("m1|r1", centre, seed=5, n=30, hidden=stiffness, frequency_hz=np.geomspace(8, 600, 60))
+    candidate = Candidate(entry("body.relaxation"), "port", {"time_constant": 0.2})
+    trial = try_candidate(experiment.refitter, experiment.fit(), candidate, 12.0, ("varying",))[0]
+    fit = experiment.refitter.fit(trial.fit.model, trial.fit.u, trial.fit.population, 80)
+    h, d, _ = quadratic(fit.model, fit.data, fit.u, fit.equations, fit.population.covariance)
+    mean, here = float(fit.u[:, fit.model.columns(0)[0]].mean()), central_values(fit)
+    followed = []
+    for dispersion in (0.15, 0.2, 0.6):
+        other = experiment.refitter.fit(with_pooling(fit.model, 0, "varying", [dispersion]), fit.u, fit.population, 80)
+        refitted = float(other.evidence.sum() - fit.evidence.sum())
+        tau = np.array([[dispersion * mean, 0.0], [fit.model.parameters[0].dispersion * mean, 0.0]])
+        held, free = (-np.diff(log_densities(fit.model, h, d, tau, a))[0] for a in (here, None))
+        assert held == pytest.approx(refitted, abs=1.5)
+        followed.append(abs(free - refitted))
+    assert max(followed) > 5
