@@ -20,7 +20,7 @@ from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.grown_network import grown_network
 from bayes_impedance.diagnosis.residuals.locate import Location, locate
 from bayes_impedance.diagnosis.residuals.missing_impedance import missing_one_ports
-from bayes_impedance.diagnosis.selection.compare import SCATTERS, log_evidence
+from bayes_impedance.diagnosis.selection.compare import SCATTERS, compare, log_evidence
 from bayes_impedance.diagnosis.selection.cross_validation import clearly_gains, people_gain
 from bayes_impedance.diagnosis.selection.exchange import Way
 from bayes_impedance.diagnosis.selection.identifiability import names_that_hold
@@ -195,15 +195,16 @@ def _one_network(
 ) -> tuple[Found, Realised | None]:
     """What was found, or one network of elements in its place.
 
-    The network is preferred if it predicts held-out people better than what was found; to a sum of several effects
-    also if it predicts them as well. In place of names it must not be larger than they are: with enough relaxations a
-    network comes as near to any distributed element, such as a power law, as the recordings can tell.
+    The network is preferred if it is better than the claimed one by the criterion of all explanations, and predicts
+    held-out people better than what was found; to a sum of several effects also if it predicts them as well. In place
+    of names it must not be larger than they are: with enough relaxations a network comes as near to any distributed
+    element, such as a power law, as the recordings can tell.
     """
     final = found.final if unknown is None else unknown.trial.fit
     named = found.final is not found.base
     most = len(final.model.kernel.elements) - len(found.base.model.kernel.elements) if named else None
     grown = grown_network(refitter, found.base, names, seed, executor, most)
-    if grown is None:
+    if grown is None or not compare(grown, found.base).decided:
         return found, unknown
     several = len(final.model.additions) - len(found.base.model.additions) > 1
     more, se = people_gain(refitter, final, grown, seed)

@@ -64,15 +64,17 @@ compiled: Any = kept_njit(nogil=True, error_model="numpy")
 
 
 @compiled
-def workspace(program: Program, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def workspace(program: Program, omega: np.ndarray, zeta: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Workspace of :func:`forward`: sums and outputs of the nodes, both (N + 1, 2, F).
 
-    The last row of the sums holds 1/omega and 0, that of the outputs zeros, the contribution of a missing child.
+    The last row of the sums holds 1/omega and 0, that of the outputs zeros, the contribution of a missing child. With a
+    damping ratio zeta the network is evaluated at s = omega (j + zeta) instead, if nothing but elements is in it: the
+    row then holds 1/(omega (1 + zeta^2)), so that a spring's c/s is c (zeta - j) times that, and zeta.
     """
     n_nodes = program.node_parent.size
     sums, outputs = np.empty((n_nodes + 1, 2, omega.size)), np.empty((n_nodes + 1, 2, omega.size))
     for f in range(omega.size):
-        sums[n_nodes, 0, f], sums[n_nodes, 1, f] = 1.0 / omega[f], 0.0
+        sums[n_nodes, 0, f], sums[n_nodes, 1, f] = 1.0 / (omega[f] * (1.0 + zeta * zeta)), zeta
         outputs[n_nodes, 0, f], outputs[n_nodes, 1, f] = 0.0, 0.0
     return sums, outputs
 
@@ -85,6 +87,7 @@ def forward(program: Program, theta: np.ndarray, omega: np.ndarray, sums: np.nda
     as much as the arithmetic.
     """
     n_nodes, n_frequencies = program.node_parent.size, omega.size
+    zeta = sums[n_nodes, 1, 0]
     for node in range(n_nodes):
         inertial, resistive, elastic = 0.0, 0.0, 0.0
         for t in range(program.term_node.size):
@@ -105,6 +108,8 @@ def forward(program: Program, theta: np.ndarray, omega: np.ndarray, sums: np.nda
             for f in range(n_frequencies):
                 x = resistive + outputs[first, 0, f] + outputs[second, 0, f]
                 y = inertial * omega[f] - elastic * sums[n_nodes, 0, f] + outputs[first, 1, f] + outputs[second, 1, f]
+                if zeta > 0.0:
+                    x += zeta * (inertial * omega[f] + elastic * sums[n_nodes, 0, f])
                 scale = 1.0 / (x * x + y * y)
                 outputs[node, 0, f] = x * scale
                 outputs[node, 1, f] = -y * scale
@@ -112,6 +117,8 @@ def forward(program: Program, theta: np.ndarray, omega: np.ndarray, sums: np.nda
         for f in range(n_frequencies):
             sums[node, 0, f] = resistive
             sums[node, 1, f] = inertial * omega[f] - elastic * sums[n_nodes, 0, f]
+            if zeta > 0.0:
+                sums[node, 0, f] += zeta * (inertial * omega[f] + elastic * sums[n_nodes, 0, f])
         for child in range(node):
             if program.node_parent[child] == node:
                 for f in range(n_frequencies):
@@ -167,6 +174,7 @@ def backward(
     and imaginary part: one and zero if the result is z itself.
     """
     n_nodes, n_frequencies = program.node_parent.size, omega.size
+    zeta = sums[n_nodes, 1, 0]
     slopes = np.empty((N_PARAMETERS, 2, n_frequencies if program.node_code.any() else 0))
     copied = 0  # copies of the network, whose motion an element follows, come first
     if program.motion.shape[0] > 0:
@@ -213,6 +221,11 @@ def backward(
             for f in range(n_frequencies):
                 derivative[element, 0, f] = c * sums[n_nodes, 0, f] * adjoints[node, 1, f]
                 derivative[element, 1, f] = -c * sums[n_nodes, 0, f] * adjoints[node, 0, f]
+        if zeta > 0.0 and power != 0:
+            for f in range(n_frequencies):
+                size = zeta * c * (omega[f] if power == 1 else sums[n_nodes, 0, f])
+                derivative[element, 0, f] += size * adjoints[node, 0, f]
+                derivative[element, 1, f] += size * adjoints[node, 1, f]
     if copied > 0:
         backward_motion_apart(program, theta, omega, sums, outputs, adjoints, pulls, derivative)
 

@@ -1,4 +1,4 @@
-"""Inverse of a small positive definite matrix and solution of a small system, inside compiled functions.
+"""Inverse of a small positive definite matrix and solution of a small system, mostly inside compiled functions.
 
 For a dozen rows a library call takes longer than its arithmetic, and the posterior of a person needs some inverses for
 each of thousands of draws. What numba compiles around a library's solution takes longer to compile than the kernel.
@@ -184,3 +184,21 @@ def inverses(a: np.ndarray, result: np.ndarray) -> None:
                 unit = np.zeros(n)
                 unit[c] = 1.0
                 result[:, c, i] = solved(own, unit)
+
+
+_RIDGE = 1e-12
+"""Relative ridge of a matrix that rounding has made singular. By choice: a few thousand times the rounding."""
+
+
+def inverse(a: np.ndarray) -> np.ndarray:
+    """Inverses of positive definite matrices (..., n, n), also where rounding has made one of them singular.
+
+    Beside a pole of a lossless network one point outweighs all others by 1e20, and a matrix with rows of such different
+    sizes may have no pivot left. It does if its rows and columns are first scaled to a diagonal of ones.
+    """
+    try:
+        return np.asarray(np.linalg.inv(a))
+    except np.linalg.LinAlgError:
+        root = np.sqrt(np.einsum("...ii->...i", a))
+        scale = root[..., :, None] * root[..., None, :]
+        return np.asarray(np.linalg.inv(a / scale + _RIDGE * np.eye(a.shape[-1])) / scale)

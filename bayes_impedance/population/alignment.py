@@ -37,9 +37,19 @@ searched alone. By choice: chance costs time only."""
 
 
 def aligned(
-    kernel: Kernel, precision: np.ndarray, rho: np.ndarray, likelihood: Likelihood, fit: PersonFit, mean: np.ndarray
+    kernel: Kernel,
+    precision: np.ndarray,
+    rho: np.ndarray,
+    likelihood: Likelihood,
+    fit: PersonFit,
+    mean: np.ndarray,
+    begun: np.ndarray | None = None,
 ) -> PersonFit:
     """The fit of a person, or a better place if the recordings are described badly and have one.
+
+    From where the search for the person's mode has begun, with all recordings alike, it may have gone to another
+    valley, in which resonances that differ between them are none. So of a person who is described badly recordings are
+    also searched from there.
 
     Parameters
     ----------
@@ -52,12 +62,16 @@ def aligned(
     fit : PersonFit
     mean : ndarray, shape (P,)
         Population mean for this person's covariates.
+    begun : ndarray, shape (P,), optional
+        Log elements from which the fit has begun.
     """
-    if len(likelihood.z) == 1:
+    badly = fit.mode.scale > GROSS
+    if len(likelihood.z) == 1 or (begun is not None and not badly):
         return fit
-    places = fit.theta + fit.expanded
+    centre = fit.theta if begun is None else begun
+    places = centre + (fit.expanded if begun is None else np.zeros_like(fit.expanded))
     least = np.maximum(rho, LEAST_RHO)
-    own = searched_alone(kernel, likelihood, places, fit.theta, least, everyone=fit.mode.scale > GROSS)
+    own = searched_alone(kernel, likelihood, places, centre, least, everyone=badly)
     if own is places:
         return fit
     theta = np.mean(own, axis=0)

@@ -18,6 +18,7 @@ from bayes_impedance.person.bounded_search import GROSS, bounded_search
 from bayes_impedance.person.likelihood import Likelihood, repetition_equations
 from bayes_impedance.person.mode import ROUNDING, Mode, find_mode
 from bayes_impedance.person.noise import contrasts
+from bayes_impedance.person.small_matrices import inverse
 from bayes_impedance.population.contrasts import Contrasts
 from bayes_impedance.population.shared import Placed
 
@@ -123,11 +124,11 @@ def _realigned(
     w = mode.scale**-2
     curvature = w * information + np.diag(1 / np.maximum(rho, 1e-3) ** 2)
     curvature += ROUNDING * np.eye(rho.size) * curvature
-    inverse = np.linalg.inv(curvature)
+    inverses = inverse(curvature)
     pull = -w * gradient - likelihood.deviations / np.maximum(rho, 1e-3) ** 2
-    free = np.einsum("jpq,jq->jp", inverse, pull)
-    multiplier = -np.linalg.solve(inverse.sum(axis=0), (likelihood.deviations + free).sum(axis=0))
-    step = free + inverse @ multiplier
+    free = np.einsum("jpq,jq->jp", inverses, pull)
+    multiplier = -np.linalg.solve(inverses.sum(axis=0), (likelihood.deviations + free).sum(axis=0))
+    step = free + inverses @ multiplier
     longest = np.abs(step).max()
     if longest > 0.5:
         step = step * (0.5 / longest)
@@ -189,7 +190,7 @@ def sums(
     The fits were computed with the dispersion rho (P,) between repetitions.
     """
     theta, design = _stacked(fits), np.hstack([np.ones((len(fits), 1)), covariates])
-    own = np.linalg.inv([f.mode.precision for f in fits])
+    own = inverse(np.array([f.mode.precision for f in fits]))
     counted = design
     if weights is not None:
         counted, own = weights[:, None] * design, weights[:, None, None] * own
@@ -200,7 +201,7 @@ def sums(
     for j, group in contrasts_of(fits).items():
         size, n = group.gradient.shape
         precision = np.moveaxis(group.information, -1, 0) + np.diag(np.tile(inverse_square, j - 1))
-        posterior = np.linalg.inv(precision)
+        posterior = inverse(precision)
         mean = np.einsum("npq,qn->np", posterior, group.gradient)
         square = mean**2 + np.diagonal(posterior, axis1=1, axis2=2)
         squares[j] = square.reshape(n, -1, rho.size).sum(axis=(0, 1)), n * size // rho.size
@@ -216,7 +217,7 @@ def spread(fits: Sequence[PersonFit], means: np.ndarray, weights: np.ndarray | N
 def squared_distances(fits: Sequence[PersonFit], means: np.ndarray, precision: np.ndarray) -> np.ndarray:
     """Expected squared distances of persons from their population means (n, P), for a population's precision: (n,)."""
     offset = _stacked(fits) - means
-    uncertain = np.einsum("pq,nqp->n", precision, np.linalg.inv([f.mode.precision for f in fits]))
+    uncertain = np.einsum("pq,nqp->n", precision, inverse(np.array([f.mode.precision for f in fits])))
     return np.asarray(np.einsum("np,pq,nq->n", offset, precision, offset) + uncertain)
 
 
@@ -237,8 +238,8 @@ def _gain_of_deviations(fit: PersonFit) -> float:
 
 def information_of_means(fits: Sequence[PersonFit], precision: np.ndarray, begun: np.ndarray) -> np.ndarray:
     """Information (P, P) on the population mean, given the population's precision (P, P), added to `begun` (P, P)."""
-    inverse = np.linalg.inv(np.array([f.mode.information for f in fits]) + precision)
-    return np.asarray(np.concatenate([begun[None], precision - precision @ inverse @ precision]).sum(axis=0))
+    inverses = inverse(np.array([f.mode.information for f in fits]) + precision)
+    return np.asarray(np.concatenate([begun[None], precision - precision @ inverses @ precision]).sum(axis=0))
 
 
 def information_of_elements(fits: Sequence[PersonFit], precision: np.ndarray) -> np.ndarray:

@@ -120,6 +120,7 @@ class State:
             self.mu, self.covariance = self.prior.centre.copy(), self.prior.covariance
         self.rho = np.full(self.mu.size, 0.1) if repeated else np.zeros(self.mu.size)
         self.fits = data.each(begin, theta)
+        self.beginnings: np.ndarray | None = theta  # until everybody has been fitted
         self.begun = False  # whether everybody has been fitted with the shared parameters as they are
 
     def snapshot(self) -> dict[str, np.ndarray]:
@@ -142,7 +143,7 @@ class State:
         self.fits = unpacked(self.data, snapshot)
         if "weights" in snapshot:
             self.weights, self.tail = snapshot["weights"], float(snapshot["tail"])
-        self.begun = True  # snapshots are taken after an iteration
+        self.begun, self.beginnings = True, None  # snapshots are taken after an iteration
 
     def take_population(self, other: State) -> None:
         """Take over another state's population, not its persons (before the first iteration)."""
@@ -187,6 +188,10 @@ class State:
             starts = np.concatenate([means[:, None], extra_starts], axis=1)
         precision = np.linalg.inv(self.covariance)
         kernel = self.pooling.at(self.phi)
+        if self.beginnings is not None and self.rho.any():
+            fits = refitted(self.data, self.fits, kernel, precision, self.rho, means, None, self.weights)
+            self.fits = self.data.each(partial(aligned, kernel, precision, self.rho), fits, means, self.beginnings)
+        self.beginnings = None
         self.fits = refitted(self.data, self.fits, kernel, precision, self.rho, means, starts, self.weights)
         old_mu, old_covariance, old_rho = self.mu.copy(), self.covariance, self.rho
         if self.weights is not None:

@@ -31,6 +31,7 @@ from bayes_impedance.person.noise import (
     scatter_of_repetitions,
     scatter_of_roughness,
 )
+from bayes_impedance.population.common_ends import REGRET, common_solutions_of
 from bayes_impedance.population.equal_parts import named_alike, steps_of
 from bayes_impedance.population.noise_tails import estimated_tail
 from bayes_impedance.population.prior import Prior
@@ -67,16 +68,15 @@ as a better one is found; and what is better, in nats. By choice: a wrong value 
 a factor of several. The right valley may be reached from less than one random start in a thousand, and from a
 neighbouring one by changing one element: of 24 populations of 10 people and 30 frequencies, 5 ended in the wrong one
 without it."""
-_REGRET, _COMPARED, _SAME = 50.0, 12, 0.1
-"""Largest difference from the person's best objective, in nats, that counts: one outlying person must not decide, and
-what is further behind at few points is not compared at all of them. Largest number of ends that are compared. Largest
-difference of two ends, in any log element, that are the same. By choice."""
+_COMPARED, _SAME = 12, 0.1
+"""Largest number of ends that are compared, and largest difference of two ends, in any log element, that are the same.
+By choice."""
 _REPOSITIONED = 0.3
 """Prior standard deviation of a recording's log elements about the person's, for the noise: several times what
 repositioning changes. By choice."""
-_COMMON = 5
-"""Solutions common to all persons that are compared, the best on average first. By choice: more cost time."""
-
+_NEARLY = 8.0
+"""Regret up to which a person has the common solution's end instead of the best one. By choice: what the population
+may well make up for."""
 _WHOLE = "first_fits.npz"
 
 
@@ -195,11 +195,12 @@ def first_fits(
     candidates = np.vstack([*found, *given])
     trying = partial(_try_all, kernel, candidates, prior.centre, precision)
     ends, objectives, alternatives = everybody("first fits", trying, subjects)
-    regret = np.minimum(objectives - objectives.min(axis=1, keepdims=True), _REGRET)
-    common = int(np.argmin(regret.sum(axis=0)))
-    own = np.where(regret[:, common] < 8, common, np.argmin(regret, axis=1))
+    regret = np.minimum(objectives - objectives.min(axis=1, keepdims=True), REGRET)
+    everyone = np.arange(len(subjects))
+    common = common_solutions_of(ends, regret, candidates)
+    own = np.where(regret[everyone, common[0]] < _NEARLY, common[0], np.argmin(regret, axis=1))
     exchanged = steps_of(kernel, prior)
-    best = named_alike(ends[np.arange(len(subjects)), own], exchanged)
+    best = named_alike(ends[everyone, own], exchanged)
 
     (theta,) = everybody("noise", partial(_provisional, kernel, prior.centre, precision), subjects, best)
     unknown = [i for i, subject in enumerate(subjects) if subject.noise_sd is None]
@@ -210,7 +211,7 @@ def first_fits(
         tail = estimated_tail(kernel, recordings, theta, model, executor)
         degrees = 1 / tail[0] if tail[0] else np.inf
     model = shaped(degrees) if unknown else None
-    solutions = [named_alike(solution, exchanged) for solution in _common_solutions(ends, regret)]
+    solutions = [named_alike(ends[everyone, chosen], exchanged) for chosen in common]
     solutions += [] if start is None else [start]
     fits = FirstFits(theta, alternatives, np.array(solutions), model, tail)
     if checkpoint is not None:
@@ -233,7 +234,7 @@ def _try_all(
     """
     few, whole = thinned(subject, centre.size), typical(subject, centre.size, slice(None))
     ends, objectives = modes_from(kernel, few, candidates, centre, precision, 40)
-    promising = np.where(objectives < objectives.min() + _REGRET, objectives, np.inf)
+    promising = np.where(objectives < objectives.min() + REGRET, objectives, np.inf)
     kept = np.array(_distinct(ends, promising, _COMPARED, _SAME))
     better, values = modes_from(kernel, whole, kept, centre, precision, 40)
     apart = np.abs(ends[:, None] - kept).max(axis=2)
@@ -288,27 +289,6 @@ def search_modes(kernel: Kernel, likelihood: Likelihood, starts: np.ndarray, pri
         if not values.min() < objectives[best] - _BETTER:
             break
     return best_distinct(ends, objectives, n)
-
-
-def _common_solutions(ends: np.ndarray, regret: np.ndarray) -> np.ndarray:
-    """The best few common solutions that differ as populations, from end points (N, C, P) and regret (N, C).
-
-    From one point not everybody reaches the same valley, so in each solution everybody has the end that is nearest to
-    the median person's, of those that are not far behind.
-    """
-    far = np.where(regret < _REGRET, 0.0, np.inf)
-    far[np.arange(len(far)), np.argmin(regret, axis=1)] = 0.0
-    kept: list[tuple[float, np.ndarray]] = []
-    for column in np.argsort(regret.sum(axis=0)):
-        middle = np.median(ends[:, column], axis=0)
-        nearest = np.argmin(np.abs(ends - middle).max(axis=2) + far, axis=1)
-        gathered = ends[np.arange(len(ends)), nearest]
-        middle = np.median(gathered, axis=0)
-        if all(np.abs(middle - np.median(other, axis=0)).max() > 0.3 for _, other in kept):
-            kept.append((float(regret[np.arange(len(ends)), nearest].sum()), gathered))
-        if len(kept) == _COMMON:
-            break
-    return np.array([gathered for _, gathered in sorted(kept, key=lambda pair: pair[0])])
 
 
 def typical(subject: Subject, n_elements: int, points: slice | np.ndarray) -> Likelihood:

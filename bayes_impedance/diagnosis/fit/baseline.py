@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from bayes_impedance.diagnosis.fit.fitter import Refitter
+from bayes_impedance.diagnosis.fit.majority import gathered
 from bayes_impedance.diagnosis.fit.model import build, scales_of
 from bayes_impedance.diagnosis.fit.normal_equations import Population
 from bayes_impedance.diagnosis.fit.recordings_alone import recordings_alone
@@ -89,7 +90,7 @@ def fit_network(
     model = build(tree.holding(held), (), scales_of(recordings), ())
     u = np.concatenate([m.theta + d.deviations for m, d in zip(point.modes, point.likelihoods, strict=True)])
     fit = refitter.fit(model, u, Population(point.mu, point.covariance, point.between_repetitions), ROUNDS)
-    fit = recordings_alone(refitter, refitter.settle(fit, seed))
+    fit = gathered(refitter, recordings_alone(refitter, refitter.settle(fit, seed)))
     if not fit.settled:  # along an element that the recordings hardly determine, rounds are many and small
         fit = refitter.fit(model, fit.u, fit.population, LAST_ROUNDS)
     return Fitted(

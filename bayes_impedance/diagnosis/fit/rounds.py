@@ -15,6 +15,7 @@ from bayes_impedance.diagnosis.fit.normal_equations import Equations, Population
 from bayes_impedance.diagnosis.fit.second_order import SecondOrder
 from bayes_impedance.person.likelihood import SCALE_SHAPE
 from bayes_impedance.person.mode import ROUNDING
+from bayes_impedance.person.small_matrices import inverse
 from bayes_impedance.population.em_state import PRIOR_PERSONS, SMALLEST_DISPERSION
 
 _SHARE = 1e-5
@@ -129,11 +130,11 @@ def blocks_of(
     h[:, np.arange(r.size), np.arange(r.size)] += (damping[owner, None] + ROUNDING) * diagonal
     if second_order is not None:
         h += second_order.beside(h + np.diag(r), owner, w, varying)
-    inverse = np.linalg.inv(h + np.diag(r))
+    inverses = inverse(h + np.diag(r))
     pull = -w[:, None] * equations.gradient[:, varying] - r * (u[:, varying] - persons[owner])
-    kept = r[:, None] * inverse @ h  # R - R A^-1 R, without the difference of large numbers
+    kept = r[:, None] * inverses @ h  # R - R A^-1 R, without the difference of large numbers
     precision = np.linalg.inv(population.covariance) + sums(0.5 * (kept + np.swapaxes(kept, 1, 2)), owner, n)
-    return Blocks(inverse, pull, precision)
+    return Blocks(inverses, pull, precision)
 
 
 @dataclass(frozen=True)

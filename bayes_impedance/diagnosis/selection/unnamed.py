@@ -3,7 +3,9 @@
 Small branches of masses, springs and dampers are tried beside and in series with the places at which the missing
 one-port explains most of the mismatch. All are passive by construction. They are screened like any candidate, the best
 are refitted, and the one that gains most on **held-out people** is selected, so that a larger branch is not preferred
-merely for its number of elements.
+merely for its number of elements. It has to be better by the same criterion as an effect that has a name
+(:mod:`.compare`): of 44 people to whom nothing was missing, one that was 3.3 ahead with a standard error of 5.3
+predicted the others better by 14, which is 2.5 standard errors, and was the best of three.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.multiple_testing import STRUCTURE_ALPHA
-from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, FEWEST_TO_VARY, LEAST_GAIN
+from bayes_impedance.diagnosis.selection.compare import FEWEST_PEOPLE, FEWEST_TO_VARY, compare
 from bayes_impedance.diagnosis.selection.cross_validation import clearly_gains, held_out, people_gain
 from bayes_impedance.diagnosis.selection.score_scan import screen
 from bayes_impedance.diagnosis.selection.shortlist import best_shapes
@@ -135,7 +137,7 @@ def stand_in_network(
         for k in order
         for t in try_candidate(refitter, fit, screening.candidates[k], float(screening.size[k]), ("shared", pooling))
     ]
-    good = [t for t in trials if np.isfinite(t.gain) and t.gain > LEAST_GAIN]
+    good = [t for t in trials if np.isfinite(t.gain) and compare(t.fit, fit).decided]
     if not good:
         return None
     good = sorted(good, key=lambda t: -t.gain)[:_COMPARED]
