@@ -201,3 +201,27 @@ def test_battery_circuit_is_a_network():
     z = Kernel(network).impedance(np.log([r0, r1, c1, r2, c2]), FREQUENCY)
     np.testing.assert_allclose(z, r0 + r1 / (1 + S * r1 * c1) + r2 / (1 + S * r2 * c2), rtol=1e-13)
     assert [kind_of(name).unit("ohm") for name in network.elements] == ["ohm", "ohm", "F", "ohm", "F"]
+
+
+@pytest.mark.parametrize(
+    "notation", [PAPER_NETWORK, "(m1-n1-(n2|m2))|r1|(r2-n3)", "m1|r1|n1", "(n1-r1)|(n2-r2)|(n3-r3)|m1"]
+)
+def test_elements_with_more_damping_are_the_recursion_at_complex_frequencies(notation):
+    network, zeta = parse(notation), 0.2
+    program = Kernel(network).program
+    theta = np.random.default_rng(5).normal(size=len(network.elements))
+    omega = 2 * np.pi * FREQUENCY
+
+    def impedance(theta):
+        sums, outputs = kernel_module.workspace(program, omega, zeta)
+        kernel_module.forward(program, theta, omega, sums, outputs)
+        return sums, outputs, outputs[-2, 0] + 1j * outputs[-2, 1]
+
+    sums, outputs, z = impedance(theta)
+    np.testing.assert_allclose(z, network_impedance(network, omega * (1j + zeta), by_name(network, theta)), rtol=1e-12)
+    adjoints, rows = np.zeros((len(outputs), 2, omega.size)), np.empty((theta.size, 2, omega.size))
+    adjoints[-1, 0] = 1.0
+    kernel_module.backward(program, theta, omega, sums, outputs, adjoints, rows)
+    for p, step in enumerate(1e-6 * np.eye(theta.size)):
+        slope = (impedance(theta + step)[2] - impedance(theta - step)[2]) / 2e-6
+        np.testing.assert_allclose(rows[p, 0] + 1j * rows[p, 1], slope, atol=1e-7 * np.abs(z).max())

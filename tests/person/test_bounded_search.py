@@ -7,6 +7,7 @@ import pytest
 
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
+from bayes_impedance.person import bounded_search as search_module
 from bayes_impedance.person.bounded_search import bounded_search
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.mode import all_modes
@@ -38,6 +39,39 @@ def test_resonances_without_damping_are_found_from_random_starts(network: str, e
         _, objectives, _ = all_modes(kernel, likelihood, nearer, centre, precision, 40)
         _, best, _ = all_modes(kernel, likelihood, theta[None], centre, precision, 40)
         assert np.sum(objectives < best[0] + 0.1) >= 3
+
+
+@pytest.mark.parametrize("broad", [True, False])
+def test_two_resonances_are_found_by_following_them_from_where_they_overlap(
+    broad: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not broad:
+        monkeypatch.setattr(search_module, "DAMPINGS", ())
+    network, centre = "(m1-n1-(n2|m2))|r1|(r2-n3)", np.log([0.0168, 1e-3, 4.2e-4, 0.039, 21.7, 4.4, 7.2e-5])
+    found = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        theta = centre + 0.3 * rng.normal(size=centre.size)
+        kernel, likelihood = recorded(network, theta, seed, noise=0.02)
+        around, precision = centre + 0.7, np.eye(theta.size) / 9
+        starts = around + rng.normal(0, 2.5, (96, theta.size))
+        nearer = bounded_search(kernel, likelihood, starts, around, precision)
+        _, objectives, _ = all_modes(kernel, likelihood, nearer, around, precision, 40)
+        _, best, _ = all_modes(kernel, likelihood, theta[None], around, precision, 40)
+        found.append(int(np.sum(objectives < best[0] + 0.1)))
+    assert (min(found) >= 8) if broad else (max(found) <= 2), found
+
+
+def test_a_recording_is_followed_to_more_damping_by_its_own_values() -> None:
+    """Poisson's integral over a band against the network itself at complex frequencies."""
+    kernel, omega, zeta = Kernel(parse("m1-n1-(m2|n2)|r1")), 2 * np.pi * np.geomspace(0.1, 1e5, 1500), 0.1
+    values = {"m1": 0.28, "n1": 2.2e-3, "m2": 0.37, "n2": 1.4e-3, "r1": 30.0}
+    z = kernel.network.impedance(1j * omega, values)
+    inside = (omega > 2 * np.pi * 5) & (omega < 2 * np.pi * 2000)
+    z0 = np.abs(z)
+    smooth = search_module._smoothed(omega, z, z0, zeta)
+    there = kernel.network.impedance(omega * (1j + zeta), values)
+    np.testing.assert_allclose(smooth[inside], ((there - z0) / (there + z0))[inside], atol=0.01)
 
 
 def test_an_optimum_is_kept_and_what_is_not_finite_is_left_alone() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayes_impedance.person.small_matrices import inverted, solved
+from bayes_impedance.person.small_matrices import inverse, inverted, solved
 
 
 @pytest.mark.parametrize("n", [1, 2, 8, 19])
@@ -42,3 +42,14 @@ def test_solution_is_that_of_lapack_also_where_pivots_must_be_exchanged(size: in
 def test_singular_matrix_has_no_solution() -> None:
     with pytest.raises(np.linalg.LinAlgError, match="singular"):
         solved(np.zeros((2, 2)), np.ones(2))
+
+
+def test_where_one_point_outweighs_all_others_there_is_an_inverse() -> None:
+    far = np.ones(2)
+    a = np.array([np.diag([4.0, 2.0]), 1e30 * np.outer(far, far) + np.eye(2)])
+    with pytest.raises(np.linalg.LinAlgError):
+        np.linalg.inv(a)
+    found = inverse(a)
+    np.testing.assert_allclose(found[0], np.diag([0.25, 0.5]), rtol=1e-11)
+    assert np.isfinite(found).all()
+    np.testing.assert_array_equal(inverse(a[:1]), np.linalg.inv(a[:1]))

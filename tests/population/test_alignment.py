@@ -47,6 +47,20 @@ def test_linear_steps_do_not_arrive_where_the_search_of_each_recording_does() ->
     np.testing.assert_allclose(there.deviations[:, 2], np.log(moves) - np.mean(np.log(moves)), atol=0.01)
 
 
+def test_who_has_left_the_valley_is_searched_from_where_the_search_began() -> None:
+    """From other elements no recording comes back, and from the beginning each is found."""
+    likelihood = likelihood_of([0.85, 1.2])
+    elsewhere = THETA + np.array([0.0, 6.0, 6.0])
+    fit = expect(KERNEL, np.eye(3) / 5.0**2, RHO, likelihood, begin(likelihood, elsewhere), elsewhere, NO_STARTS)
+    wide = KERNEL, np.eye(3) / 5.0**2, RHO, likelihood, fit, THETA
+    assert fit.mode.scale > 3
+    assert aligned(*wide).mode.scale > 3
+    assert aligned(*wide, THETA).mode.scale < 1.2
+    described = likelihood_of([1.0, 1.001])
+    there = expect(KERNEL, PRECISION, RHO, described, begin(described, THETA), THETA, NO_STARTS)
+    assert aligned(KERNEL, PRECISION, RHO, described, there, THETA, THETA) is there
+
+
 def test_who_is_described_stays_as_he_is() -> None:
     likelihood = likelihood_of([1.0, 1.001])
     fit = expect(KERNEL, PRECISION, RHO, likelihood, begin(likelihood, THETA), THETA, NO_STARTS)

@@ -6,9 +6,13 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+import pytest
 
+from bayes_impedance.diagnosis.fit import baseline
 from bayes_impedance.diagnosis.fit.baseline import fit_network
+from bayes_impedance.diagnosis.fit.fitter import Refitter
 from bayes_impedance.diagnosis.fit.majority import gathered, joined
+from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.population.simulate import VirtualPopulation, simulate_recordings
 
 
@@ -80,3 +84,24 @@ def test_people_with_exchanged_resonances_are_gathered_with_all_their_repetition
     assert np.sqrt(np.diag(wrong.population.covariance)).max() > 0.8
     np.testing.assert_allclose(found.u, fit.u, atol=0.01)
     assert found.evidence.sum() > fit.evidence.sum() - 0.5
+
+
+def test_the_first_fit_of_a_network_has_its_people_gathered(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun, seen = [], []
+
+    def remembered(refitter: Refitter, fit: Refit) -> Refit:
+        begun.append(fit)
+        seen.append(gathered(refitter, fit))
+        return seen[-1]
+
+    monkeypatch.setattr(baseline, "gathered", remembered)
+    population = VirtualPopulation(
+        network="m1|r1|n1",
+        central={"m1": 5e-3, "r1": 0.5, "n1": 1e-3},
+        between_persons=dict.fromkeys(["m1", "r1", "n1"], 0.25),
+        between_repetitions=dict.fromkeys(["m1", "r1", "n1"], 0.02),
+    )
+    made = simulate_recordings(population, 6, 2, np.geomspace(0.5, 300, 60), 3)
+    with ThreadPoolExecutor(2) as executor:
+        assert fit_network(made.recordings, population.network, 1, executor, lambda *_: None).fit is seen[0]
+    assert begun[0].settled

@@ -16,6 +16,8 @@ from bayes_impedance.diagnosis.fit.person_residuals import PersonResiduals, pers
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.multiple_testing import STRUCTURE_ALPHA
 from bayes_impedance.diagnosis.residuals.missing_impedance import missing_one_ports
+from bayes_impedance.diagnosis.selection import unnamed as unnamed_module
+from bayes_impedance.diagnosis.selection.compare import Comparison
 from bayes_impedance.diagnosis.selection.score_scan import Screening
 from bayes_impedance.diagnosis.selection.step import Step
 from bayes_impedance.diagnosis.selection.stepwise import Found
@@ -175,6 +177,12 @@ def test_a_branch_outside_of_the_catalogue_is_stood_in_for(hidden: str, n: int) 
 @pytest.mark.parametrize(("n", "seed"), [(20, 1), (6, 1), (6, 2)])
 def test_nothing_stands_in_for_noise(n: int, seed: int) -> None:
     assert stand_in("nothing", n, seed)[1] is None
+
+
+def test_a_branch_has_to_be_better_by_the_criterion_of_all_explanations(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Predicting others better is not enough: the best of several that are tried does so by chance."""
+    monkeypatch.setattr(unnamed_module, "compare", lambda *_: Comparison(3.3, 5.3))
+    assert stand_in("layer", 20)[1] is None
 
 
 def test_what_a_single_person_has_is_not_stood_in_for() -> None:
