@@ -104,12 +104,10 @@ def forward(program: Program, theta: np.ndarray, omega: np.ndarray, sums: np.nda
             if program.node_parent[child] == node:
                 first, second, children = child, first, children + 1
         inverted = program.node_invert[node] == 1 and program.node_code[node] == 0
-        if inverted and children <= 2:  # most nodes, in one pass over the frequencies
+        if inverted and children <= 2 and not zeta > 0.0:  # most nodes, in one pass over the frequencies
             for f in range(n_frequencies):
                 x = resistive + outputs[first, 0, f] + outputs[second, 0, f]
                 y = inertial * omega[f] - elastic * sums[n_nodes, 0, f] + outputs[first, 1, f] + outputs[second, 1, f]
-                if zeta > 0.0:
-                    x += zeta * (inertial * omega[f] + elastic * sums[n_nodes, 0, f])
                 scale = 1.0 / (x * x + y * y)
                 outputs[node, 0, f] = x * scale
                 outputs[node, 1, f] = -y * scale
@@ -117,7 +115,8 @@ def forward(program: Program, theta: np.ndarray, omega: np.ndarray, sums: np.nda
         for f in range(n_frequencies):
             sums[node, 0, f] = resistive
             sums[node, 1, f] = inertial * omega[f] - elastic * sums[n_nodes, 0, f]
-            if zeta > 0.0:
+        if zeta > 0.0:
+            for f in range(n_frequencies):
                 sums[node, 0, f] += zeta * (inertial * omega[f] + elastic * sums[n_nodes, 0, f])
         for child in range(node):
             if program.node_parent[child] == node:
