@@ -49,8 +49,9 @@ DAMPINGS = (0.3, 0.1, 0.03)
 """Damping ratios that are added one after the other before none is. By choice: with 0.3 resonances a third apart
 overlap; the last resolves what 64 points in two decades show."""
 
-_DAMPED_STEPS = 8
-"""Steps from each start with each of them. By choice: the place is only where the next begins."""
+_DAMPED_STEPS, _DAMPED_POINTS = 8, 512
+"""Steps from each start with each of them, and most frequencies. By choice: the place is only where the next begins,
+and a damping ratio of 0.03 needs no more in two decades; the integral takes time and memory with their square."""
 
 STEPS = 15
 """Steps from each start. By choice, for time: with 40, in twice the time, 57 of 600 starts reached the best mode of
@@ -272,17 +273,18 @@ def bounded_search(
     ndarray, shape (S, P)
         Starts for :func:`bayes_impedance.person.mode.all_modes`; no optimum is claimed.
     """
-    z0, measured, root = _reflected(likelihood)
-    deviation, omega = likelihood.deviations[0], likelihood.omega
-    elementary = not kernel.program.node_code.any()
-    stages = [(zeta, _DAMPED_STEPS) for zeta in DAMPINGS if elementary]
+    deviation, few = likelihood.deviations[0], likelihood.thinned(_DAMPED_POINTS)
+    damped = few.omega.size > 1 and not kernel.program.node_code.any()
+    stages = [(few, zeta, _DAMPED_STEPS) for zeta in DAMPINGS if damped]
     ends = starts + deviation
-    for zeta, most in [*stages, (0.0, steps)]:
-        target = measured if zeta == 0 else _smoothed(omega, likelihood.z[0, 0] + 1j * likelihood.z[0, 1], z0, zeta)
+    for data, zeta, most in [*stages, (likelihood, 0.0, steps)]:
+        z0, target, root = _reflected(data)
+        if zeta > 0:
+            target = _smoothed(data.omega, data.z[0, 0] + 1j * data.z[0, 1], z0, zeta)
         ends = _search(
             kernel.program,
             np.ascontiguousarray(ends),
-            omega,
+            data.omega,
             z0,
             np.array([target.real, target.imag]),
             root,

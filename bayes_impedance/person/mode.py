@@ -20,7 +20,7 @@ import numpy as np
 from bayes_impedance.network.kernel import Kernel, compiled, workspace
 from bayes_impedance.network.program import Program
 from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood, all_repetitions, chi_square, log_likelihood
-from bayes_impedance.person.small_matrices import solved
+from bayes_impedance.person.small_matrices import ROUNDING, solved
 
 __all__ = ["DECREMENT_LIMIT", "Likelihood", "Mode", "all_modes", "find_mode", "log_likelihood", "mode_at"]
 
@@ -30,10 +30,6 @@ standard deviation, is the remaining distance."""
 
 MAX_ITERATIONS = 100
 """Most steps from each start. By choice: more cost time; convergence is judged by the decrement alone."""
-
-ROUNDING = 1e-12
-"""Relative ridge of an information matrix. Beside a pole of a lossless network one point outweighs all others by 1e20,
-and what these say of the other elements is lost in rounding: the matrix would be singular."""
 
 _GAUSS_NEWTON_ITERATIONS = 15
 """Steps before the exact second derivative is used. By choice: it costs several gradients a

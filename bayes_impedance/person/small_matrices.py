@@ -14,6 +14,10 @@ import numpy as np
 
 from bayes_impedance.network.kernel import compiled
 
+ROUNDING = 1e-12
+"""Relative ridge of an information matrix. Beside a pole of a lossless network one point outweighs all others by 1e20,
+and what these say of the other elements is lost in rounding: the matrix would be singular."""
+
 _SMALLEST_PIVOT = 0.05
 """Pivot below which rows must be exchanged, of matrices whose entries are of order one. By choice: rounding grows by
 at most the reciprocal in each step."""
@@ -186,19 +190,14 @@ def inverses(a: np.ndarray, result: np.ndarray) -> None:
                 result[:, c, i] = solved(own, unit)
 
 
-_RIDGE = 1e-12
-"""Relative ridge of a matrix that rounding has made singular. By choice: a few thousand times the rounding."""
-
-
 def inverse(a: np.ndarray) -> np.ndarray:
     """Inverses of positive definite matrices (..., n, n), also where rounding has made one of them singular.
 
-    Beside a pole of a lossless network one point outweighs all others by 1e20, and a matrix with rows of such different
-    sizes may have no pivot left. It does if its rows and columns are first scaled to a diagonal of ones.
+    Rows of very different sizes (:data:`ROUNDING`) may leave no pivot. Scaled to a diagonal of ones, they do.
     """
     try:
         return np.asarray(np.linalg.inv(a))
     except np.linalg.LinAlgError:
         root = np.sqrt(np.einsum("...ii->...i", a))
         scale = root[..., :, None] * root[..., None, :]
-        return np.asarray(np.linalg.inv(a / scale + _RIDGE * np.eye(a.shape[-1])) / scale)
+        return np.asarray(np.linalg.inv(a / scale + ROUNDING * np.eye(a.shape[-1])) / scale)

@@ -27,7 +27,8 @@ from scipy.linalg import eigh, solve_triangular
 
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.person.likelihood import Likelihood
-from bayes_impedance.person.mode import ROUNDING, Mode, find_mode, mode_at
+from bayes_impedance.person.mode import Mode, find_mode, mode_at
+from bayes_impedance.person.small_matrices import ROUNDING
 
 _FIRST_STEP, _SHORTEST, _LONGEST = 0.1, 1e-3, 0.5
 """First, shortest and longest step, in standard deviations of the reference population. By choice: longer steps leave

@@ -16,9 +16,9 @@ import numpy as np
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.person.bounded_search import GROSS, bounded_search
 from bayes_impedance.person.likelihood import Likelihood, repetition_equations
-from bayes_impedance.person.mode import ROUNDING, Mode, find_mode
+from bayes_impedance.person.mode import Mode, find_mode
 from bayes_impedance.person.noise import contrasts
-from bayes_impedance.person.small_matrices import inverse
+from bayes_impedance.person.small_matrices import ROUNDING, inverse
 from bayes_impedance.population.contrasts import Contrasts
 from bayes_impedance.population.shared import Placed
 

@@ -74,6 +74,17 @@ def test_a_recording_is_followed_to_more_damping_by_its_own_values() -> None:
     np.testing.assert_allclose(smooth[inside], ((there - z0) / (there + z0))[inside], atol=0.02)
 
 
+@pytest.mark.parametrize("points", [1, 2, 20_000])
+def test_one_frequency_and_very_many_are_searched(points: int) -> None:
+    """All pairs of twenty thousand frequencies would take gigabytes."""
+    theta, frequency = np.log([0.8, 0.02]), np.geomspace(5, 2000, points)
+    kernel = Kernel(parse("r1|m1"))
+    z = kernel.impedance(theta, frequency)[None]
+    likelihood = Likelihood.make(frequency, z, 0.05 * np.abs(z), np.zeros((1, 2)))
+    found = bounded_search(kernel, likelihood, theta[None] + 0.3, theta, np.eye(2) / 9)
+    np.testing.assert_allclose(found[0], theta, atol=1e-3)
+
+
 def test_an_optimum_is_kept_and_what_is_not_finite_is_left_alone() -> None:
     theta = np.log([0.8, 0.02, 1e-4, 8e-4])
     kernel, likelihood = recorded("r1|(m1-n1)|n2", theta, 1, noise=1e-6)

@@ -22,7 +22,7 @@ from bayes_impedance.diagnosis.fit.model import Model
 from bayes_impedance.network.kernel import compiled
 from bayes_impedance.network.program import Program
 from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood, equations_apart
-from bayes_impedance.person.mode import ROUNDING
+from bayes_impedance.person.small_matrices import ROUNDING
 from bayes_impedance.runtime.broadcast import Lent
 
 _FREEDOM = 5.0

@@ -14,8 +14,7 @@ from bayes_impedance.diagnosis.fit.model import Model
 from bayes_impedance.diagnosis.fit.normal_equations import Equations, Population, sums, weights_of
 from bayes_impedance.diagnosis.fit.second_order import SecondOrder
 from bayes_impedance.person.likelihood import SCALE_SHAPE
-from bayes_impedance.person.mode import ROUNDING
-from bayes_impedance.person.small_matrices import inverse
+from bayes_impedance.person.small_matrices import ROUNDING, inverse
 from bayes_impedance.population.em_state import PRIOR_PERSONS, SMALLEST_DISPERSION
 
 _SHARE = 1e-5

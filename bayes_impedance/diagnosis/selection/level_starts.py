@@ -43,7 +43,7 @@ from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.diagnosis.residuals.sensitivity import local_impedances, spot_of
 from bayes_impedance.diagnosis.selection.compare import FEWEST_TO_VARY
 from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood
-from bayes_impedance.person.mode import ROUNDING
+from bayes_impedance.person.small_matrices import ROUNDING
 
 _SMALLEST, _FIRST_WAVE, _STEP = 0.1, 2.5, 1.04
 """Least coefficient that is tried, that with which the first standing wave enters the band, and the factor between
