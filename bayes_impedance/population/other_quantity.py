@@ -152,10 +152,7 @@ def require_impedance(recordings: Recordings, network: Network | str | None = No
     plain = _errors(own, tree, seed)
     if not some or plain.is_noise:  # nothing describes them better
         return None
-    as_other = {}
-    for name, (_, convert) in QUANTITIES.items():
-        other = _converted(recordings, some, convert)
-        as_other[name] = min((_errors(other, text, seed) for text in (tree, _LAG.format(tree))), key=lambda e: e.error)
+    as_other = _as_others(recordings, some, (tree, _LAG.format(tree)), seed)
     name = min(as_other, key=lambda key: as_other[key].error)
     best = as_other[name]
     points = sum(subject.frequency_hz.size for subject in some)
@@ -175,6 +172,42 @@ def require_impedance(recordings: Recordings, network: Network | str | None = No
     if _is_better(best, as_impedance, decisive):
         raise InputError(said)
     return f"{said}; this is not sure, since an impedance that the network lacks something of may look like it"
+
+
+def better_as(recordings: Recordings, network: str, seed: int = 1) -> tuple[str, float, float] | None:
+    """The quantity as which a network describes recordings better than as impedance, though that need not be sure.
+
+    Parameters
+    ----------
+    recordings : Recordings
+    network : str
+    seed : int
+        For the starts of the searches.
+
+    Returns
+    -------
+    tuple of (str, float, float), or None
+        Its name, and the relative rms errors as this quantity and as impedance. Mobility is passive as impedance is,
+        and not asked for.
+    """
+    some = some_subjects(recordings)
+    if not some or recordings.quantity is not None:
+        return None
+    plain = _errors(_converted(recordings, some, lambda x, _: x), network, seed).error
+    as_other = _as_others(recordings, some, (network,), seed)
+    name = min(as_other.keys() - {MOBILITY}, key=lambda key: as_other[key].error)
+    return (name, as_other[name].error, plain) if as_other[name].error < plain else None
+
+
+def _as_others(
+    recordings: Recordings, subjects: Sequence[Subject], networks: Sequence[str], seed: int
+) -> dict[str, _Error]:
+    """How well the best of some networks describes recordings as each of the other quantities."""
+    found = {}
+    for name, (_, convert) in QUANTITIES.items():
+        other = _converted(recordings, subjects, convert)
+        found[name] = min((_errors(other, text, seed) for text in networks), key=lambda own: own.error)
+    return found
 
 
 def _is_better(other: _Error, as_impedance: float, points: int) -> bool:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from bayes_impedance.population.other_quantity import better_as
 from bayes_impedance.quality.curve_anomalies import duplicates, suspect_units
 from bayes_impedance.quality.negative_real_part import other_quantity
 from bayes_impedance.recordings.files import Recordings
@@ -72,15 +73,19 @@ def copies(recordings: Recordings) -> list[str]:
     ]
 
 
-def no_impedance(recordings: Recordings, remains: bool) -> list[str]:
+def no_impedance(recordings: Recordings, network: str, remains: bool) -> list[str]:
     """Whether the recordings are of another quantity than force over velocity, whatever describes them.
 
     Another quantity of a passive load, such as accelerance, looks like an impedance behind a filter whose corner is
-    outside of the band. It is taken for one if the filter describes it.
+    outside of the band. It is taken for one if the filter describes it. Re z of a load without losses is negative with
+    an error of the phase of any size, and it is passive divided by jw where its masses rule: so the network has to
+    describe the other quantity better too.
 
     Parameters
     ----------
     recordings : Recordings
+    network : str
+        The claimed one.
     remains : bool
         Whether structure without a name was found beside the effects with a name.
     """
@@ -94,9 +99,14 @@ def no_impedance(recordings: Recordings, remains: bool) -> list[str]:
     others = [other_quantity(subject) is not None for subject in recordings.subjects]
     if np.mean(others) <= 0.5:  # most people decide
         return []
+    better = better_as(recordings, network)
+    if better is None:
+        return []
+    name, error, as_impedance = better
     return [
-        "the recordings are no impedance of a passive load, but would be one if they were divided or multiplied by jw; "
-        "check that the motion is a velocity, and not an acceleration or a displacement"
+        "the recordings are no impedance of a passive load, but would be one if they were divided or multiplied by jw, "
+        f"and the network describes them as {name} to {error:.1%}, and as impedance only to {as_impedance:.1%}; check "
+        "that the motion is a velocity, and not an acceleration or a displacement"
     ]
 
 

@@ -295,7 +295,7 @@ def _shortcomings(recordings: Recordings, final: Refit, remains: bool) -> tuple[
         model = final.model.kernel.impedance(final.u[final.owner == i], s.frequency_hz)
         error.append(float(relative_rms(model.mean(axis=0), s.mean)))
     gross = [*copies(recordings), *far_off(np.array(error), scale, recordings.unit)]
-    gross += no_impedance(recordings, remains)
+    gross += no_impedance(recordings, str(final.model.network), remains)
     return gross, badly_described(recordings.names, scale)
 
 

@@ -11,6 +11,7 @@ from bayes_impedance.diagnosis import diagnose
 from bayes_impedance.diagnosis.residuals.absolute_fit import GROSS_ERROR, badly_described, copies, far_off, no_impedance
 from bayes_impedance.diagnosis.verdict_types import Verdict
 from bayes_impedance.population.simulate import VirtualPopulation, simulate_recordings
+from bayes_impedance.quality.negative_real_part import other_quantity
 from bayes_impedance.recordings.files import Recordings
 
 NETWORK = "n1|r1|m1"
@@ -99,13 +100,27 @@ def test_a_load_without_losses_is_no_other_quantity() -> None:
     )
     made = simulate_recordings(population, 8, 1, np.geomspace(0.5, 60, 200), 1).recordings
     assert np.mean([s.z.real < 0 for s in made.subjects]) > 0.2
-    assert no_impedance(made, True) == []
+    assert no_impedance(made, "n1|(m1-n2)", True) == []
 
 
 def test_a_quantity_whose_real_part_is_clearly_negative_is_one() -> None:
     """Apparent mass is negative where springs rule; who has described the recordings knows what they are."""
     made = recordings(8)
     changed = tuple(replace(s, z=s.z / (2j * np.pi * s.frequency_hz)) for s in made.subjects)
-    (said,) = no_impedance(replace(made, subjects=changed), True)
+    (said,) = no_impedance(replace(made, subjects=changed), NETWORK, True)
     assert "divided or multiplied by jw" in said
-    assert no_impedance(replace(made, subjects=changed), False) == []
+    assert "describes them as apparent mass to" in said
+    assert no_impedance(replace(made, subjects=changed), NETWORK, False) == []
+
+
+def test_a_mass_behind_an_echo_is_no_other_quantity() -> None:
+    """It is passive divided by jw, as every mass is, but the network describes it better as it is."""
+    central = {"m1": 1.5e-3, "n1": 5.0, "r2": 0.02, "n2": 1.0}
+    population = VirtualPopulation(
+        network="m1|n1|(r2-n2)", central=central, between_persons=dict.fromkeys(central, 0.2), noise_corner_hz=0.0
+    )
+    made = simulate_recordings(population, 8, 1, np.geomspace(5, 2000, 84), 1).recordings
+    echo = [1 - 0.16 * np.exp(-2j * np.pi * s.frequency_hz * 2.5e-4) for s in made.subjects]
+    changed = tuple(replace(s, z=s.z * own) for s, own in zip(made.subjects, echo, strict=True))
+    assert all(other_quantity(s) is not None for s in changed)
+    assert no_impedance(replace(made, subjects=changed), "m1|n1|(r2-n2)", True) == []
