@@ -13,6 +13,10 @@ that is narrower is nearer to the point than g/2, and has :math:`s g > 1`. Such 
 which the resonance goes from gap to gap, and in smaller ones at first: the optimum of a gap is narrower than the gap,
 and one right beside where the recording is does not show in wide steps. Where the bounded error
 (:mod:`.bounded_search`) of the recording is less than one step further to either side there may be another optimum.
+
+A branch that hardly matters elsewhere may have s g far below one in the middle of a gap: its resonance is hidden there,
+and shows only where it meets a point. So for a recording that is described badly all elements are changed, by as much
+as its population allows.
 """
 
 from __future__ import annotations
@@ -27,9 +31,10 @@ _SHARP = 0.5
 """Change of the logarithm of z, at the point next to the resonance, by a step of an element, from which other gaps are
 looked at. By choice: half of what the smallest one of a narrow resonance is."""
 
-_REACH, _MOST_STEPS = 0.3, 30
-"""Largest change of a log element, and largest number of steps to either side. By choice: three times the dispersion
-between repetitions with which a fit begins; a step costs a hundredth of a millisecond."""
+REACH, _MOST_STEPS = 0.3, 100
+"""Largest change of a log element between a person's recordings, and largest number of steps to either side. By
+choice: three times the dispersion between repetitions with which a fit begins; a step costs a hundredth of a
+millisecond."""
 
 _NEAR, _PARTS = 2, 4
 """The first steps to either side, so many, are made in so many parts; each moves the resonance by half a gap. By
@@ -39,7 +44,9 @@ _MOST = 8
 """Places that are returned, of the smallest error. By choice: from each a search of a few milliseconds begins."""
 
 
-def other_gaps(kernel: Kernel, alone: Likelihood, places: np.ndarray, free: np.ndarray) -> np.ndarray:
+def other_gaps(
+    kernel: Kernel, alone: Likelihood, places: np.ndarray, free: np.ndarray, reach: np.ndarray | None = None
+) -> np.ndarray:
     """Places (S, P), S at most 8, from which a recording's resonance may be found in another gap.
 
     Parameters
@@ -51,6 +58,9 @@ def other_gaps(kernel: Kernel, alone: Likelihood, places: np.ndarray, free: np.n
         Log elements that are changed, one at a time; the first is where the recording is.
     free : ndarray of bool, shape (P,)
         Which may be changed.
+    reach : ndarray, shape (P,), optional
+        Largest changes of the log elements, of which all are changed then. By default :data:`REACH`, of those that move
+        a resonance of which the recording, where it is, shows that it is narrower than the gaps.
 
     Returns
     -------
@@ -62,9 +72,11 @@ def other_gaps(kernel: Kernel, alone: Likelihood, places: np.ndarray, free: np.n
     there = np.argmax(part, axis=-1)
     wide = np.diff(np.log(alone.omega))
     step = np.maximum(wide[np.minimum(there, wide.size - 1)], wide[np.maximum(there - 1, 0)])
+    if reach is None:
+        reach, free = np.full(free.size, REACH), free & (part.max(axis=-1) * step > _SHARP)
     found, errors = [np.zeros((0, places.shape[1]))], [np.zeros(0)]
-    for p in np.flatnonzero(free & (part.max(axis=-1) * step > _SHARP)):
-        times = _times(int(np.clip(np.ceil(_REACH / step[p]), 1, _MOST_STEPS)))
+    for p in np.flatnonzero(free):
+        times = _times(int(np.clip(np.ceil(reach[p] / step[p]), 1, _MOST_STEPS)))
         for k, place in enumerate(places):
             along = np.tile(place, (times.size, 1))
             along[:, p] += times * step[p]

@@ -18,7 +18,7 @@ import numpy as np
 
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.person.bounded_search import GROSS, best_end
-from bayes_impedance.person.gaps import other_gaps
+from bayes_impedance.person.gaps import REACH, other_gaps
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.marginal_likelihood import LEAST_RHO
 from bayes_impedance.person.mode import find_mode
@@ -30,6 +30,10 @@ repetitions starts."""
 
 HELD = 1e-4
 """Prior width of what is held. By choice: far below any standard error."""
+
+_MUCH_WORSE = 1.5
+"""Squares that a recording leaves after a search, over those of the best recording, from which all elements are changed
+by as much as they may change between recordings. By choice: of a hundred points noise makes such a ratio never."""
 
 _UNEQUAL = 2.0
 """Standard errors by which a recording's squared misfit must exceed that of the person's best described one to be
@@ -126,7 +130,12 @@ def searched_alone(
             continue
         searched = True
         starts = np.concatenate([around, centre[None], across])
-        own[j] = np.where(free, best_end(kernel, alone, starts, centre, held), places[j])
+        end = np.where(free, best_end(kernel, alone, starts, centre, held), places[j])
+        if _misfits(kernel, alone, end[None])[0] > _MUCH_WORSE * misfit.min():  # a resonance may be hidden in a gap
+            across = other_gaps(kernel, alone, end[None], free, np.full(free.size, REACH))
+            starts = np.concatenate([end[None], across])
+            end = np.where(free, best_end(kernel, alone, starts, centre, held), places[j])
+        own[j] = end
     return own if searched else places
 
 

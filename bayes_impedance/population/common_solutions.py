@@ -12,7 +12,8 @@ that is nearly rigid or hardly felt in the band, the people together determine, 
 chance: of 30 virtual fingertips between 50 and 2000 Hz the spring of the skin came out a hundred times as large as it
 is and its damper twice as large, at a log evidence 31 below that of the truth. So the estimated population's centre is
 also tried with each such element changed to either side, as a search for one person's best optimum does
-(:func:`~bayes_impedance.population.starting_fits.search_modes`).
+(:func:`~bayes_impedance.population.starting_fits.search_modes`). And where some people are far from most
+(:mod:`bayes_impedance.population.far_people`), everybody is searched under the population of the others alone.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.mode import mode_at
 from bayes_impedance.population.e_step import PersonFit
 from bayes_impedance.population.em_state import State
+from bayes_impedance.population.far_people import far_from_most
 from bayes_impedance.population.order import Order, arranged
 from bayes_impedance.population.starting_fits import FirstFits
 from bayes_impedance.runtime.progress import Progress
@@ -52,6 +54,9 @@ by tens of nats."""
 _KICKS = (2.0, 4.0)
 """Changes of a log element, to either side. By choice: the first is that of a single person's search; by the second a
 population came back from a hundred times an element's value, and by the first it did not."""
+_STARTS = 16
+"""Starting points of everybody under the population of those who are not far. By choice: a sharp resonance is found
+from one of a few."""
 _OPEN = 0.3
 """Standard deviation by the median person's recordings from which these leave a log element open: a smaller or larger
 value than that of the search's end is then less than three of them away. Of populations that every person determines
@@ -166,7 +171,8 @@ def from_another(
     persons = _farthest(theta[jumped]) if np.any(jumped) else theta[:0]
     changes = [sign * size * own for own in _left_open(state) for size in _KICKS for sign in (1, -1)]
     solutions = [*persons, *(centre + change for change in changes)]
-    if not solutions:
+    far = far_from_most(theta[:, state.pooling.varying])
+    if not solutions and not far.any():
         return None, 0.0
     thinned = _thinned(data)
     few, many = (_some(thinned, len(theta), most) for most in (_FEW, _MANY))
@@ -178,6 +184,12 @@ def from_another(
     rounds = range(1, _TRIAL_ROUNDS + 1)
     best_few = np.argsort(-np.nan_to_num(found, nan=-np.inf), kind="stable")[:_FOLLOWED]
     followed = [_Trial.made(kernel, order, begun_at(solutions[k], many), rounds) for k in best_few]
+    if far.any():
+        gathered = begun_at(np.where(far[:, None], np.median(theta, axis=0), theta), many)
+        gathered.take_population_of(theta[~far][:, state.pooling.varying])
+        gathered.iterate(_around(gathered, np.random.default_rng(0)))  # for starts alone
+        gathered.align()
+        followed.append(_Trial.made(kernel, order, gathered, rounds))
     best = max(followed, key=lambda trial: float(np.nan_to_num(trial.state.log_evidence(), nan=-np.inf)))
     as_it_is = begun_at(theta, many)
     as_it_is.take_population(state)
@@ -185,7 +197,7 @@ def from_another(
     progress("other common solutions", len(solutions) + 1, len(solutions) + 1)
     gain = float(best.state.log_evidence() - now.state.log_evidence())
     middle, here = (np.median(trial.state.theta, axis=0) for trial in (best, now))
-    elsewhere = bool(np.any(jumped)) or float(np.abs(middle - here).max()) > APART
+    elsewhere = bool(np.any(jumped) or far.any()) or float(np.abs(middle - here).max()) > APART
     better = gain > _MORE_PROBABLE and elsewhere and (best.ordered or not now.ordered)
     if not better:
         return None, gain
@@ -214,6 +226,13 @@ def _standard_deviations(kernel: Kernel, precision: np.ndarray, likelihood: Like
     """Of a person's log elements (P,), by the own recordings and a prior of that precision."""
     mode = mode_at(kernel, likelihood.moved(fit.deviations), fit.theta, fit.theta, precision, 0.0)
     return np.asarray(np.sqrt(np.diag(np.linalg.inv(mode.precision))))
+
+
+def _around(state: State, rng: np.random.Generator) -> np.ndarray:
+    """Starting points (n, S, P) of everybody, drawn from the population."""
+    spread = np.linalg.cholesky(state.covariance)
+    size = len(state.means), _STARTS, state.mu.size
+    return np.asarray(state.means[:, None] + rng.normal(size=size) @ spread.T)
 
 
 def _farthest(theta: np.ndarray) -> np.ndarray:

@@ -64,7 +64,7 @@ _AT_REST = -1.0
 """Marks, in place of the distance moved, that the last iteration, from many starting points, is done."""
 _TOLERANCE = 0.02
 """Iterations end when the population moves by less than this, in its standard errors. By choice: see `_MAX_ROUNDS`."""
-_MOST_TOGETHER = 2
+_MOST_TOGETHER = 4
 """Most times that everybody begins anew from one solution. By choice: each time the evidence is higher."""
 
 

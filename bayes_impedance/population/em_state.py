@@ -31,6 +31,7 @@ from bayes_impedance.population.e_step import (
     standard_errors,
     sums,
 )
+from bayes_impedance.population.far_people import LEAST_DISPERSION
 from bayes_impedance.population.heavy_tails import HEAVIEST, estimated_tail, weights_of
 from bayes_impedance.population.packed_fits import packed, unpacked
 from bayes_impedance.population.prior import Prior
@@ -149,6 +150,11 @@ class State:
         """Take over another state's population, not its persons (before the first iteration)."""
         self.mu, self.slopes = other.mu.copy(), other.slopes.copy()  # an iteration writes into them
         self.covariance, self.rho, self.phi, self.tail = other.covariance, other.rho, other.phi, other.tail
+
+    def take_population_of(self, theta: np.ndarray) -> None:
+        """Take median and dispersions of some people's varying parameters (n, V), before the first iteration."""
+        self.mu = np.median(theta, axis=0)
+        self.covariance = np.diag(np.maximum(theta.std(axis=0, ddof=1), LEAST_DISPERSION) ** 2)
 
     def exchange(self, arrangement: np.ndarray) -> None:
         """Give equal parts of the network each other's values, in everybody and in the population (after an iteration).

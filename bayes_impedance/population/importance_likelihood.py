@@ -52,6 +52,9 @@ _CHUNK = 2**21
 """Most log weights of the normal populations of mixtures at once, 8 MB in single precision. By choice: memory, and
 about the size of a processor's cache."""
 
+_IMPOSSIBLE = -1e30
+"""Log ratio of draws that the recordings exclude, beside a pole: minus infinity times a weight of zero is no number."""
+
 
 class ImportanceLikelihood:
     """Likelihood of population parameters.
@@ -147,7 +150,8 @@ class ImportanceLikelihood:
     def _coordinates(self, draws: Draws, mean: np.ndarray) -> np.ndarray:
         """Coordinates u of a person's draws and the logarithms of their ratios, (P + 1, K) in single precision."""
         u = self.whitening @ (draws.theta - mean).T
-        return np.vstack([u, draws.log_ratio - draws.log_ratio.max()]).astype(np.float32)
+        log_ratio = np.maximum(draws.log_ratio - draws.log_ratio.max(), _IMPOSSIBLE)
+        return np.vstack([u, log_ratio]).astype(np.float32)
 
     def draws_of(self, persons: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Log elements (n, S, P) of draws of some persons (n,), from their coordinates u (n, S, P)."""

@@ -74,3 +74,28 @@ def test_the_gap_beside_is_found_in_a_network_of_two_resonances(person: int) -> 
     _, best = best_mode(kernel, data, true[None], true, precision)
     assert worse > best + 1000
     assert better == pytest.approx(best, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("true", "moved"),
+    [
+        ([-5.85, -2.53, -11.99, -10.7, -0.56, -8.01, -8.46], [0.872, 0.046]),
+        ([-5.39, -2.5, -11.5, -10.51, -0.45, -8.33, -8.35], [0.785, -0.915]),
+        ([-6.3, -2.32, -12.6, -10.46, -0.37, -7.7, -8.18], [0.695, -0.62]),
+    ],
+)
+def test_a_resonance_that_no_frequency_meets_is_found(true: list[float], moved: list[float]) -> None:
+    """A branch that matters at one point only: where the fit has it, in a gap, no element seems to move anything."""
+    kernel = Kernel(parse("n1-((n2-m1)|(m2-r1)|n3)-m3"))
+    theta, every, precision = np.array(true), np.ones(7, dtype=bool), np.eye(7)
+    data = recorded(kernel, theta, np.geomspace(8, 2000, 255))
+    centre, wrong = theta.copy(), theta.copy()
+    centre[1:3] += [0.4, -0.1]  # of the population
+    wrong[1:3] += moved
+    stuck, worse = best_mode(kernel, data, wrong[None], centre, precision)
+    _, best = best_mode(kernel, data, theta[None], centre, precision)
+    assert worse > best + 10
+    assert len(other_gaps(kernel, data, stuck[None], every)) == 0
+    starts = other_gaps(kernel, data, stuck[None], every, np.full(7, 1.5))
+    _, found = best_mode(kernel, data, np.concatenate([stuck[None], starts]), centre, precision)
+    assert found == pytest.approx(best, abs=0.1)

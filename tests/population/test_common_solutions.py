@@ -21,7 +21,7 @@ from bayes_impedance.population.fingertip import FINGERTIP
 from bayes_impedance.population.natural_scales import default_prior
 from bayes_impedance.population.order import Order
 from bayes_impedance.population.shared import Pooling
-from bayes_impedance.population.simulate import simulate_recordings
+from bayes_impedance.population.simulate import VirtualPopulation, simulate_recordings
 from bayes_impedance.population.starting_fits import FirstFits
 from bayes_impedance.runtime.sharded import Kept
 
@@ -205,3 +205,31 @@ def test_a_population_that_spans_two_optima_is_brought_together(
     else:
         assert np.ptp(everybody) > 2
         assert point.mu[0] > np.log(2e-6) + 0.3
+
+
+@pytest.mark.parametrize("together", [True, False])
+def test_people_who_are_far_from_most_are_searched_under_the_population_of_the_others(
+    together: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A sharp resonance was missed in a few, and the dispersions that they stretch held them where they were."""
+    central = {"m1": 0.03, "n1": 1.0, "r1": 0.11, "n2": 4.45e-3, "m2": 0.3, "n3": 0.027}
+    spread = {"m1": 0.346, "n1": 0.464, "r1": 0.498, "n2": 0.172, "m2": 0.152, "n3": 0.335}
+    people = VirtualPopulation(
+        network="(m1-n1-r1)|n2|(m2-n3)",
+        central=central,
+        between_persons=spread,
+        between_repetitions=dict.fromkeys(central, 0.015),
+        noise=0.01,
+    )
+    recordings = simulate_recordings(people, 24, 2, np.geomspace(0.9, 360, 60), seed=6).recordings
+    if not together:
+        monkeypatch.setattr(common_solutions, "far_from_most", lambda theta: np.zeros(len(theta), dtype=bool))
+    kernel = Kernel(parse(people.network))
+    point = point_estimate(recordings, kernel, default_prior(kernel, recordings), 1, ONE_THREAD, lambda *_: None)
+    m2, n3 = (np.sqrt(point.covariance[k, k]) for k in (4, 5))
+    if together:
+        assert 0.5 < m2 / spread["m2"] < 2
+        assert 0.5 < n3 / spread["n3"] < 2
+    else:
+        assert m2 > 2 * spread["m2"]
+        assert n3 > 2 * spread["n3"]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from drawn_posteriors import posterior_of
@@ -29,6 +31,22 @@ from bayes_impedance.recordings.files import Recordings, Subject
 
 STEP = 1e-2
 """Of differences in coordinates: likelihoods are in single precision."""
+
+
+def test_a_draw_that_the_recordings_exclude_has_no_part_in_the_gradient():
+    """Beside a pole its log likelihood is minus infinity; a weight of zero times that is no number."""
+    centres, covariances, repetitions = people()
+    draws, _ = gaussian_draws(centres, covariances, np.zeros((N, P)), 256, 3)
+    gradients = []
+    for worth in (-np.inf, -1e4):
+        ratio = draws[0].log_ratio.copy()
+        ratio[7] = worth
+        one = (replace(draws[0], log_ratio=ratio), *draws[1:])
+        marginal = ImportanceLikelihood(one, np.zeros((N, P)), REFERENCE_COVARIANCE, repetitions, np.zeros((N, 0)), [])
+        gradients.append(likelihood_gradient(marginal, parameters(3)))
+    assert np.isfinite(gradients[0].mu).all()
+    np.testing.assert_array_equal(gradients[0].mu, gradients[1].mu)
+    np.testing.assert_array_equal(gradients[0].covariance, gradients[1].covariance)
 
 
 @pytest.mark.parametrize("n_covariates", [0, 2])

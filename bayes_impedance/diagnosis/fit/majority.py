@@ -23,21 +23,10 @@ from bayes_impedance.diagnosis.fit.outliers_alone import search_alone
 from bayes_impedance.diagnosis.fit.recordings_alone import recordings_alone
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.person.bounded_search import GROSS
-from bayes_impedance.units import MAD_TO_SD
+from bayes_impedance.population.far_people import LEAST_DISPERSION, far_from_most
 
 _FEWEST = 3
 """People from whom a centre and dispersions are taken. By choice: of two the covariance says nothing."""
-
-_SMALLEST_DISPERSION = 0.1
-"""Least standard deviation between the people who are joined. By choice: a few people who happen to be alike must not
-exclude others; people differ by 0.2 to 0.5."""
-
-_FAR = 5.0
-"""Distance of an element from everybody's median, in standard deviations (from the median of absolute distances), from
-which a person is tried among the others. By choice: it costs time only, and no normal population has one so far."""
-
-_MOST_FAR = 0.4
-"""Largest share of people who are tried: of more it cannot be said which the others are. By choice."""
 
 _PASSES = 3
 """Largest number of trials of a group. By choice: the first moves most of those whom it can."""
@@ -55,12 +44,9 @@ def gathered(refitter: Refitter, fit: Refit) -> Refit:
     fit : Refit
         With a population.
     """
-    elements = fit.persons[:, : fit.model.n_elements]
-    offset = np.abs(elements - np.median(elements, axis=0))
-    sd = np.maximum(MAD_TO_SD * np.median(offset, axis=0), _SMALLEST_DISPERSION)
-    far = np.any(offset > _FAR * sd, axis=1)
+    far = far_from_most(fit.persons[:, : fit.model.n_elements])
     wrong = np.median(fit.weight**-0.5) >= GROSS  # for most people: there is nowhere to bring the others to
-    if refitter.one_person or wrong or not 0 < far.sum() <= _MOST_FAR * far.size:
+    if refitter.one_person or wrong or not far.any():
         return fit
     return _until_none_moves(refitter, fit, far)
 
@@ -98,7 +84,7 @@ def _moved(refitter: Refitter, fit: Refit, movers: np.ndarray, rng: np.random.Ge
     others = fit.persons[~movers][:, elements]
     mu, covariance = fit.population.mu.copy(), fit.population.covariance.copy()
     mu[elements] = np.median(others, axis=0)
-    variance = np.maximum(others.var(axis=0, ddof=1), _SMALLEST_DISPERSION**2)
+    variance = np.maximum(others.var(axis=0, ddof=1), LEAST_DISPERSION**2)
     covariance[elements], covariance[:, elements] = 0.0, 0.0
     covariance[elements, elements] = variance
     population = Population(mu, covariance, fit.population.rho)

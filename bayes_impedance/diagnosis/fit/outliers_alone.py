@@ -24,6 +24,7 @@ from bayes_impedance.diagnosis.fit.normal_equations import Population
 from bayes_impedance.diagnosis.fit.refit import Refit
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.person.bounded_search import GROSS, best_mode, bounded_search
+from bayes_impedance.person.gaps import other_gaps
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.marginal_likelihood import LEAST_RHO
 from bayes_impedance.population.alignment import HELD, searched_alone
@@ -141,5 +142,9 @@ def _ends(
     one = data.recording(0, centre.size)
     ends = np.concatenate([starts, bounded_search(kernel, one, starts, centre, precision)])
     end = best_mode(kernel, one, ends, centre, precision)[0]
+    sd = np.sqrt(np.diag(np.linalg.inv(precision)))
+    across = other_gaps(kernel, one, end[None], sd > HELD, sd)
+    if len(across):
+        end = best_mode(kernel, one, np.concatenate([end[None], across]), centre, precision)[0]
     places = np.tile(end, (len(data.z), 1))
     return places if len(places) == 1 else searched_alone(kernel, data, places, end, rho)
