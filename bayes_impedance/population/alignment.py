@@ -35,6 +35,10 @@ _MUCH_WORSE = 1.5
 """Squares that a recording leaves after a search, over those of the best recording, from which all elements are changed
 by as much as they may change between recordings. By choice: of a hundred points noise makes such a ratio never."""
 
+_WIDER = 3.0
+"""Largest changes of the elements of somebody who is described badly, in the population's standard deviations. By
+choice: people who are farther off are rare."""
+
 _UNEQUAL = 2.0
 """Standard errors by which a recording's squared misfit must exceed that of the person's best described one to be
 searched alone. By choice: chance costs time only."""
@@ -53,7 +57,7 @@ def aligned(
 
     From where the search for the person's mode has begun, with all recordings alike, it may have gone to another
     valley, in which resonances that differ between them are none. So of a person who is described badly recordings are
-    also searched from there.
+    also searched from there, and their resonances in every gap of the frequencies that the population allows.
 
     Parameters
     ----------
@@ -75,7 +79,8 @@ def aligned(
     centre = fit.theta if begun is None else begun
     places = centre + (fit.expanded if begun is None else np.zeros_like(fit.expanded))
     least = np.maximum(rho, LEAST_RHO)
-    own = searched_alone(kernel, likelihood, places, centre, least, everyone=badly)
+    reach = np.maximum(_WIDER * np.sqrt(np.diag(np.linalg.inv(precision))), REACH) if badly else None
+    own = searched_alone(kernel, likelihood, places, centre, least, everyone=badly, reach=reach)
     if own is places:
         return fit
     theta = np.mean(own, axis=0)
@@ -96,6 +101,7 @@ def searched_alone(
     rho: np.ndarray,
     everyone: bool = False,
     sharp: bool = False,
+    reach: np.ndarray | None = None,
 ) -> np.ndarray:
     """Log elements (J, P) of a person's recordings, some of them searched alone.
 
@@ -113,6 +119,9 @@ def searched_alone(
         Whether all recordings are searched, and not only those that are described worse than the best.
     sharp : bool
         Whether recordings with a resonance that may lie in another gap are searched too.
+    reach : ndarray, shape (P,), optional
+        Largest changes of the log elements in the search for resonances hidden in a gap, of all recordings; by default
+        that between recordings, of those that are described much worse than the best.
     """
     misfit = _misfits(kernel, likelihood, places)
     chance = 1 + _UNEQUAL * np.sqrt(2 / likelihood.omega.size)  # of the ratio of two sums of 2 F squares
@@ -131,8 +140,10 @@ def searched_alone(
         searched = True
         starts = np.concatenate([around, centre[None], across])
         end = np.where(free, best_end(kernel, alone, starts, centre, held), places[j])
-        if _misfits(kernel, alone, end[None])[0] > _MUCH_WORSE * misfit.min():  # a resonance may be hidden in a gap
-            across = other_gaps(kernel, alone, end[None], free, np.full(free.size, REACH))
+        if (
+            reach is not None or _misfits(kernel, alone, end[None])[0] > _MUCH_WORSE * misfit.min()
+        ):  # a resonance may be hidden in a gap
+            across = other_gaps(kernel, alone, end[None], free, np.full(free.size, REACH) if reach is None else reach)
             starts = np.concatenate([end[None], across])
             end = np.where(free, best_end(kernel, alone, starts, centre, held), places[j])
         own[j] = end

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.network.notation import parse
@@ -82,3 +83,24 @@ def test_a_network_that_describes_nothing_keeps_its_fit_unless_another_place_is_
     place = aligned(other, PRECISION, RHO, likelihood, fit, THETA)
     there = expect(other, PRECISION, RHO, likelihood, place, THETA, NO_STARTS)
     assert there.mode.scale <= fit.mode.scale
+
+
+def test_who_is_described_badly_is_searched_as_far_as_the_population_reaches() -> None:
+    """Both recordings have a resonance that the fit has hidden between two frequencies, far from where it is."""
+    kernel = Kernel(parse("n1-((n2-m1)|(m2-r1)|n3)-m3"))
+    true = np.array([-6.3, -2.32, -12.6, -10.46, -0.37, -7.7, -8.18])
+    own = true + np.outer([1, -1], [0.0, 0.02, 0.0, 0.0, 0.0, 0.0, 0.0])
+    rng, frequency_hz = np.random.default_rng(1), np.geomspace(8, 2000, 255)
+    z = kernel.impedance(own, frequency_hz)
+    sd = NOISE * np.abs(z)
+    z = z + sd * (rng.normal(size=z.shape) + 1j * rng.normal(size=z.shape))
+    likelihood = Likelihood.make(frequency_hz, z, sd, np.zeros(own.shape))
+    precision, rho, none = np.eye(7) / 0.5**2, np.full(7, 0.03), np.empty((0, 7))
+    begun = true + np.array([0, 0.695, -0.62, 0, 0, 0, 0])
+    fit = expect(kernel, precision, rho, likelihood, begin(likelihood, begun), true, none)
+    assert fit.mode.scale > GROSS
+    assert np.abs(fit.theta - true).max() > 0.5
+    place = aligned(kernel, precision, rho, likelihood, fit, true)
+    np.testing.assert_allclose(place.theta, true, atol=0.15)
+    assert place.theta[1:3].sum() == pytest.approx(true[1:3].sum(), abs=0.005)  # the resonance's frequency
+    assert place.mode.scale < 1.2
