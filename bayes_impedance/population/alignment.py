@@ -57,7 +57,8 @@ def aligned(
 
     From where the search for the person's mode has begun, with all recordings alike, it may have gone to another
     valley, in which resonances that differ between them are none. So of a person who is described badly recordings are
-    also searched from there, and their resonances in every gap of the frequencies that the population allows.
+    also searched from there; and later, when the population says how far one may be, from its own place with its
+    resonances in every gap of the frequencies that the population allows.
 
     Parameters
     ----------
@@ -79,7 +80,9 @@ def aligned(
     centre = fit.theta if begun is None else begun
     places = centre + (fit.expanded if begun is None else np.zeros_like(fit.expanded))
     least = np.maximum(rho, LEAST_RHO)
-    reach = np.maximum(_WIDER * np.sqrt(np.diag(np.linalg.inv(precision))), REACH) if badly else None
+    reach = None
+    if badly and begun is None:  # in the first iteration most are described badly, and would each find another valley
+        reach = np.maximum(_WIDER * np.sqrt(np.diag(np.linalg.inv(precision))), REACH)
     own = searched_alone(kernel, likelihood, places, centre, least, everyone=badly, reach=reach)
     if own is places:
         return fit
