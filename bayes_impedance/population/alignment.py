@@ -33,7 +33,8 @@ HELD = 1e-4
 
 _MUCH_WORSE = 1.5
 """Squares that a recording leaves after a search, over those of the best recording, from which all elements are changed
-by as much as they may change between recordings. By choice: of a hundred points noise makes such a ratio never."""
+by as much as they may change between recordings. By choice: of a hundred points it is 3.5 standard deviations of what
+noise makes."""
 
 _WIDER = 3.0
 """Largest changes of the elements of somebody who is described badly, in the population's standard deviations. By
@@ -143,9 +144,8 @@ def searched_alone(
         searched = True
         starts = np.concatenate([around, centre[None], across])
         end = np.where(free, best_end(kernel, alone, starts, centre, held), places[j])
-        if (
-            reach is not None or _misfits(kernel, alone, end[None])[0] > _MUCH_WORSE * misfit.min()
-        ):  # a resonance may be hidden in a gap
+        if reach is not None or _misfits(kernel, alone, end[None])[0] > _MUCH_WORSE * misfit.min():
+            # A resonance may be hidden in a gap.
             across = other_gaps(kernel, alone, end[None], free, np.full(free.size, REACH) if reach is None else reach)
             starts = np.concatenate([end[None], across])
             end = np.where(free, best_end(kernel, alone, starts, centre, held), places[j])

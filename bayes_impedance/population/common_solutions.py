@@ -13,7 +13,8 @@ chance: of 30 virtual fingertips between 50 and 2000 Hz the spring of the skin c
 is and its damper twice as large, at a log evidence 31 below that of the truth. So the estimated population's centre is
 also tried with each such element changed to either side, as a search for one person's best optimum does
 (:func:`~bayes_impedance.population.starting_fits.search_modes`). And where some people are far from most
-(:mod:`bayes_impedance.population.far_people`), everybody is searched under the population of the others alone.
+(:mod:`bayes_impedance.population.far_people`), everybody begins under the population of the
+others alone, those who are far where its median is.
 """
 
 from __future__ import annotations
@@ -54,9 +55,6 @@ by tens of nats."""
 _KICKS = (2.0, 4.0)
 """Changes of a log element, to either side. By choice: the first is that of a single person's search; by the second a
 population came back from a hundred times an element's value, and by the first it did not."""
-_STARTS = 16
-"""Starting points of everybody under the population of those who are not far. By choice: a sharp resonance is found
-from one of a few."""
 _OPEN = 0.3
 """Standard deviation by the median person's recordings from which these leave a log element open: a smaller or larger
 value than that of the search's end is then less than three of them away. Of populations that every person determines
@@ -187,8 +185,8 @@ def from_another(
     if far.any():
         gathered = begun_at(np.where(far[:, None], np.median(theta, axis=0), theta), many)
         gathered.take_population_of(theta[~far][:, state.pooling.varying])
-        gathered.iterate(_around(gathered, np.random.default_rng(0)))  # for starts alone
-        gathered.align()
+        gathered.iterate(None)
+        gathered.align()  # while the population is still that of the others
         followed.append(_Trial.made(kernel, order, gathered, rounds))
     best = max(followed, key=lambda trial: float(np.nan_to_num(trial.state.log_evidence(), nan=-np.inf)))
     as_it_is = begun_at(theta, many)
@@ -226,13 +224,6 @@ def _standard_deviations(kernel: Kernel, precision: np.ndarray, likelihood: Like
     """Of a person's log elements (P,), by the own recordings and a prior of that precision."""
     mode = mode_at(kernel, likelihood.moved(fit.deviations), fit.theta, fit.theta, precision, 0.0)
     return np.asarray(np.sqrt(np.diag(np.linalg.inv(mode.precision))))
-
-
-def _around(state: State, rng: np.random.Generator) -> np.ndarray:
-    """Starting points (n, S, P) of everybody, drawn from the population."""
-    spread = np.linalg.cholesky(state.covariance)
-    size = len(state.means), _STARTS, state.mu.size
-    return np.asarray(state.means[:, None] + rng.normal(size=size) @ spread.T)
 
 
 def _farthest(theta: np.ndarray) -> np.ndarray:

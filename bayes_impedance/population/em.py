@@ -65,7 +65,8 @@ _AT_REST = -1.0
 _TOLERANCE = 0.02
 """Iterations end when the population moves by less than this, in its standard errors. By choice: see `_MAX_ROUNDS`."""
 _MOST_TOGETHER = 4
-"""Most times that everybody begins anew from one solution. By choice: each time the evidence is higher."""
+"""Most times that everybody begins anew from one solution. By choice: each time the evidence is higher. Of five
+populations with people in other valleys one gained 129 after the second time, and three had come to rest before."""
 
 
 @dataclass(frozen=True, kw_only=True)

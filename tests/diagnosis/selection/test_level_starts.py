@@ -148,13 +148,13 @@ def test_poles_that_are_elsewhere_in_everybody_are_significant_though_no_score_i
         return z - 1 / (s * spring) + x / np.tanh(x) / (s * spring), own
 
     elements = {"m1": MASS, "r1": 50.0, "n1": spring}
-    fit = toy("m1|r1|n1", elements, 8, n=14, repetitions=1, noise=0.03, tau=1e-3, rho=1e-3, hidden=hidden).fit()
+    fit = toy("m1|r1|n1", elements, 8, n=14, repetitions=1, noise=0.03, tau=0.1, rho=1e-3, hidden=hidden).fit()
     residuals = tuple(person_residuals(fit, [str(i) for i in range(14)]))
     screening = screen(fit, residuals, [entry("body.line")], 1, Serial())
     assert screening.levels[0].candidate.place == "n1"
     assert 0.7 < screening.levels[0].size / mass < 1.4
     step = Step(before=fit, residuals=residuals, screening=screening)
-    assert step.log_p == screening.log_p_levels < np.log(1e-6)
+    assert step.log_p == screening.log_p_levels < np.log(1e-20)
     assert replace(step, screening=replace(screening, levels=())).log_p > np.log(0.05)
 
 
@@ -177,7 +177,7 @@ def test_with_further_steps_of_the_elements_the_evidence_is_nearly_the_refits(he
     (level,) = levels(fit, Candidate(entry("body.line"), "port", {}))
     gain = log_evidence(from_level(heavy.refitter, fit, level, 60)) - log_evidence(fit)
     assert gain > 100
-    assert 0.9 * gain < level.log_e < gain
+    assert 0.93 * gain < level.log_e < gain
 
 
 def test_further_steps_arrive_at_the_most_probable_elements(heavy: Experiment) -> None:
