@@ -23,7 +23,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import eigh
-from scipy.special import gammaln
+from scipy.special import gammaincinv, gammaln, ndtri
+
+from bayes_impedance.person.shifted_sobol import uniform_points
 
 DEGREES_OF_FREEDOM = 10.0
 """Degrees of freedom of the t. By choice: tails clearly heavier than a normal target's at little loss of effective
@@ -117,6 +119,11 @@ class BentT:
         factor = np.linalg.cholesky(spread)
         return cls(centre=centre, axes=axes, into=into, bend=bend, middle=middle, factor=factor)
 
+    def drawn(self, n: int, seed: np.random.SeedSequence) -> np.ndarray:
+        """Log elements (n, P) of evenly spread draws."""
+        uniform = uniform_points(n, self.centre.size + 1, seed)
+        return self.points(ndtri(uniform[:, :-1]) * stretched(uniform[:, -1])[:, None])
+
     def points(self, t: np.ndarray) -> np.ndarray:
         """Log elements (n, P) of draws of a standard t (n, P)."""
         rest = self.middle + t @ self.factor.T
@@ -133,6 +140,11 @@ class BentT:
         if not len(self.bend):
             return np.zeros_like(v)
         return np.asarray(_products(v, long_directions(v.shape[1])) @ self.bend)
+
+
+def stretched(uniform: np.ndarray) -> np.ndarray:
+    """Factors (n,) by which normal draws become draws of a t, from points (n,) between zero and one."""
+    return np.asarray(np.sqrt(DEGREES_OF_FREEDOM / (2 * gammaincinv(DEGREES_OF_FREEDOM / 2, uniform))))
 
 
 def axes_of(covariance: np.ndarray, reference: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

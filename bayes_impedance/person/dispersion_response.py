@@ -5,7 +5,7 @@ integrated out at one dispersion :math:`\rho_0`. The curvature of the impedance,
 depend on where the draw lies, so another dispersion raises some draws and lowers others: what a person's repetitions
 say of rho and where the person's mean lies are not independent.
 
-At a draw the log likelihood of the contrasts d between repetitions is quadratic, with curvature H and slope b at zero
+Near its mode at a draw the log likelihood of the contrasts d between repetitions is quadratic, with curvature H and slope b at zero
 deviation; with :math:`R = \operatorname{diag}\rho^2`, :math:`K = (H + R_0^{-1})^{-1}` and :math:`y = K b`
 
 .. math:: \ln p(\rho) = -\tfrac12\ln|R| - \tfrac12\ln|H + R^{-1}| + \tfrac12\, b^T (H + R^{-1})^{-1} b .
@@ -28,7 +28,7 @@ import numpy as np
 from bayes_impedance.network.kernel import Kernel, compiled
 from bayes_impedance.network.program import Program
 from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood, equations_apart
-from bayes_impedance.person.marginal_likelihood import Ridge
+from bayes_impedance.person.marginal_likelihood import Ridge, settled
 from bayes_impedance.person.noise import contrasts
 from bayes_impedance.person.small_matrices import inverted
 
@@ -134,11 +134,16 @@ def _responses(
     result = np.empty((theta.shape[0], *nodes.shape))
     information = np.empty((n_contrasts * n_elements, n_contrasts * n_elements))
     gradient = np.empty(n_contrasts * n_elements)
+    inverses = np.empty((n_repetitions, n_elements, n_elements))
+    steps, moved = np.empty((n_repetitions, n_elements)), np.empty((n_repetitions, n_elements))
     for i in range(theta.shape[0]):
         information[:], gradient[:] = 0.0, 0.0
-        step, chi = theta[i] - centre, 0.0
+        away, chi = theta[i] - centre, 0.0
         for j in range(n_repetitions):
-            own = deviations[j] + slope[j] @ step
+            moved[j] = deviations[j] + slope[j] @ away
+        settled(program, theta[i], moved, rho, omega, z, weight, exponent, beta, -np.inf, inverses, steps)
+        for j in range(n_repetitions):
+            own = moved[j]
             c, g, h = equations_apart(program, theta[i] + own, omega, z[j], weight[j])
             pull = h @ own - g
             chi += c

@@ -23,18 +23,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import gammaincinv, ndtri
+from scipy.special import ndtri
 
 from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.person.absolute_density import Deviations
-from bayes_impedance.person.bent_proposal import DEGREES_OF_FREEDOM, BentT, log_t
+from bayes_impedance.person.bent_proposal import BentT
 from bayes_impedance.person.choosing import Nearby, inclusion
 from bayes_impedance.person.first_proposal import along_conditional_modes
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.marginal_likelihood import Ridge, marginal_log_likelihood
 from bayes_impedance.person.mode import Mode
 from bayes_impedance.person.shifted_sobol import uniform_points
-from bayes_impedance.person.valley import follow
+from bayes_impedance.person.valley import Valley, follow
 
 
 def widening(n_persons: int) -> float:
@@ -155,14 +155,14 @@ def draw(
     Draws
         Their ``effective`` number measures their quality.
     """
-    if along_valley:
-        theta, log_q = _propose_along(kernel, likelihood, mode, reference, n, seed)
-        return _weighted(theta, marginal_log_likelihood(kernel, likelihood, ridge, theta) - log_q, reference)
     laplace = np.linalg.inv(ridge.precision + np.linalg.inv(reference.covariance))
     population = reference.mean, reference.covariance
     first = along_conditional_modes(kernel, likelihood, mode.theta, *population, laplace)
     proposal, share = first, _EXPLORING
     made, best = _Rounds(kernel, likelihood, ridge, reference, near), None
+    if along_valley:
+        precision = np.linalg.inv(reference.covariance)
+        made.another(follow(kernel, likelihood, mode.theta, reference.mean, precision), _DEFENSIVE, n, seed.spawn(1)[0])
 
     def quality(some: Draws) -> float:
         """Effective number under the populations for which draws are made."""
@@ -185,10 +185,10 @@ def draw(
         log_weight = _tempered(every.log_weight, 6.0 * mode.theta.size)
         proposal = BentT.fitted(every.theta, log_weight, reference.covariance, 0.02 * laplace, enough)
     assert best is not None  # at least two rounds are made
-    if near is None and best.effective >= _POOR * n:
+    if near is None and best.effective >= _POOR * n and not along_valley:
         return best
     chosen = made.chosen(n, seed.spawn(1)[0])
-    return chosen if near is None else max(chosen, best, key=quality)
+    return chosen if near is None or along_valley else max(chosen, best, key=quality)
 
 
 def _tempered(log_weight: np.ndarray, least: float) -> np.ndarray:
@@ -202,9 +202,9 @@ def _tempered(log_weight: np.ndarray, least: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Proposal:
-    """A mixture of a t and a share of the reference."""
+    """A mixture of a t, or of a valley's normal distributions, and a share of the reference."""
 
-    own: BentT
+    own: BentT | Valley
     share: float
 
     def log_density(self, theta: np.ndarray, log_reference: np.ndarray) -> np.ndarray:
@@ -227,13 +227,13 @@ class _Rounds:
         self._log_reference: list[np.ndarray] = []
         self._log_q: list[list[np.ndarray]] = []  # of each proposal, at the draws of each round
 
-    def another(self, own: BentT, share: float, n: int, seed: np.random.SeedSequence) -> Draws:
+    def another(self, own: BentT | Valley, share: float, n: int, seed: np.random.SeedSequence) -> Draws:
         """Make one round, and return its draws alone."""
         theta = _propose(own, self._reference, share, n, seed)
         log_likelihood = marginal_log_likelihood(*self._of, theta)
         self._theta.append(theta)
         self._log_likelihood.append(log_likelihood)
-        constant = 0.5 * own.centre.size * np.log(2 * np.pi)
+        constant = 0.5 * theta.shape[1] * np.log(2 * np.pi)
         self._log_reference.append(self._reference.log_density(theta) - constant)
         for (proposal, _), values in zip(self._proposals, self._log_q, strict=True):
             values.append(proposal.log_density(theta, self._log_reference[-1]))
@@ -272,41 +272,11 @@ def _weighted(theta: np.ndarray, log_ratio: np.ndarray, reference: Reference) ->
     return Draws(theta, log_ratio, log_weight - np.logaddexp.reduce(log_weight))
 
 
-def _propose_along(
-    kernel: Kernel, likelihood: Likelihood, mode: Mode, reference: Reference, n: int, seed: np.random.SeedSequence
-) -> tuple[np.ndarray, np.ndarray]:
-    """Points (n, P) of the valley's mixture and a share of the reference, and their log density (n,)."""
-    valley = follow(kernel, likelihood, mode.theta, reference.mean, np.linalg.inv(reference.covariance))
-    dimension, nu, rng = reference.mean.size, DEGREES_OF_FREEDOM, np.random.default_rng(seed)
-    from_reference = round(_DEFENSIVE * n)
-    which = np.searchsorted(
-        np.cumsum(valley.weight), (np.arange(n - from_reference) + rng.random()) / (n - from_reference)
-    )
-    which = np.minimum(which, len(valley.weight) - 1)
-    stretch = np.sqrt(nu / rng.chisquare(nu, which.size))
-    own = valley.centre[which] + stretch[:, None] * np.einsum(
-        "npq,nq->np", valley.factor[which], rng.normal(size=(which.size, dimension))
-    )
-    anywhere = rng.normal(size=(from_reference, dimension)) @ np.linalg.cholesky(reference.covariance).T
-    theta = np.vstack([own, reference.mean + anywhere])
-    log_own = np.full(n, -np.inf)
-    for centre, factor, weight in zip(valley.centre, valley.factor, valley.weight, strict=True):
-        log_own = np.logaddexp(log_own, np.log(weight) + log_t(theta, centre, factor))
-    log_reference = reference.log_density(theta) - 0.5 * dimension * np.log(2 * np.pi)
-    return theta, np.logaddexp(np.log1p(-_DEFENSIVE) + log_own, np.log(_DEFENSIVE) + log_reference)
-
-
-def _propose(own: BentT, reference: Reference, share: float, n: int, seed: np.random.SeedSequence) -> np.ndarray:
-    """Points (n, P) of the mixture of a t and a share of the reference."""
-    dimension, nu = own.centre.size, DEGREES_OF_FREEDOM
-    from_reference = round(share * n)
-    seeds = seed.spawn(2)
-    t = uniform_points(n - from_reference, dimension + 1, seeds[0])
-    stretch = np.sqrt(nu / (2 * gammaincinv(nu / 2, t[:, -1])))
-    return np.vstack(
-        [
-            own.points(ndtri(t[:, :-1]) * stretch[:, None]),
-            reference.mean
-            + ndtri(uniform_points(from_reference, dimension, seeds[1])) @ np.linalg.cholesky(reference.covariance).T,
-        ]
-    )
+def _propose(
+    own: BentT | Valley, reference: Reference, share: float, n: int, seed: np.random.SeedSequence
+) -> np.ndarray:
+    """Points (n, P) of the mixture of a proposal and a share of the reference."""
+    seeds, from_reference = seed.spawn(2), round(share * n)
+    normal = ndtri(uniform_points(from_reference, reference.mean.size, seeds[1]))
+    anywhere = reference.mean + normal @ np.linalg.cholesky(reference.covariance).T
+    return np.vstack([own.drawn(n - from_reference, seeds[0]), anywhere])

@@ -1,4 +1,4 @@
-r"""A proposal for long, narrow and curved posteriors: a mixture of normal distributions along the valley.
+r"""A proposal for long, narrow and curved posteriors: a mixture of distributions along the valley.
 
 If the recordings determine one combination of elements precisely and another hardly, a person's posterior is a curved
 valley: its length is set by the population, its width by the noise. One multivariate t around the mode covers only a
@@ -24,11 +24,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import eigh, solve_triangular
+from scipy.special import ndtri
 
 from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.person.bent_proposal import log_t, stretched
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.mode import Mode, find_mode, mode_at
 from bayes_impedance.person.small_matrices import ROUNDING
+from bayes_impedance.person.shifted_sobol import uniform_points
 
 _FIRST_STEP, _SHORTEST, _LONGEST = 0.1, 1e-3, 0.5
 """First, shortest and longest step, in standard deviations of the reference population. By choice: longer steps leave
@@ -64,6 +67,21 @@ class Valley:
     centre: np.ndarray
     factor: np.ndarray
     weight: np.ndarray
+
+    def drawn(self, n: int, seed: np.random.SeedSequence) -> np.ndarray:
+        """Log elements (n, P) of evenly spread draws, of a t in place of each normal distribution."""
+        uniform = uniform_points(n, self.centre.shape[1] + 2, seed)
+        which = np.searchsorted(np.cumsum(self.weight), uniform[:, -2])
+        which = np.minimum(which, len(self.weight) - 1)  # the sum of the weights is one but for rounding
+        t = ndtri(uniform[:, :-2]) * stretched(uniform[:, -1])[:, None]
+        return np.asarray(self.centre[which] + np.einsum("npq,nq->np", self.factor[which], t))
+
+    def log_density(self, theta: np.ndarray) -> np.ndarray:
+        """Log density at log elements (n, P), shape (n,)."""
+        result = np.full(len(theta), -np.inf)
+        for centre, factor, weight in zip(self.centre, self.factor, self.weight, strict=True):
+            result = np.logaddexp(result, np.log(weight) + log_t(theta, centre, factor))
+        return result
 
 
 def follow(
