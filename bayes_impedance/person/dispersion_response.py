@@ -25,10 +25,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayes_impedance.network.kernel import Kernel, compiled
+from bayes_impedance.network.kernel import Kernel, compiled, workspace
 from bayes_impedance.network.program import Program
 from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood, equations_apart
-from bayes_impedance.person.marginal_likelihood import Ridge, settled
+from bayes_impedance.person.marginal_likelihood import Ridge, begun, settled
 from bayes_impedance.person.noise import contrasts
 from bayes_impedance.person.small_matrices import inverted
 
@@ -134,14 +134,14 @@ def _responses(
     result = np.empty((theta.shape[0], *nodes.shape))
     information = np.empty((n_contrasts * n_elements, n_contrasts * n_elements))
     gradient = np.empty(n_contrasts * n_elements)
+    sums, outputs = workspace(program, omega)
     inverses = np.empty((n_repetitions, n_elements, n_elements))
     steps, moved = np.empty((n_repetitions, n_elements)), np.empty((n_repetitions, n_elements))
     for i in range(theta.shape[0]):
         information[:], gradient[:] = 0.0, 0.0
-        away, chi = theta[i] - centre, 0.0
-        for j in range(n_repetitions):
-            moved[j] = deviations[j] + slope[j] @ away
-        settled(program, theta[i], moved, rho, omega, z, weight, exponent, beta, -np.inf, inverses, steps)
+        chi = 0.0
+        begun(program, theta[i], centre, slope, deviations, rho, omega, z, weight, exponent, beta, sums, outputs, moved)
+        settled(program, theta[i], moved, rho, omega, z, weight, exponent, beta, inverses, steps)
         for j in range(n_repetitions):
             own = moved[j]
             c, g, h = equations_apart(program, theta[i] + own, omega, z[j], weight[j])

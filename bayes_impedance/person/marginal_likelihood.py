@@ -35,15 +35,11 @@ LEAST_RHO = 1e-3
 """Least dispersion between repetitions, in logarithms, for which deviations are integrated out. By choice: a thousandth
 of an element is far less than any finger changes, and the curvature 1/rho^2 stays finite."""
 
-_SETTLED, _MOST_STEPS = 0.1, 12
+_SETTLED, _MOST_STEPS = 0.1, 8
 """Gain of a Newton step that the quadratic promises below which it is the last, and most steps. By choice: what remains
 after a step that gains 0.1 is of third order; near the mode the first one suffices. Far along a ridge it does not:
 with one step alone the likelihood there was up to 19 units too high (60 people with a mass that each determines to 0.7
 of itself), so that the population's centre moved there."""
-
-_HOPELESS = 50.0
-"""Logarithm of how much smaller than at the mode a density is that need not be known. By choice: of draws so far from
-the recordings nothing counts, and most of the time would go into them."""
 
 
 @dataclass(frozen=True)
@@ -152,6 +148,38 @@ def joint_at(
 
 
 @compiled
+def begun(
+    program: Program,
+    theta: np.ndarray,
+    centre: np.ndarray,
+    slope: np.ndarray,
+    deviations: np.ndarray,
+    rho: np.ndarray,
+    omega: np.ndarray,
+    z: np.ndarray,
+    weight: np.ndarray,
+    exponent: float,
+    beta: float,
+    sums: np.ndarray,
+    outputs: np.ndarray,
+    moved: np.ndarray,
+) -> None:
+    """Write the more probable of two beginnings at log elements (P,) into `moved` (J, P).
+
+    The ridge's tangent holds near the mode; far along a curved one, the deviations at the mode.
+    """
+    for j in range(moved.shape[0]):
+        for p in range(theta.size):
+            moved[j, p] = deviations[j, p]
+            for q in range(theta.size):
+                moved[j, p] += slope[j, p, q] * (theta[q] - centre[q])
+    tangent = joint_at(program, theta, moved, rho, omega, z, weight, exponent, beta, sums, outputs)
+    same = joint_at(program, theta, deviations, rho, omega, z, weight, exponent, beta, sums, outputs)
+    if not tangent > same:
+        moved[:] = deviations
+
+
+@compiled
 def settled(
     program: Program,
     theta: np.ndarray,
@@ -162,13 +190,12 @@ def settled(
     weight: np.ndarray,
     exponent: float,
     beta: float,
-    floor: float,
     inverses: np.ndarray,
     steps: np.ndarray,
 ) -> float:
     """Move the deviations (J, P) of the repetitions to their mode at log elements (P,).
 
-    Where their density cannot exceed `floor` one step is enough. Returns :math:`\\ln|U^TAU|` there, nan where the impedance is not finite; `inverses` (J, P, P) and `steps` (J, P)
+    Returns :math:`\\ln|U^TAU|` there, nan where the impedance is not finite; `inverses` (J, P, P) and `steps` (J, P)
     are overwritten.
     """
     n_repetitions, n_elements = moved.shape
@@ -229,7 +256,7 @@ def settled(
                 before[j, p] = moved[j, p]
                 steps[j, p] /= max(1.0, 2.0 * longest)  # the same for all: their sum must stay zero
                 moved[j, p] += steps[j, p]
-        if not gain > _SETTLED or value + 2.0 * gain < floor:
+        if not gain > _SETTLED:
             break
     return log_determinant
 
@@ -253,15 +280,10 @@ def _marginal_log_likelihoods(
     inverses = np.empty((n_repetitions, n_elements, n_elements))
     steps, moved = np.empty((n_repetitions, n_elements)), np.empty((n_repetitions, n_elements))
     result = np.empty(theta.shape[0])
-    at_mode = joint_at(program, centre, deviations, rho, omega, z, weight, exponent, beta, sums, outputs)
     for i in range(theta.shape[0]):
-        for j in range(n_repetitions):
-            for p in range(n_elements):
-                moved[j, p] = deviations[j, p]
-                for q in range(n_elements):
-                    moved[j, p] += slope[j, p, q] * (theta[i, q] - centre[q])
+        begun(program, theta[i], centre, slope, deviations, rho, omega, z, weight, exponent, beta, sums, outputs, moved)
         log_determinant = settled(
-            program, theta[i], moved, rho, omega, z, weight, exponent, beta, at_mode - _HOPELESS, inverses, steps
+            program, theta[i], moved, rho, omega, z, weight, exponent, beta, inverses, steps
         )
         if np.isfinite(log_determinant):
             there = joint_at(program, theta[i], moved, rho, omega, z, weight, exponent, beta, sums, outputs)

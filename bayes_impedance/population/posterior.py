@@ -224,9 +224,9 @@ class Posterior:
                 return
             at_home = float(np.quantile(self.marginal.effective_at_home(), RARELY))
             needed = n_draws * 2 ** int(np.ceil(np.log2(max(noise, lacking, 1.0))))
-            around = at_home >= FEWEST_DRAWS and needed <= max(_MORE_DRAWS) * self.n_draws * few
-            around = around and not anchor.along_valley
-            n_draws = needed if around else _MORE_DRAWS[self.redrawn + 1] * self.n_draws * few
+            most = max(_MORE_DRAWS) * self.n_draws * few
+            around = at_home >= FEWEST_DRAWS and not anchor.along_valley
+            n_draws = min(needed, most) if around else _MORE_DRAWS[self.redrawn + 1] * self.n_draws * few
             reach *= _WIDER if lacking > 1 and not around else 1.0
             chains = sample(
                 self.log_probability,

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayes_impedance.network.kernel import Kernel
+from bayes_impedance.network.kernel import Kernel, workspace
 from bayes_impedance.network.notation import parse
 from bayes_impedance.person.dispersion_response import response_of, responses
 from bayes_impedance.person.likelihood import SCALE_SHAPE, Likelihood, normal_equations
-from bayes_impedance.person.marginal_likelihood import find_ridge
+from bayes_impedance.person.marginal_likelihood import begun, find_ridge, settled
 from bayes_impedance.person.noise import contrasts
 
 KERNEL = Kernel(parse("r1|n1|m1"))
@@ -49,17 +49,22 @@ def test_one_dispersion_at_a_time(n_contrasts: int) -> None:
 def test_each_draw_has_its_own_curvature() -> None:
     rng = np.random.default_rng(2)
     frequency = np.geomspace(5, 500, 20)
-    own = CENTRE + 0.1 * rng.normal(size=(3, 3))
-    z = KERNEL.impedance(own, frequency)
+    people = CENTRE + 0.1 * rng.normal(size=(3, 3))
+    z = KERNEL.impedance(people, frequency)
     z = z * (1 + 0.05 * (rng.normal(size=z.shape) + 1j * rng.normal(size=z.shape)))
-    deviations = own - own.mean(axis=0)
+    centre = people.mean(axis=0)
+    deviations = people - centre
     likelihood = Likelihood.make(frequency, z, 0.05 * np.abs(z), deviations)
-    ridge = find_ridge(KERNEL, likelihood, own.mean(axis=0), 1.0, RHO)
-    theta = own.mean(axis=0) + 0.2 * rng.normal(size=(4, 3))
+    ridge = find_ridge(KERNEL, likelihood, centre, 1.0, RHO)
+    theta = centre + 0.2 * rng.normal(size=(4, 3))
     found = responses(KERNEL, likelihood, ridge, theta, NODES)
     rows = contrasts(3)
     for t, changes in zip(theta, found, strict=True):
-        moved = deviations + ridge.slope @ (t - ridge.theta)
+        own, exponent = likelihood, SCALE_SHAPE + z.size
+        data = own.omega, own.z, own.weight, exponent, own.beta
+        moved, work = np.empty((3, 3)), workspace(KERNEL.program, own.omega)
+        begun(KERNEL.program, t, ridge.theta, ridge.slope, deviations, RHO, *data, *work, moved)
+        settled(KERNEL.program, t, moved, RHO, *data, np.empty((3, 3, 3)), np.empty((3, 3)))
         equations = [
             normal_equations(KERNEL.program, t + d, likelihood.omega, likelihood.z[j], likelihood.weight[j])
             for j, d in enumerate(moved)
