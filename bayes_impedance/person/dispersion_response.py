@@ -5,8 +5,9 @@ integrated out at one dispersion :math:`\rho_0`. The curvature of the impedance,
 depend on where the draw lies, so another dispersion raises some draws and lowers others: what a person's repetitions
 say of rho and where the person's mean lies are not independent.
 
-Near its mode at a draw the log likelihood of the contrasts d between repetitions is quadratic, with curvature H and slope b at zero
-deviation; with :math:`R = \operatorname{diag}\rho^2`, :math:`K = (H + R_0^{-1})^{-1}` and :math:`y = K b`
+Near its mode at a draw the log likelihood of the contrasts d between repetitions is quadratic, with curvature H and
+slope b at zero deviation; with :math:`R = \operatorname{diag}\rho^2`, :math:`K = (H + R_0^{-1})^{-1}` and
+:math:`y = K b`
 
 .. math:: \ln p(\rho) = -\tfrac12\ln|R| - \tfrac12\ln|H + R^{-1}| + \tfrac12\, b^T (H + R^{-1})^{-1} b .
 

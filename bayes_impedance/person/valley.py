@@ -30,8 +30,8 @@ from bayes_impedance.network.kernel import Kernel
 from bayes_impedance.person.bent_proposal import log_t, stretched
 from bayes_impedance.person.likelihood import Likelihood
 from bayes_impedance.person.mode import Mode, find_mode, mode_at
-from bayes_impedance.person.small_matrices import ROUNDING
 from bayes_impedance.person.shifted_sobol import uniform_points
+from bayes_impedance.person.small_matrices import ROUNDING
 
 _FIRST_STEP, _SHORTEST, _LONGEST = 0.1, 1e-3, 0.5
 """First, shortest and longest step, in standard deviations of the reference population. By choice: longer steps leave
