@@ -6,9 +6,10 @@ fitted to draws (:mod:`bayes_impedance.person.bent_proposal`), and in part the r
 regions far from the mode and bounds the importance weights (defensive mixture, Owen and Zhou 2000). Draws and weights
 of all rounds so far, as if each came from the mixture of all proposals (adaptive multiple importance sampling, Cornuet
 et al. 2012), give the mean, covariance and bend of the next round's t.
-The best round is the result. If it is poor, draws are chosen from those of all rounds
-(:mod:`bayes_impedance.person.choosing`). If the populations are known under which they are to count, the better of the
-two is taken: a choice from all rounds is mostly better by half, but it keeps every draw that was far out.
+The best round is the result. If it is poor, or if a valley was followed, which no later round needs to cover, draws are
+chosen from those of all rounds (:mod:`bayes_impedance.person.choosing`). If the populations are known under which they
+are to count, the better of the two is taken: a choice from all rounds is mostly better by half, but it keeps every draw
+that was far out.
 Points come from Sobol sequences (:mod:`bayes_impedance.person.shifted_sobol`), which cover eight dimensions far more
 evenly than random ones.
 
@@ -146,7 +147,7 @@ def draw(
         Number of draws, a power of two.
     seed : SeedSequence
     along_valley : bool
-        Follow a curved valley (:mod:`bayes_impedance.person.valley`) instead of adapting one t.
+        Propose along a curved valley (:mod:`bayes_impedance.person.valley`) first.
     near : Nearby, optional
         Populations for which draws are made.
 
