@@ -205,7 +205,8 @@ class Posterior:
 
         Draws are made for the populations near the posterior's mode. If they are too few for these, more are made, for
         those of a short chain. Should not even the reference itself have enough, somebody's posterior is a curved
-        valley, which proposals then follow too (:mod:`bayes_impedance.person.valley`), under a wider reference.
+        valley of which one surface covers a part; so it is, along a ridge, if more are needed than may be. Proposals
+        then follow the valley (:mod:`bayes_impedance.person.valley`) under a wider reference, until draws suffice.
         """
         few, repetitions = self._few, self.repetitions  # persons times draws is kept about constant
         reach = widening(repetitions.size)
@@ -223,11 +224,9 @@ class Posterior:
                 return
             at_home = float(np.quantile(self.marginal.effective_at_home(), RARELY))
             needed = n_draws * 2 ** int(np.ceil(np.log2(max(noise, lacking, 1.0))))
-            most = max(_MORE_DRAWS) * self.n_draws * few
-            around = at_home >= FEWEST_DRAWS and not anchor.along_valley
-            if around and n_draws == most:  # others would be as many, for the same populations
-                return
-            n_draws = min(needed, most) if around else _MORE_DRAWS[self.redrawn + 1] * self.n_draws * few
+            around = at_home >= FEWEST_DRAWS and needed <= max(_MORE_DRAWS) * self.n_draws * few
+            around = around and not anchor.along_valley
+            n_draws = needed if around else _MORE_DRAWS[self.redrawn + 1] * self.n_draws * few
             reach *= _WIDER if lacking > 1 and not around else 1.0
             chains = sample(
                 self.log_probability,
