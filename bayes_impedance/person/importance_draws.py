@@ -147,7 +147,7 @@ def draw(
         Number of draws, a power of two.
     seed : SeedSequence
     along_valley : bool
-        Propose along a curved valley (:mod:`bayes_impedance.person.valley`) first.
+        Propose along a curved valley (:mod:`bayes_impedance.person.valley`) first, and more only if that is poor.
     near : Nearby, optional
         Populations for which draws are made.
 
@@ -162,8 +162,10 @@ def draw(
     proposal, share = first, _EXPLORING
     made, best = _Rounds(kernel, likelihood, ridge, reference, near), None
     if along_valley:
-        precision = np.linalg.inv(reference.covariance)
-        made.another(follow(kernel, likelihood, mode.theta, reference.mean, precision), _DEFENSIVE, n, seed.spawn(1)[0])
+        valley = follow(kernel, likelihood, mode.theta, reference.mean, np.linalg.inv(reference.covariance))
+        alone = made.another(valley, _DEFENSIVE, n, seed.spawn(1)[0])
+        if alone.effective >= _POOR * n:
+            return alone
 
     def quality(some: Draws) -> float:
         """Effective number under the populations for which draws are made."""
