@@ -156,16 +156,16 @@ def draw(
     Draws
         Their ``effective`` number measures their quality.
     """
-    laplace = np.linalg.inv(ridge.precision + np.linalg.inv(reference.covariance))
-    population = reference.mean, reference.covariance
-    first = along_conditional_modes(kernel, likelihood, mode.theta, *population, laplace)
-    proposal, share = first, _EXPLORING
     made, best = _Rounds(kernel, likelihood, ridge, reference, near), None
     if along_valley:
         valley = follow(kernel, likelihood, mode.theta, reference.mean, np.linalg.inv(reference.covariance))
         alone = made.another(valley, _DEFENSIVE, n, seed.spawn(1)[0])
         if alone.effective >= _POOR * n:
             return alone
+    laplace = np.linalg.inv(ridge.precision + np.linalg.inv(reference.covariance))
+    population = reference.mean, reference.covariance
+    first = along_conditional_modes(kernel, likelihood, mode.theta, *population, laplace)
+    proposal, share = first, _EXPLORING
 
     def quality(some: Draws) -> float:
         """Effective number under the populations for which draws are made."""
